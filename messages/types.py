@@ -1,0 +1,200 @@
+"""The messages of the loop, as typed maps with named SI fields.
+
+Every message carries ``seq``, the tick it belongs to (the driver counts the ticks, everyone else answers a tick), and
+``stamp`` in seconds: the monotonic clock of the host in real time, simulated time (``seq``·T) in lockstep. Vectors are
+three floats in the axes of the device: +x right, +y away from the user, +z up (ROS's convention, REP 103 turned to face the
+user).
+
+Evolution: a field keeps its name, type and unit for ever; new fields come last and have a default, so old recordings and old
+listeners go on working.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeAlias
+
+import msgspec
+
+Vector: TypeAlias = tuple[float, float, float]
+Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
+Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=4096)]
+Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=128)]
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """What every message has: the tick it belongs to and when its content was true.
+
+    Attributes
+    ----------
+    seq : int
+        Tick number, counted by the driver from 0.
+    stamp : float
+        Time of the content [s]: host's monotonic clock in real time, seq·T in lockstep.
+    """
+
+    seq: Count
+    stamp: float
+
+
+class DeviceState(Message, frozen=True, kw_only=True, gc=False):
+    """``/device/state``: the position sampled at a tick, and how the tick before it went.
+
+    Attributes
+    ----------
+    position : tuple of float, shape (3,)
+        Position of the device's end point at the tick, as its encoders give it [m].
+    force : tuple of float, shape (3,)
+        Force handed to the device when the previous tick closed, after all limits [N].
+    force_seq : int
+        Tick that this force answers; -1 before the first one.
+    age : int
+        Ticks between the previous tick and the one its force answered: 0 when it was answered in time.
+    response : float
+        Time from publishing the previous tick's state to receiving its answer [s]; 0 when it was not answered in time.
+    lateness : float
+        How long after its deadline this tick was sampled [s]; 0 in lockstep.
+    missed : int
+        Ticks so far whose answer had not come when the next tick was due.
+    overruns : int
+        Ticks so far that had to be left out because the driver itself was late by a whole period or more.
+    safety : str
+        ``ramp``, ``active``, ``damping``, ``zero`` or ``fault``: what the driver does with forces now.
+    energy : float
+        Energy given out by the virtual side up to this tick, exact under zero-order hold [J]; see nodes/passivity.py.
+    """
+
+    position: Vector
+    force: Vector = ZERO
+    force_seq: Annotated[int, msgspec.Meta(ge=-1)] = -1
+    age: Count = 0
+    response: float = 0.0
+    lateness: float = 0.0
+    missed: Count = 0
+    overruns: Count = 0
+    safety: Name = "active"
+    energy: float = 0.0
+
+
+class Proxy(Message, frozen=True, kw_only=True, gc=False):
+    """``/environment/proxy``: where the device would be if the wall were solid.
+
+    Attributes
+    ----------
+    position : tuple of float, shape (3,)
+        The device position of the same tick, forwarded so that the coupling needs one input only [m].
+    proxy : tuple of float, shape (3,)
+        The point on the surface while in contact, the device position in free space [m].
+    normal : tuple of float, shape (3,)
+        Outward normal of the surface that matters now; zero when the scene has no one-sided surface.
+    distance : float
+        Signed distance to that surface along its normal, negative inside [m].
+    contact : bool
+        Whether the surface is touched at this tick.
+    period : float
+        Sampling period of the loop [s].
+    """
+
+    position: Vector
+    proxy: Vector
+    normal: Vector = ZERO
+    distance: float = 0.0
+    contact: bool = False
+    period: float = 0.0
+
+
+class Force(Message, frozen=True, kw_only=True, gc=False):
+    """``/coupling/force``: the force the law renders for a tick.
+
+    Attributes
+    ----------
+    force : tuple of float, shape (3,)
+        Force on the device's end point [N].
+    law : str
+        Name of the law that computed it (the fallback's, after a failure).
+    revision : int
+        Counts the applied changes of law or parameters; the receipts tell what each one was.
+    """
+
+    force: Vector
+    law: Name = ""
+    revision: Count = 0
+
+
+class NodeStatus(Message, frozen=True, kw_only=True, gc=False):
+    """``/<node>/status``: a node's state and its counters, every half second and at each change of state.
+
+    Attributes
+    ----------
+    node, kind, state : str
+        Name in the launch, kind, and ``configuring``, ``waiting``, ``ready``, ``running``, ``finished`` or ``failed``.
+    pid : int
+        Process number.
+    ticks : int
+        Ticks handled so far.
+    sent, received, refused, skipped, gaps : int
+        Messages published and taken; refused as malformed; skipped because a newer one was there; missing in ``seq``.
+    reason : str
+        Why it ended or failed; empty while it runs.
+    memory : float
+        Resident memory [bytes].
+    cpu : float
+        Processor time used so far [s].
+    """
+
+    node: Name
+    kind: Name
+    state: Name
+    pid: Count
+    ticks: Count = 0
+    sent: Count = 0
+    received: Count = 0
+    refused: Count = 0
+    skipped: Count = 0
+    gaps: Count = 0
+    reason: Text = ""
+    memory: float = 0.0
+    cpu: float = 0.0
+
+
+class Receipt(Message, frozen=True, kw_only=True, gc=False):
+    """``/coupling/receipt``: a change of law or parameters, applied at a tick.
+
+    Attributes
+    ----------
+    action : str
+        ``switch``, ``set`` or ``fallback``.
+    before, after : str
+        Law and its parameters as YAML flow text, before and after.
+    force_step : float
+        Norm of the difference between the new and the old law's force at this very tick [N].
+    ramp : int
+        Ticks of cross-fade, 0 for a hard swap.
+    reason : str
+        Who asked, or what failed.
+    """
+
+    action: Name
+    before: Text
+    after: Text
+    force_step: float = 0.0
+    ramp: Count = 0
+    reason: Text = ""
+    revision: Count = 0
+
+
+class Event(Message, frozen=True, kw_only=True, gc=False):
+    """``/<node>/event``: something that must not be overlooked (safety state, refused message, lost peer, limit reached).
+
+    Attributes
+    ----------
+    node, kind : str
+        Who says it, and the event's registered kind.
+    reason : str
+        One sentence with value and limit.
+    """
+
+    node: Name
+    kind: Name
+    reason: Text

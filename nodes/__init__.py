@@ -1,0 +1,1 @@
+"""The processes: node base, driver, environment, coupling and its laws, logger, launcher, command line."""

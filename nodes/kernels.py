@@ -1,0 +1,166 @@
+"""The arithmetic of one tick on one axis, as plain functions on floats.
+
+The nodes call these functions as they stand; the one-process simulator compiles *the same functions* with numba (no
+fastmath), which gives the same bits. So they use nothing but floats, comparisons and indexing, and they add in a fixed order.
+A term that a scene does not have is passed as None: numba compiles a separate version without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableSequence, Sequence
+
+
+def plane_distance(position: float, surface: float, normal: float) -> float:
+    """Signed distance to a plane across one axis.
+
+    Parameters
+    ----------
+    position, surface : float
+        Coordinates of the device and of the plane on this axis [m].
+    normal : float
+        +1 or -1: the side of the plane that is free.
+
+    Returns
+    -------
+    float
+        Distance along the normal, negative inside the wall [m].
+    """
+    return (position - surface) * normal
+
+
+def deflection(position: float, proxy: float, distance: float, normal: float, contact: bool, raw: bool) -> float:
+    """Deflection of the coupling: from the device to its proxy.
+
+    Parameters
+    ----------
+    position, proxy : float
+        Coordinates of the device and its proxy on this axis [m].
+    distance : float
+        Signed distance to the surface, negative inside [m].
+    normal : float
+        Component of the outward normal on this axis.
+    contact : bool
+        Whether the surface is touched.
+    raw : bool
+        What feeds the derivative's history outside contact: the raw distance (True) or zero (False); see the seed,
+        section 4, and ../shared theory: the choice moves K_max by up to 17 %.
+
+    Returns
+    -------
+    float
+        Deflection [m], in the direction in which the coupling pushes the device.
+    """
+    if contact or not raw:
+        return proxy - position
+    return -distance * normal
+
+
+def push(history: MutableSequence[float], head: int, length: int, value: float) -> int:
+    """Put the newest deflection in front of the history.
+
+    The history is a ring written twice, ``length`` apart, so that the newest ``length`` values are always contiguous:
+    ``history[head]`` is the newest, ``history[head + m]`` is m ticks old.
+
+    Parameters
+    ----------
+    history : sequence of float, shape (2 * length,)
+        The ring, changed in place.
+    head : int
+        Index of the newest value so far.
+    length : int
+        How many values the ring remembers.
+    value : float
+        The new value.
+
+    Returns
+    -------
+    int
+        The new head.
+    """
+    head = head - 1 if head > 0 else length - 1
+    history[head] = value
+    history[head + length] = value
+    return head
+
+
+def fir(taps: Sequence[float], history: Sequence[float], head: int) -> float:
+    """Force of a tap vector over the history, added from the newest value to the oldest.
+
+    Parameters
+    ----------
+    taps : sequence of float, shape (n + 1,)
+        Taps h_0 ... h_n [N/m], h_0 for the newest deflection.
+    history : sequence of float
+        Ring as written by `push`, remembering at least n + 1 values.
+    head : int
+        Index of the newest value.
+
+    Returns
+    -------
+    float
+        Force [N].
+    """
+    force = 0.0
+    for m in range(len(taps)):
+        force += taps[m] * history[head + m]
+    return force
+
+
+def one_sided(force: float, normal: float, contact: bool, raw: bool, clamp: bool) -> float:
+    """Contact conventions: no force outside a raw-history wall, and no pull towards the wall when clamped.
+
+    Parameters
+    ----------
+    force : float
+        Force of the law on this axis [N].
+    normal : float
+        Component of the outward normal on this axis; 0 for a two-sided coupling.
+    contact : bool
+        Whether the surface is touched.
+    raw : bool
+        Whether the history holds the raw distance (see `deflection`).
+    clamp : bool
+        Whether a force into the wall is set to zero.
+
+    Returns
+    -------
+    float
+        Force to render [N].
+    """
+    if raw and not contact:
+        return 0.0
+    if clamp and force * normal < 0.0:
+        return 0.0
+    return force
+
+
+def limit(force: float, previous: float, peak: float | None, slew: float | None) -> float:
+    """Limit magnitude and rate of the force handed to the device.
+
+    Parameters
+    ----------
+    force : float
+        Force asked for on this axis [N].
+    previous : float
+        Force of the tick before, after limits [N].
+    peak : float or None
+        Largest magnitude [N]; None for no limit.
+    slew : float or None
+        Largest change per tick [N]; None for no limit.
+
+    Returns
+    -------
+    float
+        Force within both limits [N].
+    """
+    if peak is not None:
+        if force > peak:
+            force = peak
+        elif force < -peak:
+            force = -peak
+    if slew is not None:
+        if force > previous + slew:
+            force = previous + slew
+        elif force < previous - slew:
+            force = previous - slew
+    return force
