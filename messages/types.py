@@ -2,8 +2,7 @@
 
 Every message carries ``seq``, the tick it belongs to (the driver counts the ticks, everyone else answers a tick), and
 ``stamp`` in seconds: the monotonic clock of the host in real time, simulated time (``seq``·T) in lockstep. Vectors are
-three floats in the axes of the device: +x right, +y away from the user, +z up (ROS's convention, REP 103 turned to face the
-user).
+three floats: +x forward (away from the user), +y left, +z up, as in ROS (REP 103).
 
 Evolution: a field keeps its name, type and unit for ever; new fields come last and have a default, so old recordings and old
 listeners go on working.

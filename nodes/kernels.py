@@ -42,8 +42,8 @@ def deflection(position: float, proxy: float, distance: float, normal: float, co
     contact : bool
         Whether the surface is touched.
     raw : bool
-        What feeds the derivative's history outside contact: the raw distance (True) or zero (False); see the seed,
-        section 4, and ../shared theory: the choice moves K_max by up to 17 %.
+        What feeds the derivative's history outside contact: the raw distance (True) or zero (False). The seed does not
+        say; the choice moves the K_max of the drop test by up to 17 %.
 
     Returns
     -------
@@ -163,4 +163,37 @@ def limit(force: float, previous: float, peak: float | None, slew: float | None)
             force = previous + slew
         elif force < previous - slew:
             force = previous - slew
+    return force
+
+
+def sections(
+    coefficients: Sequence[float], state: MutableSequence[float], newest: float, previous: float
+) -> float:
+    """Force of parallel second-order recursive sections, y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂ each, summed in order.
+
+    Parameters
+    ----------
+    coefficients : sequence of float, shape (4 * s,)
+        b0, b1 [N/m], a1, a2 of each section.
+    state : sequence of float, shape (2 * s,)
+        y₋₁, y₋₂ [N] of each section, changed in place.
+    newest, previous : float
+        Deflection at this tick and the one before [m].
+
+    Returns
+    -------
+    float
+        Force [N].
+    """
+    force = 0.0
+    for i in range(len(state) // 2):
+        y = (
+            coefficients[4 * i] * newest
+            + coefficients[4 * i + 1] * previous
+            - coefficients[4 * i + 2] * state[2 * i]
+            - coefficients[4 * i + 3] * state[2 * i + 1]
+        )
+        state[2 * i + 1] = state[2 * i]
+        state[2 * i] = y
+        force += y
     return force

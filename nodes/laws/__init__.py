@@ -1,0 +1,128 @@
+"""The coupling laws: parameters in, taps out. One law per file; other packages add laws through the entry points ``haptic.laws``.
+
+A law is a frozen msgspec struct whose fields are its parameters, with one method, ``compile``. What it compiles to is the
+same for all: a vector of taps over the shared deflection history (every law of the seed is just that, eq. 1, 6, 10) and, for
+recursive realisations of D^α, parallel second-order sections beside them. So a swap of laws is a swap of numbers.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any, ClassVar
+
+import msgspec
+
+GROUP = "haptic.laws"
+
+
+@dataclass(frozen=True)
+class CompiledLaw:
+    """What a law renders at one sampling period.
+
+    Attributes
+    ----------
+    taps : tuple of float, shape (n + 1,)
+        h_0 ... h_n [N/m]: F[k] = Σ h_m x[k−m] + Σ sections.
+    sections : tuple of tuple of float, shape (s, 4)
+        b0, b1 [N/m], a1, a2 of parallel sections y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂.
+    """
+
+    taps: tuple[float, ...]
+    sections: tuple[tuple[float, float, float, float], ...] = ()
+
+    def response(self, z: complex) -> complex:
+        """Transfer function from deflection to force.
+
+        Parameters
+        ----------
+        z : complex
+            Point of the z plane, e.g. exp(jωT).
+
+        Returns
+        -------
+        complex
+            H(z) [N/m].
+        """
+        w = 1.0 / z
+        total = 0j
+        for tap in reversed(self.taps):
+            total = total * w + tap
+        for b0, b1, a1, a2 in self.sections:
+            total += (b0 + b1 * w) / (1.0 + w * (a1 + w * a2))
+        return total
+
+    @property
+    def h1(self) -> float:
+        """Stiffness rendered to a held deflection, H(1) [N/m]."""
+        return self.response(1.0).real
+
+    @property
+    def h_nyquist(self) -> float:
+        """Gain at the Nyquist frequency, H(−1) [N/m]: what encoder noise is multiplied with."""
+        return self.response(-1.0).real
+
+    @property
+    def finite(self) -> bool:
+        """Whether every coefficient is finite."""
+        return all(map(math.isfinite, self.taps)) and all(math.isfinite(c) for s in self.sections for c in s)
+
+    def stable_sections(self) -> bool:
+        """Whether the recursive sections themselves decay.
+
+        Returns
+        -------
+        bool
+            True when all their poles lie inside the unit circle (True without sections).
+        """
+        for _, _, a1, a2 in self.sections:
+            root = cmath.sqrt(a1 * a1 - 4.0 * a2)
+            if max(abs(-a1 + root), abs(-a1 - root)) >= 2.0:
+                return False
+        return True
+
+
+class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all laws: the fields of a subclass are its parameters.
+
+    Attributes
+    ----------
+    kind : str
+        Class variable: the registered name.
+    """
+
+    kind: ClassVar[str] = ""
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Turn the parameters into taps.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            Taps and sections.
+
+        Raises
+        ------
+        ValueError
+            When the parameters cannot be realised; the text names the parameter, its value and the limit.
+        """
+        raise TypeError(f"law kind {type(self).kind!r} does not define compile()")
+
+
+def law_kinds() -> dict[str, type[Law]]:
+    """Find all installed laws.
+
+    Returns
+    -------
+    dict of str to type of Law
+        Registered name to class, sorted by name.
+    """
+    found: dict[str, Any] = {point.name: point.load() for point in entry_points(group=GROUP)}
+    return dict(sorted(found.items()))

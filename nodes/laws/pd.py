@@ -1,0 +1,43 @@
+"""PD: spring and damper (seed, eq. 1)."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import msgspec
+
+from nodes.laws import CompiledLaw, Law
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+
+class PD(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """F = K x + B dx/dt with the backward difference, taps [K + B/T, −B/T].
+
+    Attributes
+    ----------
+    stiffness : float
+        K [N/m].
+    damping : float
+        B [N s/m].
+    """
+
+    kind: ClassVar[str] = "pd"
+    stiffness: Positive
+    damping: NonNegative = 0.0
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Turn the parameters into taps.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            Two taps.
+        """
+        return CompiledLaw((self.stiffness + self.damping / period, -self.damping / period))
