@@ -1,0 +1,93 @@
+"""Ways to realise D^α tick by tick; a law names the one it wants.
+
+The derivative of a law is a choice of its own: the seed takes the Grünwald–Letnikov sum, but a dozen others are known,
+each with its own cost, phase, leak and gain at Nyquist. They all come down to a `CompiledLaw` (taps and parallel
+sections, unit gain), so the loop renders any of them with the same kernels. One realisation per file; other packages
+add theirs through the entry points ``haptic.derivatives``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import entry_points
+from typing import cast
+
+from nodes.laws import CompiledLaw
+
+GROUP = "haptic.derivatives"
+MAX_ORDER = 4.0
+MAX_TAPS = 1_000_000
+
+Realise = Callable[[float, int, float], CompiledLaw]
+
+
+def derivative_kinds() -> dict[str, Realise]:
+    """Find all installed realisations of D^α.
+
+    Returns
+    -------
+    dict of str to function
+        Registered name to ``f(order, taps, period) -> CompiledLaw``, sorted by name.
+    """
+    return {name: _load(name) for name in sorted(entry_points(group=GROUP).names)}
+
+
+def realise(kind: str, order: float, taps: int, period: float) -> CompiledLaw:
+    """Realise D^α with unit gain and check that what came out can run.
+
+    Parameters
+    ----------
+    kind : str
+        Registered name, e.g. ``gl``.
+    order : float
+        α, in (0, 4).
+    taps : int
+        Length n + 1, at least 2: the number of taps of a finite realisation, the memory [ticks] of a long-memory one,
+        the degree n plus one of a recursive one. Each realisation says which.
+    period : float
+        Sampling period T [s].
+
+    Returns
+    -------
+    CompiledLaw
+        Taps and sections [1/s^α] whose output is D^α of the deflection.
+
+    Raises
+    ------
+    ValueError
+        When there is no such realisation, or it cannot be had at this order, length and period; the text names the
+        parameter, its value, the limit and what to do.
+    """
+    if not 0.0 < order < MAX_ORDER:
+        raise ValueError(f"order = {order!r}: must lie in (0, 4); for a plain damper use order 1")
+    if not 2 <= taps <= MAX_TAPS:
+        raise ValueError(f"taps = {taps!r}: must lie in [2, {MAX_TAPS}]; a derivative needs at least two samples")
+    if not (period > 0.0 and math.isfinite(period)):
+        raise ValueError(f"period = {period!r} s: must be positive and finite; give 1/rate in seconds")
+    function = _load(kind)
+    overflow = ValueError(
+        f"period = {period!r} s at order = {order!r}: the coefficients of {kind!r} overflow (they grow as T^-α); take "
+        "a longer period or a lower order"
+    )
+    try:
+        compiled = function(order, taps, period)
+    except OverflowError:
+        raise overflow from None
+    if not compiled.finite:
+        raise overflow
+    if not compiled.stable_sections():
+        raise ValueError(
+            f"taps = {taps!r} at order = {order!r}: {kind!r} has a pole on or outside the unit circle; take fewer taps"
+        )
+    return compiled
+
+
+@cache
+def _load(kind: str) -> Realise:
+    points = entry_points(group=GROUP, name=kind)
+    for point in points:
+        return cast(Realise, point.load())
+    known = ", ".join(sorted(entry_points(group=GROUP).names))
+    raise ValueError(f"derivative = {kind!r}: no such realisation is installed; choose one of {known}")

@@ -1,0 +1,52 @@
+"""Grünwald–Letnikov: the binomial series of (1 − z⁻¹)^α, cut after n + 1 taps (seed, eq. 5).
+
+The Gamma-ratio form printed in the seed overflows from m = 171 on; the recursion has no such limit. What the cut leaves
+is a leak, D(1) ≈ (nT)^−α/Γ(1−α): positive for α < 1, negative for 1 < α < 2. It holds at all orders and lengths; its
+phase is that of a pure delay αT/2.
+"""
+
+from __future__ import annotations
+
+from nodes.laws import CompiledLaw
+
+
+def coefficients(order: float, taps: int) -> list[float]:
+    """Binomial coefficients of (1 − w)^α by the recursion c_m = c_{m−1}(1 − (α+1)/m).
+
+    Parameters
+    ----------
+    order : float
+        α.
+    taps : int
+        How many, n + 1.
+
+    Returns
+    -------
+    list of float, length taps
+        c_0 = 1, c_1 = −α, ...
+    """
+    series = [1.0]
+    for m in range(1, taps):
+        series.append(series[-1] * ((m - 1.0 - order) / m))
+    return series
+
+
+def gl(order: float, taps: int, period: float) -> CompiledLaw:
+    """D^α as the Grünwald–Letnikov sum T^−α Σ c_m x[k−m] (seed, eq. 5).
+
+    Parameters
+    ----------
+    order : float
+        α, in (0, 4).
+    taps : int
+        n + 1: samples remembered.
+    period : float
+        Sampling period T [s].
+
+    Returns
+    -------
+    CompiledLaw
+        ``taps`` taps, no sections.
+    """
+    gain = float(period) ** -order
+    return CompiledLaw(tuple(gain * c for c in coefficients(order, taps)))
