@@ -1,0 +1,127 @@
+"""JSON Schema of each message type, for the channels of a recording and for whoever writes a node in another language.
+
+Foxglove and Lichtblick read a flat schema only: everything inlined, no ``$ref``, no ``anyOf``, one schema for all items
+of an array. msgspec's own generator uses all three, so the schema is built here, from the types and the docstrings: the
+meaning and the unit of a field are written once, in messages/types.py, and travel with every file.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+import msgspec
+
+from messages.types import Message
+
+_ENTRY = re.compile(r"^(\w+(?:, \w+)*) : .*$")
+
+_SCALARS: dict[type[msgspec.inspect.Type], str] = {
+    msgspec.inspect.IntType: "integer",
+    msgspec.inspect.FloatType: "number",
+    msgspec.inspect.StrType: "string",
+    msgspec.inspect.BoolType: "boolean",
+}
+
+_LIMITS = {
+    "ge": "minimum",
+    "le": "maximum",
+    "gt": "exclusiveMinimum",
+    "lt": "exclusiveMaximum",
+    "max_length": "maxLength",
+}
+
+
+def _attributes(docstring: str) -> dict[str, str]:
+    """Text of each entry in the Attributes section of a numpydoc docstring."""
+    found: dict[str, str] = {}
+    names: list[str] = []
+    _, _, section = docstring.partition("Attributes\n")
+    for line in (line.strip() for line in section.splitlines()[1:]):
+        entry = _ENTRY.match(line)
+        if entry:
+            names = entry[1].split(", ")
+        elif line:
+            for name in names:
+                found[name] = f"{found.get(name, '')} {line}".strip()
+    return found
+
+
+def _inline(info: msgspec.inspect.Type, path: str) -> dict[str, Any]:
+    if isinstance(info, msgspec.inspect.TupleType) and all(item == info.item_types[0] for item in info.item_types):
+        count = len(info.item_types)
+        return {"type": "array", "items": _inline(info.item_types[0], path), "minItems": count, "maxItems": count}
+    if type(info) not in _SCALARS:
+        raise TypeError(f"{path}: {type(info).__name__} has no flat JSON schema; use numbers, text or equal tuples")
+    found: dict[str, Any] = {"type": _SCALARS[type(info)]}
+    for limit, keyword in _LIMITS.items():
+        value = getattr(info, limit, None)
+        if value is not None:
+            found[keyword] = value
+    return found
+
+
+@cache
+def _schema(message_type: type[Message]) -> dict[str, Any]:
+    info = msgspec.inspect.type_info(message_type)
+    if not isinstance(info, msgspec.inspect.StructType):
+        raise TypeError(f"{message_type!r} is not a message type")
+    told: dict[str, str] = {}
+    for base in reversed(message_type.__mro__):
+        told.update(_attributes(base.__doc__ or "") if issubclass(base, Message) else {})
+    properties: dict[str, Any] = {}
+    for field in info.fields:
+        properties[field.encode_name] = _inline(field.type, f"{message_type.__name__}.{field.name}")
+        if field.name in told:
+            properties[field.encode_name]["description"] = told[field.name]
+        if field.default is not msgspec.NODEFAULT:
+            default = field.default
+            properties[field.encode_name]["default"] = list(default) if isinstance(default, tuple) else default
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": message_type.__name__,
+        "description": (message_type.__doc__ or "").strip().split("\n", 1)[0],
+        "type": "object",
+        "properties": properties,
+        "required": [field.encode_name for field in info.fields if field.required],
+    }
+
+
+def schema(message_type: type[Message]) -> dict[str, Any]:
+    """Build the flat JSON Schema of a message type.
+
+    Parameters
+    ----------
+    message_type : type of Message
+        Any type of messages.types.
+
+    Returns
+    -------
+    dict
+        JSON Schema (draft 2020-12) of one message as a JSON object: no ``$ref``, no ``anyOf``, vectors as arrays of
+        three numbers, meaning and unit of each field as its description. Fields unknown to this version are allowed, as
+        the evolution rules of messages.types ask.
+
+    Raises
+    ------
+    TypeError
+        When a field's type cannot be told flatly; the text names the field.
+    """
+    return _schema(message_type)
+
+
+def schema_json(message_type: type[Message]) -> bytes:
+    """Encode the schema of a message type as JSON.
+
+    Parameters
+    ----------
+    message_type : type of Message
+        Any type of messages.types.
+
+    Returns
+    -------
+    bytes
+        What an MCAP schema record with encoding ``jsonschema`` holds.
+    """
+    return msgspec.json.encode(_schema(message_type))
