@@ -1,0 +1,468 @@
+"""The virtual device: one axis of mass, viscous damping and what a scene asks for beyond that.
+
+Between two instants at which the force changes, the device obeys m x'' + b x' + k x = u with u held (k is the
+stiffness of a hand, 0 without one), and that map is known exactly. So nothing is integrated here: a step is a few
+multiplications, whatever its length, and carries no discretisation error that could be mistaken for (in)stability
+of the coupling: semi-implicit Euler would overstate K_max by 1/(1 − 1/n_sub).
+
+The kernels are plain functions on floats, as those of `nodes.kernels`: the driver node calls them as they stand, the
+one-process simulator compiles the same functions. They use only `math`, and what a scene lacks is passed as None.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from typing import Annotated
+
+import msgspec
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+Coefficients = tuple[float, float, float, float, float, float]
+
+# Adding and subtracting 1.5 * 2**52 leaves the nearest whole number (halves to even) for any |count| < 2**51, and it
+# neither overflows nor raises beyond: a diverging run stays a run.
+_WHOLE = 6755399441055744.0
+
+
+def _decay_mean(y: float) -> float:
+    """(1 − e^{−y})/y, the mean of e^{−t} over (0, y)."""
+    if y == 0.0:
+        return 1.0
+    return -math.expm1(-y) / y
+
+
+def coefficients(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
+    """Exact map of m x'' + b x' + k x = u over a time in which u is held.
+
+    Accurate to rounding for b → 0 and k → 0 (a Taylor series where the closed forms would cancel), and for under-,
+    over- and critically damped devices. The case k = 0 is the plant of the stability theory, q = (1 − e^{−bT/m}) m/b.
+
+    Parameters
+    ----------
+    mass : float
+        m > 0 [kg].
+    damping : float
+        b ≥ 0 [N s/m].
+    stiffness : float
+        k ≥ 0 [N/m], towards x = 0.
+    duration : float
+        Length of the step, ≥ 0 [s].
+
+    Returns
+    -------
+    tuple of float, shape (6,)
+        a11, a12 [s], a21 [1/s], a22, b1 [m/N], b2 [m/(s N)] of x⁺ = a11 x + a12 v + b1 u, v⁺ = a21 x + a22 v + b2 u.
+    """
+    alpha = damping * duration / mass
+    kappa = stiffness * duration * duration / mass
+    if alpha < 1.0 and kappa < 1.0:
+        # Taylor series of the response to a unit step, y'' + (b/m) y' + (k/m) y = 1, in units of the duration. Its
+        # terms satisfy y[j+2] = −(α (j+1) y[j+1] + κ y[j]) / ((j+2)(j+1)), from y[0] = y[1] = 0, y[2] = 1/2.
+        older = 0.0
+        newer = 0.5
+        response = 0.5
+        slope = 1.0
+        j = 1
+        while abs(newer) + abs(older) > 1e-18:
+            term = -(alpha * (j + 1) * newer + kappa * older) / ((j + 2) * (j + 1))
+            older = newer
+            newer = term
+            response += term
+            slope += (j + 2) * term
+            j += 1
+        a12 = duration * slope
+        b1 = duration * duration / mass * response
+        a11 = 1.0 - kappa * response
+        a22 = a11 - alpha * slope
+        return a11, a12, -(stiffness / mass) * a12, a22, b1, a12 / mass
+    s = damping / (2.0 * mass)
+    squared = s * s - stiffness / mass
+    if squared >= 0.0:
+        root = math.sqrt(squared)
+        slow = stiffness / mass / (s + root)
+        fast = s + root
+        slow_decay = math.exp(-slow * duration)
+        a12 = slow_decay * duration * _decay_mean(2.0 * root * duration)
+        a11 = slow_decay + slow * a12
+        a22 = math.exp(-fast * duration) - slow * a12
+        b1 = (duration * _decay_mean(slow * duration) - a12) / (mass * fast)
+    else:
+        root = math.sqrt(-squared)
+        decay = math.exp(-s * duration)
+        a12 = decay * math.sin(root * duration) / root
+        a11 = decay * math.cos(root * duration) + s * a12
+        a22 = decay * math.cos(root * duration) - s * a12
+        b1 = (1.0 - a11) / stiffness
+    return a11, a12, -(stiffness / mass) * a12, a22, b1, a12 / mass
+
+
+def advance(x: float, v: float, u: float, coefs: Coefficients) -> tuple[float, float]:
+    """One exact step without dry friction.
+
+    Parameters
+    ----------
+    x : float
+        Position [m].
+    v : float
+        Velocity [m/s].
+    u : float
+        Force held during the step [N].
+    coefs : tuple of float, shape (6,)
+        As from `coefficients`.
+
+    Returns
+    -------
+    tuple of float, shape (2,)
+        Position [m] and velocity [m/s] at the end of the step.
+    """
+    return coefs[0] * x + coefs[1] * v + coefs[4] * u, coefs[2] * x + coefs[3] * v + coefs[5] * u
+
+
+def halt_time(x: float, v: float, u: float, direction: float, mass: float, damping: float, stiffness: float) -> float:
+    """When the velocity first returns to zero, with the force held: closed form.
+
+    With a the acceleration now, s = b/2m and w = a + s v, the velocity is e^{−st}(v cos ωt + w sin(ωt)/ω) (hyperbolic
+    when overdamped): its first zero is one arctangent away.
+
+    Parameters
+    ----------
+    x : float
+        Position now [m].
+    v : float
+        Velocity now [m/s].
+    u : float
+        Force held, dry friction included [N].
+    direction : float
+        +1 or −1: sign of the velocity now, or just after now when it is zero.
+    mass : float
+        m > 0 [kg].
+    damping : float
+        b ≥ 0 [N s/m].
+    stiffness : float
+        k ≥ 0 [N/m], towards x = 0.
+
+    Returns
+    -------
+    float
+        Time from now [s], infinite when the velocity never returns to zero.
+    """
+    s = damping / (2.0 * mass)
+    speed = v * direction
+    w = ((u - stiffness * x - damping * v) / mass + s * v) * direction
+    squared = s * s - stiffness / mass
+    if squared < 0.0:
+        root = math.sqrt(-squared)
+        return math.atan2(root * speed, -w) / root
+    root = math.sqrt(squared)
+    if speed <= 0.0 or -w <= root * speed:
+        return math.inf
+    if root == 0.0:
+        return speed / -w
+    return 0.5 * math.log1p(2.0 * root * speed / (-w - root * speed)) / root
+
+
+def slide(
+    x: float,
+    v: float,
+    u: float,
+    duration: float,
+    coefs: Coefficients,
+    mass: float,
+    damping: float,
+    stiffness: float,
+    friction: float,
+) -> tuple[float, float]:
+    """One exact step with Coulomb friction: split wherever the velocity crosses zero, stuck where friction holds.
+
+    Parameters
+    ----------
+    x : float
+        Position [m].
+    v : float
+        Velocity [m/s]; exactly 0 while stuck.
+    u : float
+        Force held during the step, without friction [N].
+    duration : float
+        Length of the step [s].
+    coefs : tuple of float, shape (6,)
+        `coefficients` of the whole step.
+    mass : float
+        m > 0 [kg].
+    damping : float
+        b ≥ 0 [N s/m].
+    stiffness : float
+        k ≥ 0 [N/m], towards x = 0.
+    friction : float
+        Coulomb friction f_c ≥ 0, sliding and static alike [N].
+
+    Returns
+    -------
+    tuple of float, shape (2,)
+        Position [m] and velocity [m/s] at the end of the step.
+    """
+    remaining = duration
+    whole = True
+    while True:
+        if v == 0.0:
+            net = u - stiffness * x
+            if abs(net) <= friction:
+                return x, 0.0
+            direction = 1.0 if net > 0.0 else -1.0
+        else:
+            direction = 1.0 if v > 0.0 else -1.0
+        sliding = u - direction * friction
+        halt = halt_time(x, v, sliding, direction, mass, damping, stiffness)
+        if not halt < remaining:
+            if whole:
+                return advance(x, v, sliding, coefs)
+            return advance(x, v, sliding, coefficients(mass, damping, stiffness, remaining))
+        x, v = advance(x, v, sliding, coefficients(mass, damping, stiffness, halt))
+        v = 0.0
+        remaining -= halt
+        whole = False
+
+
+def move(
+    x: float,
+    v: float,
+    u: float,
+    duration: float,
+    coefs: Coefficients,
+    mass: float,
+    damping: float,
+    stiffness: float,
+    friction: float | None,
+) -> tuple[float, float]:
+    """One exact step, with or without Coulomb friction.
+
+    Parameters
+    ----------
+    x : float
+        Position [m].
+    v : float
+        Velocity [m/s].
+    u : float
+        Force held during the step, without friction [N].
+    duration : float
+        Length of the step [s].
+    coefs : tuple of float, shape (6,)
+        `coefficients` of this very step.
+    mass : float
+        Moving mass, that of a hand included [kg].
+    damping : float
+        Viscous damping, that of a hand included [N s/m].
+    stiffness : float
+        Stiffness of the hand [N/m], 0 without one.
+    friction : float or None
+        Coulomb friction [N]; None for a device without.
+
+    Returns
+    -------
+    tuple of float, shape (2,)
+        Position [m] and velocity [m/s] at the end of the step.
+    """
+    if friction is None:
+        return advance(x, v, u, coefs)
+    return slide(x, v, u, duration, coefs, mass, damping, stiffness, friction)
+
+
+def quantise(x: float, resolution: float | None) -> float:
+    """Read the encoder: the nearest whole count (halves to the even one), in metres.
+
+    Parameters
+    ----------
+    x : float
+        True position [m].
+    resolution : float or None
+        Size of a count [m]; None for a perfect sensor.
+
+    Returns
+    -------
+    float
+        Measured position [m].
+    """
+    if resolution is None:
+        return x
+    return ((x / resolution + _WHOLE) - _WHOLE) * resolution
+
+
+def saturate(force: float, peak: float | None) -> float:
+    """Limit a force to what the motor can give, at the moment it is applied.
+
+    Parameters
+    ----------
+    force : float
+        Commanded force [N].
+    peak : float or None
+        Largest magnitude [N]; None for a motor without limit.
+
+    Returns
+    -------
+    float
+        Applied force [N].
+    """
+    if peak is not None:
+        if force > peak:
+            return peak
+        if force < -peak:
+            return -peak
+    return force
+
+
+def split_delay(delay: float) -> tuple[int, float]:
+    """Whole ticks and fraction of a delay: d = i + φ.
+
+    Parameters
+    ----------
+    delay : float
+        Delay between the sample and the force that answers it, ≥ 0 [ticks]; ``apply: next_tick`` counts as one.
+
+    Returns
+    -------
+    tuple of int and float
+        i and φ in [0, 1): during tick k the force of tick k−i−1 acts for φT, then that of k−i.
+    """
+    whole = math.floor(delay)
+    return whole, delay - whole
+
+
+def _require_finite(struct: msgspec.Struct) -> None:
+    for name in struct.__struct_fields__:
+        value = getattr(struct, name)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"{name} is {value}, expected a finite number: leave it out for a device without it")
+
+
+class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A hand that holds the device: mass and damper on the device, spring to a point that moves along a path.
+
+    Attributes
+    ----------
+    mass : float
+        Mass that moves with the device [kg].
+    damping : float
+        Viscous damping against the ground [N s/m].
+    stiffness : float
+        Spring between the device and the path [N/m].
+    path : list of tuple of float, shape (p, 2)
+        Time [s] and position [m] of the corners of a piecewise linear path, times increasing; held before the first and
+        after the last. It is sampled at ticks and held between them.
+    """
+
+    stiffness: Positive
+    path: Annotated[list[tuple[float, float]], msgspec.Meta(min_length=1)]
+    mass: NonNegative = 0.0
+    damping: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+        for i, (time, position) in enumerate(self.path):
+            if not (math.isfinite(time) and math.isfinite(position)):
+                raise ValueError(f"path[{i}] is {time}, {position}, expected finite numbers")
+            if i and time <= self.path[i - 1][0]:
+                raise ValueError(f"path[{i}] has time {time} s after {self.path[i - 1][0]} s: times must increase")
+
+
+class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the virtual device; what is None or left out does not exist in the scene.
+
+    Attributes
+    ----------
+    mass : float
+        m [kg].
+    damping : float
+        Viscous damping b [N s/m].
+    gravity : float or None
+        Acceleration g towards negative positions [m/s²], acting on ``mass`` (the hand carries its own).
+    position, velocity : float
+        State before the first tick [m], [m/s].
+    resolution : float or None
+        Position resolution of the encoder [m].
+    friction : float or None
+        Coulomb friction [N].
+    peak_force : float or None
+        Largest force of the motor [N].
+    delay : float
+        Delay from sample to applied force [ticks], beside the one of ``apply: next_tick``.
+    hand : Hand or None
+        A hand that holds the device.
+    """
+
+    mass: Positive
+    damping: NonNegative = 0.0
+    gravity: float | None = None
+    position: float = 0.0
+    velocity: float = 0.0
+    resolution: Positive | None = None
+    friction: NonNegative | None = None
+    peak_force: Positive | None = None
+    delay: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0
+    hand: Hand | None = None
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+
+    @property
+    def moving_mass(self) -> float:
+        """Mass that the force accelerates, the hand's included [kg]."""
+        return self.mass if self.hand is None else self.mass + self.hand.mass
+
+    @property
+    def moving_damping(self) -> float:
+        """Viscous damping, the hand's included [N s/m]."""
+        return self.damping if self.hand is None else self.damping + self.hand.damping
+
+    @property
+    def grip(self) -> float:
+        """Stiffness of the hand [N/m], 0 without one."""
+        return 0.0 if self.hand is None else self.hand.stiffness
+
+    def load(self, tick: int, period: float) -> float:
+        """Force on the device that is not the motor's: gravity, and the pull of the hand's path.
+
+        Parameters
+        ----------
+        tick : int
+            Tick number.
+        period : float
+            Sampling period [s].
+
+        Returns
+        -------
+        float
+            Force held during this tick [N]. The hand's part is k·(point of the path): −k x belongs to the map itself.
+        """
+        load = 0.0
+        if self.gravity is not None:
+            load -= self.mass * self.gravity
+        if self.hand is not None:
+            load += self.hand.stiffness * path_position(self.hand.path, tick * period)
+        return load
+
+
+def path_position(path: Sequence[tuple[float, float]], time: float) -> float:
+    """Point of a piecewise linear path.
+
+    Parameters
+    ----------
+    path : sequence of tuple of float, shape (p, 2)
+        Times [s], increasing, and positions [m] of its corners.
+    time : float
+        When [s].
+
+    Returns
+    -------
+    float
+        Position [m]; that of the first corner before it, that of the last after it.
+    """
+    i = bisect_right(path, time, key=lambda corner: corner[0])
+    if i == 0:
+        return path[0][1]
+    if i == len(path):
+        return path[-1][1]
+    (t0, x0), (t1, x1) = path[i - 1], path[i]
+    return x0 + (x1 - x0) * ((time - t0) / (t1 - t0))
