@@ -166,9 +166,7 @@ def limit(force: float, previous: float, peak: float | None, slew: float | None)
     return force
 
 
-def sections(
-    coefficients: Sequence[float], state: MutableSequence[float], newest: float, previous: float
-) -> float:
+def sections(coefficients: Sequence[float], state: MutableSequence[float], newest: float, previous: float) -> float:
     """Force of parallel second-order recursive sections, y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂ each, summed in order.
 
     Parameters

@@ -1,0 +1,82 @@
+"""What the launcher tells a node: who it is, where its sockets are, how it is paced, and its parameters."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+Pace = Literal["realtime", "lockstep"]
+Apply = Literal["on_arrival", "next_tick"]
+Axis = Literal["x", "y", "z"]
+AXIS_INDEX: dict[str, int] = {"x": 0, "y": 1, "z": 2}
+
+
+class Scheduling(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where and how urgently a process runs.
+
+    Attributes
+    ----------
+    cpus : list of int
+        Processors it may use; empty for all.
+    fifo : int
+        SCHED_FIFO priority 1-99; 0 for the normal scheduler.
+    """
+
+    cpus: list[int] = []
+    fifo: Annotated[int, msgspec.Meta(ge=0, le=99)] = 0
+
+
+class Setup(msgspec.Struct, frozen=True, kw_only=True):
+    """One node of one run, fully resolved.
+
+    Attributes
+    ----------
+    run, run_dir : str
+        Name of the run and its private directory.
+    name, kind, factory : str
+        Name in the launch, kind, and ``module:Class`` that implements it.
+    period : float
+        Sampling period T [s].
+    pace : str
+        ``realtime`` or ``lockstep``.
+    apply : str
+        When a force takes effect: ``on_arrival`` or ``next_tick``.
+    axes : list of str
+        Axes that the scene computes.
+    ticks : int
+        Ticks to run; 0 runs until stopped.
+    publish, control : str
+        Endpoints that the node binds.
+    sources : dict of str to str
+        Topic (or ``<node>``, for all its topics) to the endpoint that publishes it.
+    listeners : int
+        Subscribers of the launch itself to wait for before the first tick.
+    scheduling : Scheduling
+        Processors and priority.
+    parameters : dict
+        The node's own parameters, not yet validated.
+    watch : str
+        YAML file whose changes are applied while running; empty for none.
+    manifest : dict of str to str
+        What a logger writes into the recording: launch file, parameters, versions, clock offset.
+    """
+
+    run: str
+    run_dir: str
+    name: str
+    kind: str
+    factory: str
+    period: float
+    pace: Pace
+    apply: Apply
+    axes: list[Axis]
+    ticks: int
+    publish: str
+    control: str
+    sources: dict[str, str]
+    listeners: int = 0
+    scheduling: Scheduling = Scheduling()
+    parameters: dict[str, Any] = {}
+    watch: str = ""
+    manifest: dict[str, str] = {}
