@@ -195,3 +195,52 @@ def sections(coefficients: Sequence[float], state: MutableSequence[float], newes
         state[2 * i] = y
         force += y
     return force
+
+
+def warm_up(
+    coefficients: Sequence[float],
+    state: MutableSequence[float],
+    history: Sequence[float],
+    head: int,
+    length: int,
+) -> None:
+    """Bring recursive sections up to date by replaying the history, so that they swap as smoothly as taps do.
+
+    Called between two ticks: after it, `sections` may be called with the next deflection.
+
+    Parameters
+    ----------
+    coefficients : sequence of float, shape (4 * s,)
+        As for `sections`.
+    state : sequence of float, shape (2 * s,)
+        Fresh state (zeros), changed in place.
+    history : sequence of float, shape (2 * length,)
+        Ring as written by `push`.
+    head : int
+        Index of the newest value.
+    length : int
+        How many values the ring remembers, at least 2.
+    """
+    for m in range(length - 2, -1, -1):
+        sections(coefficients, state, history[head + m], history[head + m + 1])
+
+
+def cross_fade(old: float, new: float, done: int, ramp: int) -> float:
+    """Force during a cross-fade from one law to another, both evaluated over the same history.
+
+    Parameters
+    ----------
+    old, new : float
+        Forces of the two laws [N].
+    done : int
+        Ticks since the swap, 0 for the first one.
+    ramp : int
+        Length of the cross-fade [ticks], at least 1: tick ramp − 1 has all of the new law.
+
+    Returns
+    -------
+    float
+        Force [N].
+    """
+    weight = (done + 1) / ramp
+    return (1.0 - weight) * old + weight * new
