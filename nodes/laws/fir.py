@@ -1,0 +1,51 @@
+"""FIR: raw taps, for laws designed at tap level (``haptic study design``) rather than through a formula."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import msgspec
+
+from nodes.laws import CompiledLaw, Law
+from nodes.laws.parameters import MAX_TAPS
+
+
+class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """F[k] = Σ h_m x[k−m] with the taps as they are given.
+
+    Attributes
+    ----------
+    taps : tuple of float, shape (n + 1,)
+        h_0 ... h_n [N/m]. They were made for one sampling period; at another one they are another law.
+    period : float or None
+        Sampling period that the taps were made for [s]. When given, the law refuses to run at any other.
+    """
+
+    kind: ClassVar[str] = "fir"
+    taps: Annotated[tuple[float, ...], msgspec.Meta(min_length=1, max_length=MAX_TAPS)]
+    period: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Hand out the taps.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            The taps, unchanged.
+
+        Raises
+        ------
+        ValueError
+            When the taps were made for another sampling period.
+        """
+        if self.period is not None and abs(period / self.period - 1.0) > 1e-6:
+            raise ValueError(
+                f"period: these taps were made for T = {self.period:g} s and the loop runs at T = {period:g} s; "
+                f"run at rate {1.0 / self.period:g} Hz or design the law again for this period"
+            )
+        return CompiledLaw(self.taps)

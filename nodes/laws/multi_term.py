@@ -1,0 +1,84 @@
+"""Multi-term: spring and a sum of fractional derivatives (seed, eq. 10)."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import msgspec
+
+from nodes.derivatives import realise
+from nodes.laws import CompiledLaw, Law
+from nodes.laws.parameters import Damping, Gains, Order, Stiffness, Taps, term_gain
+from nodes.laws.pd_alpha import combine
+
+
+class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One fractional term A_i D^{α_i}.
+
+    Attributes
+    ----------
+    gain : float
+        A_i, of either sign: [s^(α−1)] with physical gains, dimensionless with normalised ones.
+    order : float
+        α_i, 0 < α_i < 4.
+    """
+
+    gain: float
+    order: Order
+
+
+class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """F = K x + B Σ_i A_i D^{α_i} x.
+
+    Attributes
+    ----------
+    stiffness : float
+        Nominal K [N/m]; what is felt at rest is H(1) (theory.md §1).
+    damping : float
+        B, common to all terms [N s/m].
+    terms : tuple of Term
+        Gains and orders, at least one term.
+    taps : int
+        Length of each derivative's tap vector; the seed's FIR order n is ``taps`` − 1.
+    gains : {"physical", "normalised"}
+        Unit of the terms' gains; there is no default because with T in seconds the two differ by (T/2)^(α−1) per term.
+    derivative : str
+        Registered realisation of D^α (entry points ``haptic.derivatives``).
+    """
+
+    kind: ClassVar[str] = "multi_term"
+    stiffness: Stiffness
+    damping: Damping
+    terms: Annotated[tuple[Term, ...], msgspec.Meta(min_length=1)]
+    taps: Taps
+    gains: Gains
+    derivative: str = "gl"
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Turn the parameters into taps.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            One tap vector, whatever the number of terms; sections when the realisation is recursive.
+
+        Raises
+        ------
+        ValueError
+            When a derivative cannot be realised at its order and length.
+        """
+        return combine(
+            self.stiffness,
+            [
+                (
+                    self.damping * term_gain(term.gain, term.order, self.gains, period),
+                    realise(self.derivative, term.order, self.taps, period),
+                )
+                for term in self.terms
+            ],
+        )

@@ -1,0 +1,172 @@
+"""From a parsed YAML mapping to a law, from a law to taps that may be rendered, and back; errors carry the path.
+
+Everything that changes a law at run time goes through here (launch file, ``haptic param``, ``haptic law``), so what is
+refused is refused everywhere, with the path, the value, the limit and what to do.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from nodes.laws import CompiledLaw, Law, law_kinds
+from nodes.laws.presets import PRESETS, expand, preset_names
+
+_AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<where>.*)`)?$", re.DOTALL)
+
+
+class LawRefusedError(ValueError):
+    """A law that is not rendered; the text tells path, value, limit and remedy."""
+
+
+def parse_law(data: object, path: str = "law") -> Law:
+    """Read a law's description.
+
+    Parameters
+    ----------
+    data : object
+        A mapping ``{kind: ..., <parameter>: ...}`` as YAML or JSON gives it; ``kind`` is a registered kind or a preset.
+        The bare name of a preset stands for the preset with all its values.
+    path : str
+        Where the description stands, for the errors.
+
+    Returns
+    -------
+    Law
+        The law; its parameters are valid one by one (`compile_law` judges them together).
+
+    Raises
+    ------
+    LawRefusedError
+        When the kind or a parameter is unknown, missing, of the wrong type, out of its limits or not finite.
+    """
+    if isinstance(data, str) and data in PRESETS:
+        data = {"kind": data}
+    if not isinstance(data, Mapping):
+        raise LawRefusedError(f"{path}: expected a mapping with kind and parameters, got {_shown(data)}")
+    _refuse_non_finite(data, path)
+    named = data.get("kind")
+    whole = expand(data)
+    kind = whole.pop("kind", None)
+    kinds = law_kinds()
+    if not isinstance(kind, str) or kind not in kinds:
+        known = ", ".join([*kinds, *preset_names()])
+        raise LawRefusedError(f"{path}.kind: {_shown(named)} is not an installed law or preset; known are {known}")
+    parameters = kinds[kind].__struct_fields__
+    unknown = [key for key in whole if key not in parameters]
+    if unknown:
+        raise LawRefusedError(
+            f"{path}.{unknown[0]}: law kind {kind} has no such parameter; it takes {', '.join(parameters)}"
+        )
+    try:
+        return msgspec.convert(whole, kinds[kind])
+    except msgspec.ValidationError as error:
+        raise LawRefusedError(_located(str(error), whole, path, kind)) from error
+
+
+def law_to_dict(law: Law) -> dict[str, Any]:
+    """Describe a law so that `parse_law` reads the same law back.
+
+    Parameters
+    ----------
+    law : Law
+        Any law.
+
+    Returns
+    -------
+    dict
+        ``kind`` and every parameter, in plain lists, strings and numbers; parameters that are not set are left out.
+    """
+    # Through JSON: tuples become lists, and floats come back with the same bits.
+    values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(law))
+    return {"kind": law.kind, **{key: value for key, value in values.items() if value is not None}}
+
+
+def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
+    """Compile a law and refuse what must not be rendered.
+
+    Parameters
+    ----------
+    law : Law
+        The law.
+    period : float
+        Sampling period T [s].
+    path : str
+        Where its description stands, for the errors.
+
+    Returns
+    -------
+    CompiledLaw
+        Finite taps, decaying sections, H(1) > 0.
+
+    Raises
+    ------
+    LawRefusedError
+        When the law cannot be realised, is not finite, has a section that does not decay or renders H(1) ≤ 0.
+    """
+    if not (math.isfinite(period) and period > 0.0):
+        raise LawRefusedError(f"{path}: sampling period {period!r} s is not a positive number")
+    try:
+        compiled = law.compile(period)
+    except OverflowError as error:
+        raise LawRefusedError(f"{path}: taps overflow at T = {period:g} s; lower the gains or the order") from error
+    except ValueError as error:
+        text = str(error)
+        raise LawRefusedError(f"{path}.{text}" if re.match(r"[a-z_]+[.:\[]", text) else f"{path}: {text}") from error
+    if not compiled.finite:
+        raise LawRefusedError(
+            f"{path}: taps are not finite at T = {period:g} s (limit: below 1.8e308); lower the gains or the order"
+        )
+    if not compiled.stable_sections():
+        raise LawRefusedError(
+            f"{path}: a recursive section has a pole on or outside the unit circle (limit: radius < 1); "
+            "choose another derivative or order"
+        )
+    h1 = compiled.h1
+    # The sum of the taps is only known to rounding: what is below it has no sign.
+    rounding = 2.0**-52 * sum(map(abs, compiled.taps))
+    if not h1 > rounding:
+        raise LawRefusedError(
+            f"{path}: renders H(1) = {h1:.6g} N/m to a held deflection (limit: > {rounding:.2g}), it would pull "
+            "into the wall; raise the stiffness, lower the damping or use more taps"
+        )
+    return compiled
+
+
+def _shown(value: object) -> str:
+    """Show a value in an error, short however long it is."""
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _refuse_non_finite(data: object, path: str) -> None:
+    if isinstance(data, float) and not math.isfinite(data):
+        raise LawRefusedError(f"{path}: {data!r} is not a finite number")
+    if isinstance(data, Mapping):
+        for key, value in data.items():
+            _refuse_non_finite(value, f"{path}.{key}")
+    elif isinstance(data, list | tuple):
+        for i, value in enumerate(data):
+            _refuse_non_finite(value, f"{path}[{i}]")
+
+
+def _located(text: str, data: Mapping[str, Any], path: str, kind: str) -> str:
+    """Rewrite msgspec's ``... - at `$.terms[0].order``` as path, limit and the value found there."""
+    match = _AT.match(text)
+    what, where = (match["what"], match["where"] or "") if match else (text, "")
+    value: Any = data
+    for name, index in re.findall(r"\.([A-Za-z_]\w*)|\[(\d+)\]", where):
+        if name and isinstance(value, Mapping) and name in value:
+            value = value[name]
+        elif index and isinstance(value, list | tuple) and int(index) < len(value):
+            value = value[int(index)]
+        else:
+            value = data
+            break
+    what = what.replace("`", "'")
+    found = "" if value is data or what.startswith("Object ") else f", not {_shown(value)}"
+    return f"{path}{where}: {what[:1].lower()}{what[1:]}{found} (law kind {kind})"

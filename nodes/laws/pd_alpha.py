@@ -1,0 +1,84 @@
+"""PDα: spring and one fractional derivative (seed, eq. 6)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from nodes.derivatives import realise
+from nodes.laws import CompiledLaw, Law
+from nodes.laws.parameters import Damping, Gains, Order, Stiffness, Taps, term_gain
+
+
+class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """F = K x + B_α D^α x.
+
+    Attributes
+    ----------
+    stiffness : float
+        Nominal K [N/m]. What is felt at rest is H(1) = K + B_α·D(1): a truncated derivative leaks (theory.md §1).
+    damping : float
+        B_α: [N s^α/m] with physical gains, [N s/m] with normalised ones.
+    order : float
+        α, 0 < α < 4.
+    taps : int
+        Length of the derivative's tap vector; the seed's FIR order n is ``taps`` − 1.
+    gains : {"physical", "normalised"}
+        Unit of `damping`; there is no default because the two differ by (T/2)^(α−1).
+    derivative : str
+        Registered realisation of D^α (entry points ``haptic.derivatives``).
+    """
+
+    kind: ClassVar[str] = "pd_alpha"
+    stiffness: Stiffness
+    damping: Damping
+    order: Order
+    taps: Taps
+    gains: Gains
+    derivative: str = "gl"
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Turn the parameters into taps.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            Taps of the spring and the derivative together; sections when the realisation is recursive.
+
+        Raises
+        ------
+        ValueError
+            When the derivative cannot be realised at this order and length.
+        """
+        gain = term_gain(self.damping, self.order, self.gains, period)
+        unit = realise(self.derivative, self.order, self.taps, period)
+        return combine(self.stiffness, [(gain, unit)])
+
+
+def combine(stiffness: float, terms: list[tuple[float, CompiledLaw]]) -> CompiledLaw:
+    """Add a spring and weighted derivatives into one law.
+
+    Parameters
+    ----------
+    stiffness : float
+        Nominal K [N/m], added to the newest tap.
+    terms : list of (float, CompiledLaw)
+        Physical gain [N s^α/m] and unit-gain realisation [s^−α] of each derivative.
+
+    Returns
+    -------
+    CompiledLaw
+        One tap vector as long as the longest term, and the sections of all terms side by side.
+    """
+    taps = [0.0] * max([1, *(len(unit.taps) for _, unit in terms)])
+    sections = []
+    for gain, unit in terms:
+        for m, tap in enumerate(unit.taps):
+            taps[m] += gain * tap
+        sections += [(gain * b0, gain * b1, a1, a2) for b0, b1, a1, a2 in unit.sections]
+    taps[0] += stiffness
+    return CompiledLaw(tuple(taps), tuple(sections))
