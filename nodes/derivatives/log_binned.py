@@ -1,0 +1,81 @@
+"""Log-binned long memory: GL's weights averaged over bins that grow with age, so that a long past costs few numbers.
+
+The newest 16 taps stay as they are; older ones share one value per bin, eight bins to every doubling of age (the idea
+of Ford & Simpson's nested meshes, 2001). The sum of the weights, so the leak, stays GL's. With its own running sums
+it would need 16 + 8 log₂(n/16) multiplies; the loop renders it with the kernel for taps, so there it costs what GL of
+the same length costs. For α > 1 the bins hold D^β and k differences follow, which leaves no leak. It breaks below 17
++ k taps, where there is nothing to bin.
+"""
+
+from __future__ import annotations
+
+import math
+
+from nodes.derivatives.gl import coefficients
+from nodes.derivatives.parallel import difference, differenced, split
+from nodes.laws import CompiledLaw
+
+_EXACT = 16
+_BINS = 8
+
+
+def bins(taps: int) -> list[tuple[int, int]]:
+    """Edges of the bins over the memory.
+
+    Parameters
+    ----------
+    taps : int
+        Length of the memory.
+
+    Returns
+    -------
+    list of tuple of int
+        First and one past the last age of each bin [ticks]; the newest 16 have a bin each.
+    """
+    edges = [(m, m + 1) for m in range(min(_EXACT, taps))]
+    start, width = _EXACT, _EXACT // _BINS
+    while start < taps:
+        for _ in range(_BINS):
+            if start < taps:
+                edges.append((start, min(start + width, taps)))
+                start += width
+        width *= 2
+    return edges
+
+
+def log_binned(order: float, taps: int, period: float) -> CompiledLaw:
+    """D^α as the Grünwald–Letnikov sum with old taps averaged in growing bins.
+
+    Parameters
+    ----------
+    order : float
+        α, in (0, 4).
+    taps : int
+        n + 1, at least 17 + ⌊α⌋.
+    period : float
+        Sampling period T [s].
+
+    Returns
+    -------
+    CompiledLaw
+        ``taps`` taps (whole orders: α + 1), no sections.
+
+    Raises
+    ------
+    ValueError
+        When the memory is too short to bin.
+    """
+    whole, fraction = split(order)
+    if taps <= _EXACT + whole:
+        raise ValueError(
+            f"taps = {taps}: log-binned memory of order {order:g} starts at {_EXACT + whole + 1}; use gl, which is the "
+            "same below that"
+        )
+    if fraction == 0.0:
+        return difference(whole, period)
+    series = coefficients(fraction, taps - whole)
+    gain = float(period) ** -fraction
+    for first, last in bins(len(series)):
+        mean = math.fsum(series[first:last]) / (last - first)
+        series[first:last] = [mean] * (last - first)
+    return differenced([gain * c for c in series], whole, period)
