@@ -61,7 +61,9 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     safety : str
         ``ramp``, ``active``, ``damping``, ``zero`` or ``fault``: what the driver does with forces now.
     energy : float
-        Energy given out by the virtual side up to this tick, exact under zero-order hold [J]; see nodes/passivity.py.
+        Energy given out by the virtual side up to this tick, exact under zero-order hold [J].
+    delay : float
+        Measured delay of the previous tick, from its sample to the force that answered it taking effect [ticks].
     """
 
     position: Vector
@@ -74,6 +76,7 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     overruns: Count = 0
     safety: Name = "active"
     energy: float = 0.0
+    delay: float = 0.0
 
 
 class Proxy(Message, frozen=True, kw_only=True, gc=False):
@@ -91,8 +94,8 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
         Signed distance to that surface along its normal, negative inside [m].
     contact : bool
         Whether the surface is touched at this tick.
-    period : float
-        Sampling period of the loop [s].
+    delay : float
+        The loop's measured delay, forwarded from the device state [ticks].
     """
 
     position: Vector
@@ -100,7 +103,7 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
     normal: Vector = ZERO
     distance: float = 0.0
     contact: bool = False
-    period: float = 0.0
+    delay: float = 0.0
 
 
 class Force(Message, frozen=True, kw_only=True, gc=False):
