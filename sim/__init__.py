@@ -1,1 +1,1 @@
-"""What replaces reality, and what studies it: virtual device, sim driver, the loop in one process, stability studies."""
+"""What replaces reality, and what studies it: virtual device, sim driver, one-process loop, stability studies."""

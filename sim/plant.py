@@ -28,8 +28,19 @@ Coefficients = tuple[float, float, float, float, float, float]
 _WHOLE = 6755399441055744.0
 
 
-def _decay_mean(y: float) -> float:
-    """(1 − e^{−y})/y, the mean of e^{−t} over (0, y)."""
+def decay_mean(y: float) -> float:
+    """Mean of e^{−t} over (0, y): (1 − e^{−y})/y without cancellation.
+
+    Parameters
+    ----------
+    y : float
+        Upper end, ≥ 0.
+
+    Returns
+    -------
+    float
+        The mean, 1 at y = 0.
+    """
     if y == 0.0:
         return 1.0
     return -math.expm1(-y) / y
@@ -86,10 +97,10 @@ def coefficients(mass: float, damping: float, stiffness: float, duration: float)
         slow = stiffness / mass / (s + root)
         fast = s + root
         slow_decay = math.exp(-slow * duration)
-        a12 = slow_decay * duration * _decay_mean(2.0 * root * duration)
+        a12 = slow_decay * duration * decay_mean(2.0 * root * duration)
         a11 = slow_decay + slow * a12
         a22 = math.exp(-fast * duration) - slow * a12
-        b1 = (duration * _decay_mean(slow * duration) - a12) / (mass * fast)
+        b1 = (duration * decay_mean(slow * duration) - a12) / (mass * fast)
     else:
         root = math.sqrt(-squared)
         decay = math.exp(-s * duration)
