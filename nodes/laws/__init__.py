@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any, ClassVar
@@ -28,10 +29,15 @@ class CompiledLaw:
         h_0 ... h_n [N/m]: F[k] = Σ h_m x[k−m] + Σ sections.
     sections : tuple of tuple of float, shape (s, 4)
         b0, b1 [N/m], a1, a2 of parallel sections y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂.
+    evaluate : callable or None
+        A law's own code beside taps and sections, for what is not linear: from (ring, head), with ``ring[head + m]`` the
+        deflection m ticks ago, to a force [N] that is added. It is guarded: when it raises, returns a force that is not
+        finite or overruns its budget, the fallback takes over within the same tick.
     """
 
     taps: tuple[float, ...]
     sections: tuple[tuple[float, float, float, float], ...] = ()
+    evaluate: Callable[[Sequence[float], int], float] | None = None
 
     def response(self, z: complex) -> complex:
         """Transfer function from deflection to force.

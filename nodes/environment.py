@@ -1,0 +1,95 @@
+"""The environment node: for each device position, where the proxy is.
+
+It holds no state but the surface, so a lost or repeated position costs nothing. It forwards position and measured delay, so
+that the coupling needs one input only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import msgspec
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.types import DeviceState, Proxy
+from nodes.base import IDLE_MS, Node
+from nodes.follower import Follower
+from nodes.surfaces import parse_surface
+
+
+class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the environment.
+
+    Attributes
+    ----------
+    surface : dict
+        ``kind`` and parameters of the surface: see nodes/surfaces.py.
+    """
+
+    surface: dict[str, Any] = {"kind": "free"}
+
+
+class Environment(Node):
+    """Answers device states with proxies."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = EnvironmentParameters
+    publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
+    listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
+
+    def configure(self) -> None:
+        """Build the surface."""
+        self._meet = parse_surface(self.store.current.surface, f"{self.setup.name}.surface").meeting()
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare another surface.
+
+        Parameters
+        ----------
+        parameters : EnvironmentParameters
+            The parameters after the change.
+
+        Returns
+        -------
+        callable
+            Puts it in place between two ticks.
+        """
+        meet = parse_surface(parameters.surface, f"{self.setup.name}.surface").meeting()
+
+        def apply(seq: int) -> dict[str, Any]:
+            self._meet = meet
+            return {"seq": seq, "surface": parameters.surface}
+
+        return apply
+
+    def loop(self) -> None:
+        """Answer until stopped."""
+        self.state = "running"
+        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        follower = Follower(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
+        topic = topics.PROXY.encode()
+        send, take = self.publisher.send, follower.take
+        while not self.stopping:
+            state = take(IDLE_MS)
+            if state is not None:
+                position = state.position
+                proxy, normal, distance, contact = self._meet(position)
+                send(
+                    topic,
+                    encode(
+                        Proxy(
+                            seq=state.seq,
+                            stamp=self.now(),
+                            position=position,
+                            proxy=proxy,
+                            normal=normal,
+                            distance=distance,
+                            contact=contact,
+                            delay=state.delay,
+                        )
+                    ),
+                )
+                self.sent += 1
+                self.ticks += 1
+            self.between_ticks(self.seq + 1)

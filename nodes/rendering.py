@@ -1,0 +1,227 @@
+"""Rendering on one axis: one deflection history that all laws share, and the law that reads it now.
+
+A swap replaces the law between two ticks; because the history is shared there is no start-up transient, and a cross-fade is
+a weighted sum of two laws over the same history. Laws with recursive sections are brought up to date by replaying it.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+
+from nodes.kernels import cross_fade, fir, push, sections, warm_up
+from nodes.laws import CompiledLaw
+
+PLAIN_TAPS = 24
+"""Up to so many taps a plain loop is fastest, beyond it numpy's multiply and running sum: ``haptic bench taps``."""
+
+
+class History:
+    """The newest deflections of one axis, each written twice so that they are contiguous (see kernels.push).
+
+    Parameters
+    ----------
+    length : int
+        How many ticks it remembers.
+    """
+
+    def __init__(self, length: int) -> None:
+        self.length = length
+        self.values = array("d", [0.0]) * (2 * length)
+        self.head = 0
+        self.pushes = 0
+
+    def push(self, value: float) -> None:
+        """Put the newest deflection in front.
+
+        Parameters
+        ----------
+        value : float
+            Deflection [m].
+        """
+        self.head = push(self.values, self.head, self.length, value)
+        self.pushes += 1
+
+    def bridge(self, value: float, missing: int) -> None:
+        """Fill ticks that were lost by a straight line up to the newest deflection, which is not yet pushed.
+
+        Laws assume evenly spaced deflections; leaving ticks out would read as a jump in velocity.
+
+        Parameters
+        ----------
+        value : float
+            Deflection after the gap [m].
+        missing : int
+            Ticks lost.
+        """
+        before = self.values[self.head]
+        for i in range(max(1, missing + 1 - self.length), missing + 1):
+            self.push(before + (value - before) * i / (missing + 1))
+
+    def snapshot(self) -> History:
+        """Copy the history from another thread than the one that pushes.
+
+        Returns
+        -------
+        History
+            A copy that was not pushed to half-way.
+        """
+        while True:
+            copy = History(0)
+            before = self.pushes
+            copy.values, copy.head, copy.length = self.values[:], self.head, self.length
+            copy.pushes = self.pushes
+            if before == copy.pushes:
+                return copy
+
+
+def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], float]:
+    """Choose the fastest way to add the taps that gives the bits of `kernels.fir`.
+
+    Parameters
+    ----------
+    taps : tuple of float, shape (n + 1,)
+        The law [N/m].
+    history : History
+        What it reads.
+
+    Returns
+    -------
+    callable
+        From the history's head to the force [N].
+    """
+    values = history.values
+    if len(taps) <= PLAIN_TAPS:
+        return lambda head: fir(taps, values, head)
+    import numpy as np
+
+    n = len(taps)
+    ring = np.frombuffer(values)
+    weights = np.array(taps)
+    products = np.empty(n)
+    multiply, running_sum = np.multiply, np.add.accumulate
+
+    def add(head: int) -> float:
+        multiply(weights, ring[head : head + n], products)
+        # A running sum adds in order, as the kernel does; numpy's own sum and dot do not. + 0.0 turns −0.0 into 0.0.
+        return float(running_sum(products, out=products)[-1]) + 0.0
+
+    return add
+
+
+class LawOnAxis:
+    """A compiled law over one history.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, sections or an evaluator of its own.
+    history : History
+        What it reads.
+    """
+
+    def __init__(self, law: CompiledLaw, history: History) -> None:
+        if len(law.taps) > history.length:
+            raise ValueError(f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory")
+        self._history = history
+        self._coefficients = tuple(c for section in law.sections for c in section)
+        self._state = [0.0] * (2 * len(law.sections))
+        self._pushes = history.pushes
+        self._taps = sum_of_taps(law.taps, history)
+        self._own = law.evaluate
+
+    def warm_up(self, history: History) -> None:
+        """Bring the sections to where they would be had the law run all the time.
+
+        Parameters
+        ----------
+        history : History
+            The live one on the loop's own thread, or a snapshot of it on another.
+        """
+        if self._state:
+            self._state[:] = [0.0] * len(self._state)
+            warm_up(self._coefficients, self._state, history.values, history.head, history.length)
+        self._pushes = history.pushes
+
+    def catch_up(self) -> None:
+        """Replay what was pushed since the snapshot (loop's thread, a few ticks)."""
+        history = self._history
+        if self._state:
+            for age in range(history.pushes - self._pushes - 1, -1, -1):
+                at = history.head + age
+                sections(self._coefficients, self._state, history.values[at], history.values[at + 1])
+        self._pushes = history.pushes
+
+    def force(self) -> float:
+        """Render the newest deflection; once per tick.
+
+        Returns
+        -------
+        float
+            Force [N].
+        """
+        history = self._history
+        head = history.head
+        force = self._taps(head)
+        if self._state:
+            force = force + sections(
+                self._coefficients, self._state, history.values[head], history.values[head + 1]
+            )
+            self._pushes = history.pushes
+        if self._own is not None:
+            force = force + self._own(history.values, head)
+        return force
+
+    def peek(self) -> float:
+        """What `force` would give for the newest deflection, without advancing the sections.
+
+        Returns
+        -------
+        float
+            Force [N].
+        """
+        kept = list(self._state)
+        pushes = self._pushes
+        force = self.force()
+        self._state[:] = kept
+        self._pushes = pushes
+        return force
+
+
+class Fade:
+    """A cross-fade under way on one axis.
+
+    Parameters
+    ----------
+    old : LawOnAxis
+        The law that leaves.
+    ramp : int
+        Length [ticks].
+    """
+
+    def __init__(self, old: LawOnAxis, ramp: int) -> None:
+        self._old = old
+        self._ramp = ramp
+        self._done = 0
+
+    def mix(self, new: float) -> float:
+        """Blend the leaving law into the new one's force; once per tick.
+
+        Parameters
+        ----------
+        new : float
+            Force of the new law [N].
+
+        Returns
+        -------
+        float
+            Force to render [N].
+        """
+        force = cross_fade(self._old.force(), new, self._done, self._ramp)
+        self._done += 1
+        return force
+
+    @property
+    def over(self) -> bool:
+        """Whether the new law has all the weight."""
+        return self._done >= self._ramp
