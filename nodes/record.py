@@ -56,10 +56,29 @@ def versions() -> dict[str, str]:
     return found
 
 
-class _Output:
+class Output:
     """The file under the MCAP writer: each write goes whole to the operating system, or leaves no trace.
 
     The MCAP writer hands over whole records only, so the file ends between two records whenever no write is under way.
+
+    Parameters
+    ----------
+    path : Path
+        The file to create.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Attributes
+    ----------
+    size : int
+        Bytes handed over so far.
+    descriptor : int
+        File descriptor; -1 once closed.
+
+    Raises
+    ------
+    RecordError
+        When the file cannot be created, or exists and must not be replaced.
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
@@ -74,6 +93,23 @@ class _Output:
             raise RecordError(f"{path}: cannot be created: {error.strerror}") from error
 
     def write(self, data: bytes) -> int:
+        """Hand over some bytes, all of them or none.
+
+        Parameters
+        ----------
+        data : bytes
+            Whole records.
+
+        Returns
+        -------
+        int
+            How many bytes.
+
+        Raises
+        ------
+        RecordError
+            When the disk is full or refuses; the file is cut back to where it was.
+        """
         view = memoryview(data)
         try:
             while view:
@@ -91,18 +127,59 @@ class _Output:
         return len(data)
 
     def tell(self) -> int:
+        """Tell the position, as the MCAP writer asks for it.
+
+        Returns
+        -------
+        int
+            Bytes handed over so far.
+        """
         return self.size
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: nothing is held back."""
 
     def close(self) -> None:
+        """Close the file.
+
+        Raises
+        ------
+        RecordError
+            When the operating system reports a late failure.
+        """
         descriptor, self.descriptor = self.descriptor, -1
         if descriptor >= 0:
             try:
                 os.close(descriptor)
             except OSError as error:
                 raise RecordError(f"{self.path}: {error.strerror} on closing, after {self.size} bytes") from error
+
+
+def mcap_writer(output: Output, library: str) -> Any:
+    """Start an MCAP writer the way this project writes: zstd, 64 KiB chunks, checksums over everything.
+
+    Parameters
+    ----------
+    output : Output
+        The file.
+    library : str
+        Who writes.
+
+    Returns
+    -------
+    mcap.writer.Writer
+        Started; typed Any because half of its methods carry no annotations.
+
+    Raises
+    ------
+    RecordError
+        When the disk is full.
+    """
+    writer: Any = Writer(
+        cast("IO[Any]", output), chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
+    )
+    writer.start(profile=PROFILE, library=library)
+    return writer
 
 
 class RecordWriter:
@@ -149,16 +226,9 @@ class RecordWriter:
         self._channels: dict[str, tuple[int, type[Message]]] = {}
         self._schemas: dict[type[Message], int] = {}
         self._failed = False
-        self._output = _Output(self.path, overwrite)
-        # Typed Any: half of the library's methods carry no annotations.
-        self._writer: Any = Writer(
-            cast("IO[Any]", self._output),
-            chunk_size=CHUNK_SIZE,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
+        self._output = Output(self.path, overwrite)
         try:
-            self._writer.start(profile=PROFILE, library=f"haptic-nodes {versions()['haptic-nodes']}")
+            self._writer = mcap_writer(self._output, f"haptic-nodes {versions()['haptic-nodes']}")
             self.add_metadata(MANIFEST, manifest)
             if launch_file is not None:
                 self.add_metadata(LAUNCH_FILE, {"yaml": launch_file})

@@ -1,0 +1,380 @@
+"""Read a recording: messages, figures per topic, gaps in ``seq``, and what was recorded with it.
+
+Opening reads the file once, checks every length and checksum, and keeps figures only, so that an hour of recording
+needs no more memory than a minute. A file whose writer was killed opens like any other and says where it was cut.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import msgspec
+
+import messages.types
+from messages.topics import DEVICE_STATE, FORCE, LOOP, PROXY, RECEIPT, message_type
+from messages.types import Message, NodeStatus
+from nodes import mcapfile
+from nodes.mcapfile import Channel, CutError, RawMessage, Record, Schema
+from nodes.record import MANIFEST, RecordError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+RECOVERY = "recovery"
+"""Name of the metadata record that `nodes.recover.recover` leaves in the file it writes."""
+
+_NANO = 1e-9
+
+
+M = TypeVar("M", bound=Message)
+
+
+def _tick_topics(kind: str) -> tuple[str, ...]:
+    """Topics outside its own name that a kind of node publishes."""
+    if "driver" in kind:
+        return (DEVICE_STATE,)
+    return {"environment": (PROXY,), "coupling": (FORCE, RECEIPT)}.get(kind, ())
+
+
+class TopicFigures(msgspec.Struct):
+    """What a recording holds of one topic.
+
+    Attributes
+    ----------
+    messages : int
+        How many.
+    gaps : int
+        How many ``seq`` are missing between the first and the last; 0 for topics that do not carry one message a tick.
+    back : int
+        How often ``seq`` did not rise on a topic with one message a tick: repeated messages, or a restarted driver.
+    first_seq, last_seq : int
+        First and last ``seq``.
+    first_stamp, last_stamp : float
+        Earliest and latest stamp [s].
+    """
+
+    messages: int = 0
+    gaps: int = 0
+    back: int = 0
+    first_seq: int = 0
+    last_seq: int = 0
+    first_stamp: float = 0.0
+    last_stamp: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        """Mean rate over the stamps [1/s]; 0 for fewer than two messages."""
+        span = self.last_stamp - self.first_stamp
+        return (self.messages - 1) / span if span > 0.0 else 0.0
+
+
+class Account(msgspec.Struct):
+    """What a node says it sent against what was recorded of it.
+
+    Attributes
+    ----------
+    sent : int
+        Messages sent, by the last status of each of its processes.
+    recorded : int
+        Messages of the node recorded before that status.
+    lost : int
+        Difference; 0 when everything arrived. For a logger that came late, only what is missing in ``seq`` since then.
+    since : int
+        ``seq`` of the first recorded message of the node's tick topic: above 0 for a logger that came late.
+    finished : bool
+        Whether the last status is a final one: otherwise the node was killed, or the logger left before it.
+    """
+
+    sent: int
+    recorded: int
+    lost: int
+    since: int
+    finished: bool
+
+
+class Entry(NamedTuple):
+    """One recorded message.
+
+    Attributes
+    ----------
+    topic : str
+        Topic it came on.
+    log_time : float
+        When the logger received it, on the host's monotonic clock [s].
+    message : Message
+        The message.
+    """
+
+    topic: str
+    log_time: float
+    message: Message
+
+
+class Recording:
+    """A recording on disk.
+
+    Parameters
+    ----------
+    path : str or Path
+        An MCAP file written by `nodes.record.RecordWriter`.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    topics : dict of str to TopicFigures
+        Figures per topic, in the order of their first message.
+    metadata : dict of str to dict of str to str
+        All metadata records.
+    complete : bool
+        Whether its writer finished it; False for the file of a killed logger.
+    cut : str
+        Where it was cut; empty for a complete file.
+    wall_duration : float
+        Time from the first to the last receipt [s].
+
+    Raises
+    ------
+    RecordError
+        When it is not an MCAP file, is damaged, or holds channels that are not JSON.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.topics: dict[str, TopicFigures] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.complete = False
+        self.cut = ""
+        self.wall_duration = 0.0
+        self._channels: dict[int, Channel] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._scan()
+
+    @property
+    def manifest(self) -> dict[str, str]:
+        """What identifies the run; empty when the recording has no manifest."""
+        return self.metadata.get(MANIFEST, {})
+
+    @property
+    def recovered(self) -> bool:
+        """Whether it was cut: either it still is, or `nodes.recover.recover` completed it."""
+        return not self.complete or RECOVERY in self.metadata
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last stamp [s]: of the ticks, or of all messages when there are none."""
+        figures = [self.topics[topic] for topic in LOOP if topic in self.topics] or list(self.topics.values())
+        if not figures:
+            return 0.0
+        return max(f.last_stamp for f in figures) - min(f.first_stamp for f in figures)
+
+    def _channel(self, channel: Channel, offset: int) -> Channel:
+        """Check a channel: JSON, and one number for one topic throughout."""
+        if channel.encoding != "json":
+            raise RecordError(
+                f"{self.path}: {channel.topic} is encoded as {channel.encoding!r}; only json is read here"
+            )
+        if self._channels.setdefault(channel.number, channel) != channel:
+            raise RecordError(f"{self.path}: damaged at byte {offset}: channel {channel.number} changes its topic")
+        return channel
+
+    def _records(self) -> Iterator[Record]:
+        """Walk all records with chunks unpacked, the summary left out."""
+        for record in mcapfile.walk(self.path):
+            if record.opcode == mcapfile.CHUNK:
+                yield from mcapfile.unpack_chunk(self.path, record)
+            elif record.opcode == mcapfile.DATA_END:
+                # What follows repeats schemas and channels; the walk must still see the end.
+                continue
+            else:
+                yield record
+
+    def _scan(self) -> None:
+        first_log, last_log = 1 << 64, 0
+        try:
+            for record in self._records():
+                if record.opcode == mcapfile.MESSAGE:
+                    raw = mcapfile.parse_message(self.path, record)
+                    self._count(raw, record.offset)
+                    first_log, last_log = min(first_log, raw.log_time), max(last_log, raw.log_time)
+                elif record.opcode == mcapfile.SCHEMA:
+                    schema = mcapfile.parse_schema(self.path, record)
+                    self._schemas[schema.number] = schema
+                elif record.opcode == mcapfile.CHANNEL:
+                    self._channel(mcapfile.parse_channel(self.path, record), record.offset)
+                elif record.opcode == mcapfile.METADATA:
+                    name, values = mcapfile.parse_metadata(self.path, record)
+                    self.metadata[name] = values
+                elif record.opcode == mcapfile.FOOTER:
+                    self.complete = True
+        except CutError as error:
+            self.cut = str(error)
+        self.wall_duration = max(last_log - first_log, 0) * _NANO
+
+    def _count(self, raw: RawMessage, offset: int) -> None:
+        channel = self._channels.get(raw.channel)
+        if channel is None:
+            raise RecordError(
+                f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which is unknown"
+            )
+        stamp = raw.publish_time * _NANO
+        figures = self.topics.get(channel.topic)
+        if figures is None:
+            self.topics[channel.topic] = TopicFigures(1, 0, 0, raw.sequence, raw.sequence, stamp, stamp)
+            return
+        figures.messages += 1
+        figures.first_stamp = min(figures.first_stamp, stamp)
+        figures.last_stamp = max(figures.last_stamp, stamp)
+        if channel.topic in LOOP:
+            # MCAP keeps 32 bits of seq: differences are taken modulo 2³².
+            step = (raw.sequence - figures.last_seq + 0x80000000) % 0x100000000 - 0x80000000
+            if step > 0:
+                figures.gaps += step - 1
+            else:
+                figures.back += 1
+            figures.last_seq += step
+        else:
+            figures.last_seq = raw.sequence
+
+    def _types(self) -> dict[int, type[Message]]:
+        """Message type of each channel, by the name of its schema or else by its topic."""
+        known = {f"haptic.{t.__name__}": t for t in vars(messages.types).values() if isinstance(t, type)}
+        found: dict[int, type[Message]] = {}
+        by_topic: dict[str, type[Message]] = {}
+        for number, channel in self._channels.items():
+            schema = self._schemas.get(channel.schema)
+            kind = known.get(schema.name if schema else "") or message_type(channel.topic)
+            if kind is not None and issubclass(kind, Message):
+                found[number] = kind
+                if by_topic.setdefault(channel.topic, kind) is not kind:
+                    raise RecordError(f"{self.path}: {channel.topic} carries two types of message")
+        return found
+
+    def _raw(self) -> Iterator[tuple[RawMessage, int]]:
+        """Go through the messages as they stand, with the place of each; a cut was told about by the scan already."""
+        with contextlib.suppress(CutError):
+            for record in self._records():
+                if record.opcode == mcapfile.MESSAGE:
+                    yield mcapfile.parse_message(self.path, record), record.offset
+
+    def _decoded(self, decoder: msgspec.json.Decoder[M], raw: RawMessage, topic: str, offset: int) -> M:
+        try:
+            return decoder.decode(raw.data)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            raise RecordError(f"{self.path}: {topic} seq {raw.sequence} (chunk at byte {offset}): {error}") from error
+
+    def entries(self, topics: Iterable[str] | None = None) -> Iterator[Entry]:
+        """Go through the messages in the order in which they were received.
+
+        Parameters
+        ----------
+        topics : iterable of str, optional
+            Only these; all when left out.
+
+        Yields
+        ------
+        Entry
+            Topic, receipt time and typed message.
+
+        Raises
+        ------
+        RecordError
+            When a topic is not in the recording or of an unknown type, or a message does not fit its type.
+        """
+        wanted = set(self.topics if topics is None else topics)
+        for topic in wanted - set(self.topics):
+            raise RecordError(f"{self.path}: no topic {topic!r}; there are {', '.join(self.topics) or 'none'}")
+        types = self._types()
+        decoders: dict[int, tuple[str, msgspec.json.Decoder[Message]]] = {}
+        for number, channel in self._channels.items():
+            if channel.topic in wanted:
+                if number not in types:
+                    raise RecordError(f"{self.path}: the type of {channel.topic} is not known here")
+                decoders[number] = (channel.topic, msgspec.json.Decoder(types[number]))
+        for raw, offset in self._raw():
+            if raw.channel in decoders:
+                topic, decoder = decoders[raw.channel]
+                yield Entry(topic, raw.log_time * _NANO, self._decoded(decoder, raw, topic, offset))
+
+    def accounts(self) -> dict[str, Account]:
+        """Compare, node by node, what it says it sent with what was recorded.
+
+        Returns
+        -------
+        dict of str to Account
+            By node name, for each node whose status was recorded.
+
+        Raises
+        ------
+        RecordError
+            When a status does not fit its type.
+        """
+        topics = {number: channel.topic for number, channel in self._channels.items()}
+        decoder = msgspec.json.Decoder(NodeStatus)
+        counts: dict[str, int] = dict.fromkeys(self.topics, 0)
+        sent: dict[str, dict[int, int]] = {}
+        found: dict[str, Account] = {}
+        for raw, offset in self._raw():
+            topic = topics[raw.channel]
+            if message_type(topic) is NodeStatus:
+                status = self._decoded(decoder, raw, topic, offset)
+                node = status.node
+                sent.setdefault(node, {})[status.pid] = status.sent
+                own = [t for t in self.topics if t in _tick_topics(status.kind) or t.startswith(f"/{node}/")]
+                since = max((self.topics[t].first_seq for t in own if t in LOOP), default=0)
+                total, recorded = sum(sent[node].values()), sum(counts[t] for t in own)
+                gaps = sum(self.topics[t].gaps for t in own)
+                lost = gaps if since else max(total - recorded, 0)
+                found[node] = Account(total, recorded, lost, since, status.state in ("finished", "failed"))
+            counts[topic] += 1
+        return found
+
+    def messages(self, topic: str) -> list[Any]:
+        """Read all messages of one topic.
+
+        Parameters
+        ----------
+        topic : str
+            Topic name.
+
+        Returns
+        -------
+        list of Message
+            In the order of receipt; empty when the topic is not in the recording.
+
+        Raises
+        ------
+        RecordError
+            When a message does not fit its type.
+        """
+        return [entry.message for entry in self.entries([topic])] if topic in self.topics else []
+
+    def arrays(self, topic: str) -> dict[str, np.ndarray[Any, Any]]:
+        """Read one topic as arrays.
+
+        Parameters
+        ----------
+        topic : str
+            Topic name.
+
+        Returns
+        -------
+        dict of str to numpy.ndarray
+            One array per field, shape (N,) or (N, 3) for vectors, and ``log_time`` [s], in the order of receipt.
+
+        Raises
+        ------
+        RecordError
+            When the topic is not in the recording or a message does not fit its type.
+        """
+        import numpy as np
+
+        entries = list(self.entries([topic]))
+        found = {"log_time": np.array([entry.log_time for entry in entries], dtype=np.float64)}
+        for field in msgspec.structs.fields(type(entries[0].message)):
+            values = [getattr(entry.message, field.name) for entry in entries]
+            found[field.name] = np.array(values)
+        return found

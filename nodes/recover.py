@@ -1,0 +1,167 @@
+"""Rewrite the file of a killed logger into a complete one, and tell what was saved and what was lost.
+
+Messages are copied as they stand, byte for byte. Chunks whose checksum does not match are left out and told; after a
+damaged place the search goes on for the next whole chunk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from nodes import mcapfile
+from nodes.mcapfile import Channel, RawMessage, Record, Schema
+from nodes.record import Output, RecordError, mcap_writer, versions
+from nodes.recording import RECOVERY
+
+T = TypeVar("T")
+
+
+class Recovered(msgspec.Struct):
+    """What `recover` saved.
+
+    Attributes
+    ----------
+    messages : dict of str to int
+        Messages copied per topic.
+    problems : list of str
+        What was wrong with the source, with offsets; empty when it was complete and sound, so that nothing was lost.
+    """
+
+    messages: dict[str, int]
+    problems: list[str]
+
+
+def _opened(path: Path, record: Record, problems: list[str]) -> list[Record]:
+    """Unpack a record that is a chunk; note a damaged one and leave it out."""
+    if record.opcode != mcapfile.CHUNK:
+        return [record]
+    try:
+        return mcapfile.unpack_chunk(path, record)
+    except RecordError as error:
+        problems.append(str(error))
+        return []
+
+
+def _salvage(path: Path, problems: list[str]) -> Iterator[Record]:
+    """Go through every sound record, the summary's repeats included; note whatever is not."""
+    offset = 0
+    try:
+        for record in mcapfile.walk(path):
+            yield from _opened(path, record, problems)
+            offset = record.offset + mcapfile.FRAME_SIZE + len(record.content)
+        return
+    except RecordError as error:
+        if offset == 0:
+            raise
+        problems.append(str(error))
+    for record in mcapfile.resume(path, offset):
+        yield from _opened(path, record, problems)
+
+
+def _sound(parse: Callable[[Path, Record], T], path: Path, record: Record, problems: list[str]) -> T | None:
+    """Parse a record; note a damaged one."""
+    try:
+        return parse(path, record)
+    except RecordError as error:
+        problems.append(str(error))
+        return None
+
+
+class _Copy:
+    """The file being written: registers schemas and channels anew, each when its first message comes."""
+
+    def __init__(self, writer: Any, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
+        self.schemas = schemas
+        self.channels = channels
+        self.writer = writer
+        self.counts: dict[str, int] = {}
+        self.orphans = 0
+        self._new_schemas: dict[int, int] = {}
+        self._new_channels: dict[int, int] = {}
+
+    def _register(self, channel: Channel) -> int:
+        schema = self.schemas.get(channel.schema)
+        if schema is not None and channel.schema not in self._new_schemas:
+            self._new_schemas[channel.schema] = self.writer.register_schema(schema.name, schema.encoding, schema.data)
+        number: int = self.writer.register_channel(
+            channel.topic, channel.encoding, self._new_schemas.get(channel.schema, 0)
+        )
+        return number
+
+    def message(self, raw: RawMessage) -> None:
+        channel = self.channels.get(raw.channel)
+        if channel is None:
+            self.orphans += 1
+            return
+        if raw.channel not in self._new_channels:
+            self._new_channels[raw.channel] = self._register(channel)
+        self.writer.add_message(self._new_channels[raw.channel], raw.log_time, raw.data, raw.publish_time, raw.sequence)
+        self.counts[channel.topic] = self.counts.get(channel.topic, 0) + 1
+
+
+def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Recovered:
+    """Copy everything sound in a recording into a new, complete file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording, cut or damaged; it is left as it is.
+    out : str or Path
+        The file to write.
+    overwrite : bool, optional
+        Whether an existing `out` may be replaced.
+
+    Returns
+    -------
+    Recovered
+        What was saved, and what was wrong.
+
+    Raises
+    ------
+    RecordError
+        When `path` holds no message that could be saved or is no MCAP file, when `out` is `path` or exists already, or
+        when the disk is full.
+    """
+    path, out = Path(path), Path(out)
+    problems: list[str] = []
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    messages = 0
+    # A first pass for the channels: where the chunk that registers one is lost, the summary may still name it.
+    for record in _salvage(path, problems):
+        if record.opcode == mcapfile.SCHEMA and (schema := _sound(mcapfile.parse_schema, path, record, problems)):
+            schemas.setdefault(schema.number, schema)
+        elif record.opcode == mcapfile.CHANNEL and (channel := _sound(mcapfile.parse_channel, path, record, problems)):
+            channels.setdefault(channel.number, channel)
+        messages += record.opcode == mcapfile.MESSAGE
+    if not messages:
+        raise RecordError("; ".join([f"{path}: holds no message that could be saved", *problems]))
+    if out.exists() and out.samefile(path):
+        raise RecordError(f"{out}: is the recording itself; give another name")
+    output = Output(out, overwrite)
+    try:
+        copy = _Copy(mcap_writer(output, f"haptic-nodes {versions()['haptic-nodes']}"), schemas, channels)
+        # The second pass meets the same unsound chunks again: they are noted already.
+        for record in _salvage(path, []):
+            if record.opcode == mcapfile.MESSAGE and (raw := _sound(mcapfile.parse_message, path, record, problems)):
+                copy.message(raw)
+            elif record.opcode == mcapfile.METADATA and (
+                metadata := _sound(mcapfile.parse_metadata, path, record, problems)
+            ):
+                copy.writer.add_metadata(*metadata)
+        if copy.orphans:
+            problems.append(f"{path}: {copy.orphans} messages on channels whose topic is not known any more")
+        if problems:
+            copy.writer.add_metadata(RECOVERY, {"source": str(path), "problems": "\n".join(problems)})
+        copy.writer.finish()
+    except RecordError:
+        # A copy that does not hold everything must not be taken for the whole.
+        out.unlink(missing_ok=True)
+        raise
+    finally:
+        output.close()
+    return Recovered(copy.counts, problems)
