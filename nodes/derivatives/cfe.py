@@ -8,7 +8,7 @@ function,
 that approximant is the Gauss–Jacobi rule of the integral: its poles are the nodes, real, simple and inside the
 interval, its residues the weights. So it is stable for every n, and free from the rounding that ruins the textbook's
 expanded polynomials beyond n ≈ 20. For β > 1 the weight is not integrable and one pole leaves the interval: that is
-why the whole of α > 1 must not be expanded (`whole_order_poles` shows it), and why the integer part is split off.
+why the whole of α > 1 must not be expanded (`whole_order` shows it), and why the integer part is split off.
 """
 
 from __future__ import annotations
@@ -67,10 +67,11 @@ def mapped_fraction(order: float, taps: int, period: float, gain: float, left: f
     return parallel([scale], poles, residues, whole, period)
 
 
-def whole_order_poles(order: float, degree: int, left: float) -> list[complex]:
-    """Poles of the continued fraction of the whole ((z − 1)/(z + a))^α, integer part not split off.
+def whole_order(order: float, degree: int, left: float) -> tuple[list[complex], list[complex]]:
+    """Zeros and poles of the continued fraction of the whole ((z − 1)/(z + a))^α, integer part not split off.
 
-    Only for showing what goes wrong: with a = 1 (Tustin) and α > 1 one pole lies outside the unit circle.
+    Only for showing what goes wrong for α > 1: with a = 1 (Tustin) a pole lies outside the unit circle, with a = 1/7
+    (Al-Alaoui) all is stable, but no longer α-fold small at z = 1.
 
     Parameters
     ----------
@@ -83,17 +84,26 @@ def whole_order_poles(order: float, degree: int, left: float) -> list[complex]:
 
     Returns
     -------
-    list of complex, length n
-        Poles in the z plane.
+    tuple of list of complex, each of length n
+        Zeros and poles in the z plane; the leading coefficients are 1.
+
+    Raises
+    ------
+    ValueError
+        When the degree is too high for expanded polynomials.
     """
     if degree > 12:
         raise ValueError(f"degree = {degree}: the expanded form is accurate up to 12 only; take a lower degree")
     import numpy as np
 
-    # ((u−1)/(u+1))^α = ((u+1)/(u−1))^−α; convergents of 1 + 2a/(u − a + (a²−1)/(3u + (a²−4)/(5u + ...))), a = −α.
+    # ((u+1)/(u−1))^a = 1 + 2a/(u − a + (a²−1)/(3u + (a²−4)/(5u + ...))), a = −α: numerators and denominators by the
+    # three-term recursion of continued fractions.
     a = -order
-    before, now = np.poly1d([1.0]), np.poly1d([1.0, -a])
+    top = [np.poly1d([1.0]), np.poly1d([1.0, a])]
+    bottom = [np.poly1d([1.0]), np.poly1d([1.0, -a])]
     for j in range(1, degree):
-        before, now = now, np.poly1d([2.0 * j + 1.0, 0.0]) * now + (a * a - j * j) * before
+        for series in (top, bottom):
+            series.append(np.poly1d([2.0 * j + 1.0, 0.0]) * series[-1] + (a * a - j * j) * series[-2])
     half = 0.5 * (1.0 + left)
-    return [complex(1.0 - half * (1.0 - u)) for u in now.roots]
+    zeros, poles = ([complex(1.0 - half * (1.0 - u)) for u in series[-1].roots] for series in (top, bottom))
+    return zeros, poles
