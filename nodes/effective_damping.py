@@ -1,0 +1,180 @@
+"""f(ω), what a law takes from or adds to the damping of the device, and the damping with which it is passive (Colgate).
+
+H(z) − H(1) is divisible by 1 − z; what is left of f(ω) = T·Re{D(z)/(1−z)} (seed, eq. 9) is then a cosine sum without a
+singularity at ω = 0, T·Σ t_j cos((j+1)ωT) with t_j = Σ_{m>j} h_m, whose mean is zero by construction: the waterbed
+(theory.md §2) cannot get lost in rounding. Delay is whole zeros in front of the taps; a fraction of a tick is
+exact too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from nodes.laws import CompiledLaw
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+_ZOOMS = 6
+
+
+def effective_damping(
+    law: CompiledLaw, period: float, omega: NDArray[np.float64], delay: int = 0
+) -> NDArray[np.float64]:
+    """f(ω) = T·Re{(z^{−d} H(z) − H(1))/(1 − z)}: negative where the law damps.
+
+    The strict passivity condition is b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (theory.md §2).
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    omega : ndarray
+        Frequencies, 0 ≤ ω ≤ π/T [rad/s]; the value at 0 is the limit.
+    delay : int
+        Whole delay [ticks].
+
+    Returns
+    -------
+    ndarray, shape of omega
+        f [N s/m], with the spring taken as H(1).
+    """
+    import numpy as np
+
+    theta = np.asarray(omega, dtype=np.float64) * period
+    w = np.exp(-1j * theta)
+    total = (_power_sum(_tails(law), w) + _section_tails(law, w)) * w ** (delay + 1)
+    # (w^d − 1)/(1 − z) = w + … + w^d is what the delay does to the spring.
+    for j in range(1, delay + 1):
+        total = total + law.h1 * w**j
+    return np.asarray(period * total.real, dtype=np.float64)
+
+
+def damping_needed(law: CompiledLaw, period: float, delay: float = 0.0) -> float:
+    """Least device damping with which the sampled law is passive, whatever mass or hand is attached.
+
+    For a whole delay this is Colgate's limit, max over ω of T·Re{z^{−d}H/(1−z)}. With a fraction φ of a tick, held
+    force and sampled position no longer see the same aliases; with s the interpolation (1−φ)s_d + φ s_{d+1} of the two
+    whole delays it becomes ½(Re s + √((Re s)² + φ(1−φ)T²|H|²)), from the eigenvalue of the lifted loop at each ω.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    delay : float
+        Whole or fractional delay [ticks].
+
+    Returns
+    -------
+    float
+        Damping b [N s/m].
+    """
+    return -_lowest(law, lambda theta: -_needed_at(law, period, delay, theta))[1]
+
+
+def least(law: CompiledLaw, period: float) -> tuple[float, float]:
+    """Where f(ω) is least, and how much it is there.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+
+    Returns
+    -------
+    omega : float
+        Frequency [rad/s].
+    value : float
+        f, with the spring taken as H(1) [N s/m].
+    """
+    theta, value = _lowest(law, lambda theta: effective_damping(law, period, theta / period))
+    return theta / period, value
+
+
+def _needed_at(law: CompiledLaw, period: float, delay: float, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    import numpy as np
+
+    whole = math.floor(delay)
+    fraction = delay - whole
+    half_spring = 0.5 * period * law.h1
+    s = half_spring + effective_damping(law, period, theta / period, whole)
+    if fraction == 0.0:
+        return s
+    s = (1.0 - fraction) * s + fraction * (half_spring + effective_damping(law, period, theta / period, whole + 1))
+    w = np.exp(-1j * theta)
+    h = _power_sum(np.array(law.taps), w)
+    for b0, b1, a1, a2 in law.sections:
+        h = h + (b0 + b1 * w) / (1.0 + w * (a1 + w * a2))
+    spread = fraction * (1.0 - fraction) * (period * np.abs(h)) ** 2
+    return np.asarray(0.5 * (s + np.sqrt(s * s + spread)), dtype=np.float64)
+
+
+def _tails(law: CompiledLaw) -> NDArray[np.float64]:
+    """t_j = Σ_{m>j} h_m, the quotient of the taps by w − 1."""
+    import numpy as np
+
+    return np.cumsum(np.array(law.taps[::-1]))[::-1][1:]
+
+
+def _section_tails(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Take the same quotient of the sections, (R(w) − R(1))/(w − 1), exact at w = 1 too."""
+    import numpy as np
+
+    total = np.zeros_like(w)
+    for b0, b1, a1, a2 in law.sections:
+        gain = (b0 + b1) / (1.0 + a1 + a2)
+        total = total + ((gain - b0) - gain * a2 * w) / (1.0 + w * (a1 + w * a2))
+    return total
+
+
+def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Σ c_j w^j, Horner over blocks of 64 powers: thousands of taps at tens of thousands of frequencies in one go."""
+    import numpy as np
+
+    block = 64
+    blocks = max(1, -(-len(c) // block))
+    padded = np.zeros(blocks * block)
+    padded[: len(c)] = c
+    powers = np.empty((w.size, block), dtype=np.complex128)
+    powers[:, 0] = 1.0
+    powers[:, 1:] = w.reshape(-1, 1)
+    np.cumprod(powers, axis=1, out=powers)
+    parts = powers @ padded.reshape(blocks, block).T
+    stride = powers[:, -1] * w.ravel()
+    total = parts[:, -1]
+    for i in range(blocks - 2, -1, -1):
+        total = total * stride + parts[:, i]
+    return np.asarray(total.reshape(w.shape), dtype=np.complex128)
+
+
+def _lowest(law: CompiledLaw, function: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> tuple[float, float]:
+    """Least value over 0 ≤ θ ≤ π: a grid finer than the fastest cosine, then zooms into the lowest cells."""
+    import numpy as np
+
+    theta = np.linspace(0.0, np.pi, max(256, 8 * len(law.taps)) + 1)
+    if law.sections:
+        # Slow sections live in the lowest decades.
+        theta = np.union1d(theta, np.geomspace(1e-6, np.pi, 2001)[:-1])
+    value = function(theta)
+    padded = np.concatenate([[np.inf], value, [np.inf]])
+    dips = np.flatnonzero((value <= padded[:-2]) & (value <= padded[2:]))
+    dips = dips[np.argsort(value[dips])][:8]
+    left, right = theta[np.maximum(dips - 1, 0)], theta[np.minimum(dips + 1, len(theta) - 1)]
+    for _ in range(_ZOOMS):
+        cells = np.linspace(left, right, 33)
+        values = function(cells)
+        best = np.argmin(values, axis=0)
+        column = np.arange(len(best))
+        left, right = cells[np.maximum(best - 1, 0), column], cells[np.minimum(best + 1, 32), column]
+    values = values[best, column]
+    winner = int(np.argmin(values))
+    return float(cells[best, column][winner]), float(values[winner])

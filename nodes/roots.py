@@ -1,0 +1,204 @@
+"""The largest root of a real polynomial, for two taps or for thousands.
+
+Up to a hundred coefficients the companion matrix is fast and accurate. Beyond, its cubic cost would make a law of 2000
+taps wait for minutes, so the roots outside a circle are counted instead (argument principle) and the radius of the
+circle is narrowed down. The count is certified: between two neighbouring points of the circle the polynomial is bounded
+away from zero by its slope and a bound on its curvature, or the arc is divided further.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+COMPANION_LIMIT = 100
+"""Highest degree that goes to the companion matrix."""
+
+_BLOCK = 64
+_DEPTH = 30
+
+
+def largest_root(coefficients: NDArray[np.float64]) -> float:
+    """Modulus of the largest root.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (n + 1,)
+        Real coefficients from the highest power of z to the constant; the first one is not zero.
+
+    Returns
+    -------
+    float
+        max |z|, 0 for a constant or a power of z.
+
+    Raises
+    ------
+    ValueError
+        When the leading coefficient is zero or a coefficient is not finite.
+    """
+    import numpy as np
+
+    c = np.asarray(coefficients, dtype=np.float64)
+    if c.size == 0 or c[0] == 0.0 or not np.isfinite(c).all():
+        raise ValueError("coefficients: the leading one must not be zero and all must be finite")
+    c = np.trim_zeros(c, "b")
+    if c.size <= COMPANION_LIMIT + 1:
+        return float(largest_roots(c[None, :])[0])
+    return _narrow(c / c[0])
+
+
+def largest_roots(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Modulus of the largest root of many polynomials of the same, low degree at once (companion matrices).
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (..., n + 1)
+        Real coefficients, highest power of z first; the leading ones are not zero.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        max |z| of each.
+    """
+    import numpy as np
+
+    c = np.asarray(coefficients, dtype=np.float64)
+    degree = c.shape[-1] - 1
+    if degree == 0:
+        return np.zeros(c.shape[:-1])
+    companion = np.zeros((*c.shape[:-1], degree, degree))
+    companion[..., 0, :] = -c[..., 1:] / c[..., :1]
+    companion[..., np.arange(1, degree), np.arange(degree - 1)] = 1.0
+    return np.asarray(np.abs(np.linalg.eigvals(companion)).max(axis=-1), dtype=np.float64)
+
+
+def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | None:
+    """Count the roots outside a circle, by a certified winding number.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (n + 1,)
+        Real coefficients, highest power of z first; the first one is not zero.
+    radius : float
+        Radius of the circle, positive.
+
+    Returns
+    -------
+    int or None
+        How many roots have |z| > radius; None when a root lies on the circle to within rounding.
+    """
+    import numpy as np
+
+    # In w = radius/z the roots outside become zeros inside the unit circle. In logarithms: radius**-2000 overflows.
+    j = np.arange(len(coefficients), dtype=np.float64)
+    size = np.abs(coefficients)
+    with np.errstate(divide="ignore"):
+        logs = np.log(size) - j * np.log(radius)
+    c = np.sign(coefficients) * np.exp(logs - logs.max())
+    points = 1 << int(np.ceil(np.log2(16 * len(c))))
+    values = np.fft.rfft(c, points)
+    slopes = np.abs(np.fft.rfft(j * c, points))
+    curvature = float(np.sum(j * j * np.abs(c)))
+    rounding = 2.0**-52 * np.log2(points) * float(np.sum(np.abs(c)))
+    width = 2.0 * np.pi / points
+    left = np.arange(points // 2) * width
+    a, b, slope_a, slope_b = values[:-1], values[1:], slopes[:-1], slopes[1:]
+    turned = 0.0
+    for _ in range(_DEPTH):
+        reach = curvature * width * width / 8.0 + rounding
+        sure = (np.abs(a) > slope_a * (width / 2.0) + reach) & (np.abs(b) > slope_b * (width / 2.0) + reach)
+        turned += float(np.sum(np.angle(b[sure] * np.conj(a[sure]))))
+        if sure.all():
+            return round(-turned / np.pi)
+        left, a, b, slope_a, slope_b = (array[~sure] for array in (left, a, b, slope_a, slope_b))
+        if min(np.abs(a).min(), np.abs(b).min()) <= 2.0 * rounding:
+            return None
+        width /= 4.0
+        inner = left[:, None] + width * np.arange(1, 4)
+        inner_values, inner_slopes = _evaluate(c, np.exp(-1j * inner))
+        values = np.column_stack([a, inner_values, b])
+        slopes = np.column_stack([slope_a, np.abs(inner_slopes), slope_b])
+        left = (left[:, None] + width * np.arange(4)).ravel()
+        a, b = values[:, :-1].ravel(), values[:, 1:].ravel()
+        slope_a, slope_b = slopes[:, :-1].ravel(), slopes[:, 1:].ravel()
+    return None
+
+
+def _evaluate(
+    c: NDArray[np.float64], w: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Σ c_j w^j and Σ j c_j w^j at a few points, in blocks of powers so that it is two small matrix products."""
+    import numpy as np
+
+    blocks = -(-len(c) // _BLOCK)
+    padded = np.zeros(blocks * _BLOCK)
+    padded[: len(c)] = c
+    weighted = padded * np.arange(blocks * _BLOCK)
+    flat = w.ravel()
+    low = flat[:, None] ** np.arange(_BLOCK)
+    high = (flat**_BLOCK)[:, None] ** np.arange(blocks)
+    value = np.sum((low @ padded.reshape(blocks, _BLOCK).T) * high, axis=1)
+    slope = np.sum((low @ weighted.reshape(blocks, _BLOCK).T) * high, axis=1)
+    return value.reshape(w.shape), slope.reshape(w.shape)
+
+
+def _narrow(c: NDArray[np.float64]) -> float:
+    """Bracket the largest modulus by counting, polish the root with Newton, and certify what came out by counting."""
+    import numpy as np
+
+    j = np.arange(1, len(c))
+    nonzero = c[1:] != 0.0
+    # Fujiwara's bound above; the geometric mean of all roots below.
+    high = 2.0 * float(np.max(np.exp(np.log(np.abs(c[1:][nonzero])) / j[nonzero])))
+    low = min(float(np.exp(np.log(abs(c[-1])) / (len(c) - 1))), high) * (1.0 - 1e-9)
+    for radius in (1.0, 0.98, 1.02, 0.9, 1.1, 0.7, 1.5, 0.4, 3.0):
+        if low < radius < high:
+            count = roots_outside(c, radius)
+            if count is None:
+                return radius
+            low, high = (radius, high) if count else (low, radius)
+    while high / low > 1.0 + 1e-12:
+        if high / low < 1.01:
+            found = _newton(c, low, high)
+            if found is not None:
+                above = found * (1.0 + 1e-10)
+                count = roots_outside(c, above) if above < high else 0
+                if not count:
+                    return found
+                low = above
+        radius = float(np.sqrt(low * high))
+        count = roots_outside(c, radius)
+        if count is None:
+            return radius
+        low, high = (radius, high) if count else (low, radius)
+    return high
+
+
+def _newton(c: NDArray[np.float64], low: float, high: float) -> float | None:
+    """Largest modulus in [low, high) that Newton's iteration reaches from the circle between them."""
+    import numpy as np
+
+    middle = float(np.sqrt(low * high))
+    j = np.arange(len(c), dtype=np.float64)
+    scaled = c * np.exp(-j * np.log(middle))
+    points = 1 << int(np.ceil(np.log2(16 * len(c))))
+    value, slope = np.fft.rfft(scaled, points), np.fft.rfft(j * scaled, points)
+    step = np.abs(value) / np.maximum(np.abs(slope), 1e-300)
+    inner = step[1:-1]
+    dips = np.flatnonzero((inner <= step[:-2]) & (inner <= step[2:])) + 1
+    starts = np.concatenate([[0, len(step) - 1], dips[np.argsort(step[dips])][:16]])
+    w = np.exp(-2j * np.pi * starts / points)
+    for _ in range(30):
+        value, slope = _evaluate(scaled, w)
+        change = value / np.where(slope == 0.0, 1.0, slope)
+        # Never further than a tenth in one step: a start that belongs to no root must not overflow.
+        change *= np.minimum(1.0, 0.1 / np.maximum(np.abs(change), 1e-300))
+        w = w * (1.0 - change)
+        if np.abs(change).min() < 1e-15:
+            break
+    radii = middle / np.abs(w[np.abs(change) < 1e-13])
+    radii = radii[(radii >= low) & (radii < high)]
+    return float(radii.max()) if radii.size else None
