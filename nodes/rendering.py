@@ -164,28 +164,23 @@ class LawOnAxis:
         head = history.head
         force = self._taps(head)
         if self._state:
-            force = force + sections(
-                self._coefficients, self._state, history.values[head], history.values[head + 1]
-            )
+            force = force + sections(self._coefficients, self._state, history.values[head], history.values[head + 1])
             self._pushes = history.pushes
         if self._own is not None:
             force = force + self._own(history.values, head)
         return force
 
-    def peek(self) -> float:
-        """What `force` would give for the newest deflection, without advancing the sections.
+    def present(self) -> float:
+        """Force for the newest deflection, which the sections have already seen; changes nothing.
 
         Returns
         -------
         float
             Force [N].
         """
-        kept = list(self._state)
-        pushes = self._pushes
-        force = self.force()
-        self._state[:] = kept
-        self._pushes = pushes
-        return force
+        head = self._history.head
+        force = self._taps(head) + sum(self._state[::2])
+        return force if self._own is None else force + self._own(self._history.values, head)
 
 
 class Fade:

@@ -1,0 +1,123 @@
+"""The parameters of the coupling node: named laws, the active one, contact conventions, fallback, stability policy."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from nodes.laws import CompiledLaw
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+
+class Swap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A swap that the launch file schedules.
+
+    Attributes
+    ----------
+    at : float
+        Time since tick 0 [s].
+    law : str
+        Name of the law.
+    ramp : int
+        Cross-fade [ticks], 0 for a hard swap.
+    """
+
+    at: NonNegative
+    law: str
+    ramp: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+
+
+class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What renders when a law fails.
+
+    Attributes
+    ----------
+    damping : float
+        Damper on the deflection [N s/m]; 0 renders no force.
+    """
+
+    damping: NonNegative = 0.0
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Turn it into taps.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            Two taps that cannot fail.
+        """
+        return CompiledLaw((self.damping / period, -self.damping / period))
+
+
+class Plant(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The device that a law's pole radius is computed for.
+
+    Attributes
+    ----------
+    mass : float
+        m [kg].
+    damping : float
+        b [N s/m].
+    stiffness : float
+        Stiffness of the hand [N/m].
+    delay : float or None
+        Delay of the loop [ticks]; None for the measured one.
+    """
+
+    mass: Positive
+    damping: NonNegative = 0.0
+    stiffness: NonNegative = 0.0
+    delay: NonNegative | None = None
+
+
+class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the coupling.
+
+    Attributes
+    ----------
+    law : str
+        Name of the active law: one of `laws`, or a preset.
+    laws : dict of str to dict
+        Named laws, each with its ``kind`` and parameters: see nodes/laws/.
+    history : str
+        What feeds the laws outside contact: ``penetration`` (zero) or ``position`` (the raw distance).
+    clamp : bool
+        Whether a force into the wall is set to zero.
+    memory : int
+        Ticks of deflection that are kept; bounds the longest law.
+    ramp : int
+        Cross-fade of swaps that do not ask for another [ticks].
+    schedule : list of Swap
+        Swaps at given times.
+    fallback : Fallback
+        What renders when a law fails.
+    budget : float
+        Part of the period that a law's own code may take.
+    stability : str
+        What to do about a pole radius ≥ 1 with `plant`: ``warn``, ``refuse`` or ``off``.
+    plant : Plant or None
+        The device; None when it is not known.
+    figures : bool
+        Whether a switch is answered with the figures of both laws.
+    """
+
+    law: str
+    laws: dict[str, dict[str, Any]] = {}
+    history: Literal["penetration", "position"] = "penetration"
+    clamp: bool = True
+    memory: Annotated[int, msgspec.Meta(ge=2, le=1_000_000)] = 2048
+    ramp: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+    schedule: list[Swap] = []
+    fallback: Fallback = Fallback()
+    budget: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.5
+    stability: Literal["warn", "refuse", "off"] = "warn"
+    plant: Plant | None = None
+    figures: bool = True

@@ -1,0 +1,317 @@
+"""The driver node: the clock of the loop, and the only one that touches the device.
+
+At each tick it samples the position, publishes it, and waits for the force that answers this very tick. ``realtime`` waits
+until the next absolute deadline and goes on without an answer if it must; ``lockstep`` waits for the answer, however long,
+so a run is deterministic and as fast as the machine allows. What happened in a tick is told by the next state message.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.types import ZERO, DeviceState, Force, Vector
+from nodes import realtime
+from nodes.base import IDLE_MS, Node
+from nodes.device import Device
+from nodes.safety import Safety, SafetyParameters
+from nodes.setup import AXIS_INDEX
+from nodes.timing import ResponseTimes
+
+ASK_AGAIN = 0.5
+"""In lockstep, a tick without an answer for so long is published again: its answer was lost with a node [s]."""
+
+RECENT = 512
+"""Response times kept for the status line."""
+
+
+class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters that every driver has.
+
+    Attributes
+    ----------
+    safety : SafetyParameters
+        Limits; see nodes/safety.py.
+    """
+
+    safety: SafetyParameters = SafetyParameters()
+
+
+class Driver(Node):
+    """Base of the drivers: a kind of device defines `make_device` and adds its own parameters."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
+    publishes: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
+    listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
+
+    def make_device(self) -> Device:
+        """Make the device from the parameters; do not open it yet.
+
+        Returns
+        -------
+        Device
+            The device.
+        """
+        raise TypeError(f"driver kind {self.setup.kind!r} does not define make_device()")
+
+    def configure(self) -> None:
+        """Make the device and its safety."""
+        self._device = self.make_device()
+        self._axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
+        self._safety = Safety(self.store.current.safety, self._device.limits, self.setup.period, self._axes, self.tell)
+        self._opened = False
+        self._position: Vector = ZERO
+        self._before: Vector = ZERO
+        self._response = self._lateness = self._delay = self._energy = 0.0
+        self._age = self._missed = self._overruns = 0
+        self._responses = ResponseTimes()
+        self._recent = array("d", [0.0]) * RECENT
+        self._oldest_age = 0
+        self._first_stamp = self._last_stamp = 0.0
+        self._complete = False
+
+    def operations(self) -> dict[str, Callable[..., Any]]:
+        """What the launcher's status line asks for.
+
+        Returns
+        -------
+        dict of str to callable
+            ``progress``.
+        """
+        return {"progress": self._progress}
+
+    def _progress(self) -> dict[str, Any]:
+        return {
+            "tick": self.ticks,
+            "ticks": self.setup.ticks,
+            "position_m": list(self._position),
+            "force_n": list(self._safety.force),
+            "safety": self._safety.state,
+            "missed": self._missed,
+            "overruns": self._overruns,
+            "recent_s": self._recent.tobytes(),
+            "answered": self._responses.count,
+        }
+
+    def report(self) -> dict[str, Any]:
+        """Summarise the run.
+
+        Returns
+        -------
+        dict
+            Figures with units in the keys.
+        """
+        span = self._last_stamp - self._first_stamp
+        return {
+            "complete": self._complete,
+            "ticks": self.ticks,
+            "missed": self._missed,
+            "overruns": self._overruns,
+            "answered": self._responses.count,
+            "forces_refused": self._safety.refused,
+            "rate_hz": (self.seq - self._first_seq) / span if span > 0.0 else 0.0,
+            "response_us": self._responses.summary_us(),
+            "age_ticks_max": self._oldest_age,
+            "energy_j": self._energy,
+            "final": {"position_m": list(self._position), "force_n": list(self._safety.force)},
+        }
+
+    # -- one tick ----------------------------------------------------------------------------------------------------
+
+    def _sample(self, seq: int, stamp: float) -> None:
+        """Sample the device and publish its state, with the report of the tick before."""
+        position = self._device.read_position(seq)
+        self._before, before = self._position, self._position
+        self._position = position
+        safety = self._safety
+        force = safety.force
+        if self.ticks:
+            for i in self._axes:
+                self._energy += force[i] * (position[i] - before[i])
+        safety.watch_position(position, seq)
+        self.seq = seq
+        self.publisher.send(
+            self._topic,
+            encode(
+                DeviceState(
+                    seq=seq,
+                    stamp=stamp,
+                    position=position,
+                    force=force,
+                    force_seq=safety.force_seq,
+                    age=self._age,
+                    response=self._response,
+                    lateness=self._lateness,
+                    missed=self._missed,
+                    overruns=self._overruns,
+                    safety=safety.state,
+                    energy=self._energy,
+                    delay=self._delay,
+                )
+            ),
+        )
+        self.sent += 1
+
+    def _answered(self, response: float) -> None:
+        self._response = response
+        self._responses.add(response)
+        self._recent[self._responses.count % RECENT] = response
+
+    def loop(self) -> None:
+        """Tick until stopped or done."""
+        self._topic = topics.DEVICE_STATE.encode()
+        self._expected = topics.FORCE.encode()
+        self._decoder = Decoder(Force)
+        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        self._device.open()
+        self._opened = True
+        self.started.wait()
+        self.state = "running"
+        self._first_seq = 0
+        if not self.stopping:
+            end = self.setup.ticks or 2**62
+            if self.setup.pace == "lockstep":
+                self._lockstep(end)
+            else:
+                self._realtime(end)
+            self._complete = self.ticks >= end - self._first_seq
+            if self._complete:
+                self.stop("done")
+
+    def _lockstep(self, end: int) -> None:
+        inbox = self.inbox
+        assert inbox is not None  # noqa: S101
+        receive, device, safety, period = inbox.receive, self._device, self._safety, self.setup.period
+        late = 1 if self.setup.apply == "next_tick" else 0
+        self._first_stamp = time.monotonic()
+        seq = 0
+        while seq < end and not self.stopping:
+            self._sample(seq, seq * period)
+            sent = asked = time.monotonic()
+            while not self.stopping:
+                frames = receive(IDLE_MS)
+                if frames is None:
+                    if time.monotonic() - asked > ASK_AGAIN:
+                        asked = time.monotonic()
+                        self.tell("unanswered", f"tick {seq} has no answer; asking again")
+                        self._ask_again(seq)
+                    self.between_ticks(seq)
+                    continue
+                force = self.take(self._decoder, frames, self._expected)
+                if force is not None and force.seq == seq and safety.admit(force, seq):
+                    self._answered(time.monotonic() - sent)
+                    device.write_force(safety.command(force, seq), seq + late, 0.0)
+                    self.ticks += 1
+                    self._delay = float(late)
+                    seq += 1
+                    break
+                self.skipped += 1
+            self.between_ticks(seq)
+        self._last_stamp = time.monotonic()
+        self._sample(seq, seq * period)
+
+    def _ask_again(self, seq: int) -> None:
+        state = DeviceState(seq=seq, stamp=seq * self.setup.period, position=self._position, safety=self._safety.state)
+        self.publisher.send(self._topic, encode(state))
+
+    def _epoch(self) -> float:
+        """When tick 0 is or was: a respawned driver goes on counting where its predecessor was killed."""
+        path = Path(self.setup.run_dir) / f"{self.setup.name}.epoch"
+        if path.exists():
+            return float(path.read_text(encoding="ascii"))
+        epoch = time.monotonic() + 0.002
+        path.write_text(repr(epoch), encoding="ascii")
+        return epoch
+
+    def _realtime(self, end: int) -> None:
+        inbox = self.inbox
+        assert inbox is not None  # noqa: S101
+        period, device, safety = self.setup.period, self._device, self._safety
+        next_tick = self.setup.apply == "next_tick"
+        epoch = self._epoch()
+        seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
+        while seq < end and not self.stopping:
+            deadline = epoch + seq * period
+            now = realtime.sleep_until(deadline)
+            late = now - deadline
+            if late >= period:
+                # The driver itself was held up: the ticks that are over cannot be sampled any more, only counted.
+                lost = min(int(late / period), end - seq)
+                self._overruns += lost
+                seq += lost
+                self._lateness = late
+                continue
+            self._lateness = late
+            self._sample(seq, now)
+            if not self.ticks:
+                self._first_stamp = now
+            sent = time.monotonic()
+            following = deadline + period
+            self._age = seq - safety.force_seq if safety.force_seq >= 0 else 0
+            answered = False
+            while not answered:
+                frames = inbox.receive_until(following)
+                if frames is None:
+                    break
+                arrival = time.monotonic()
+                force = self.take(self._decoder, frames, self._expected)
+                if force is None or not safety.admit(force, seq):
+                    self.skipped += 1
+                    continue
+                answered = force.seq == seq
+                self._age = seq - force.seq
+                offset = min(max((arrival - deadline) / period, 0.0), 1.0)
+                command = safety.command(force, seq)
+                if next_tick:
+                    device.write_force(command, seq + 1, 0.0)
+                    self._delay = 1.0 + self._age
+                else:
+                    device.write_force(command, seq, offset)
+                    self._delay = offset + self._age
+                if answered:
+                    self._answered(arrival - sent)
+            if self._age > self._oldest_age:
+                self._oldest_age = self._age
+            if not answered:
+                self._missed += 1
+                self._response = 0.0
+                command_now = safety.missed(seq, self._velocity())
+                if command_now is not None:
+                    device.write_force(command_now, seq + 1, 0.0)
+            self.ticks += 1
+            seq += 1
+            self.between_ticks(seq)
+        if seq >= end:
+            realtime.sleep_until(epoch + seq * period)
+        self._last_stamp = epoch + seq * period + (self._first_stamp - epoch - self._first_seq * period)
+        self._sample(seq, time.monotonic())
+
+    def _velocity(self) -> Vector:
+        period, now, before = self.setup.period, self._position, self._before
+        return (
+            (now[0] - before[0]) / period,
+            (now[1] - before[1]) / period,
+            (now[2] - before[2]) / period,
+        )
+
+    def finish(self) -> None:
+        """Bring the force down to zero and close the device, on every way out."""
+        if not self._opened:
+            return
+        self._opened = False
+        try:
+            start = time.monotonic()
+            for n, force in enumerate(self._safety.soft_stop(), 1):
+                self._device.write_force(force, self.seq + n - 1, 0.0)
+                if self.setup.pace == "realtime":
+                    realtime.sleep_until(start + n * self.setup.period)
+        finally:
+            self._device.close()

@@ -1,0 +1,49 @@
+"""A law's time budget: what it used itself, not what the machine took from it.
+
+On a shared machine a thread may lose its core for milliseconds through no fault of its own. A law overruns when it
+computed for longer than its budget, or when it took longer because it went to sleep; being preempted is neither.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+
+
+class Budget:
+    """Watches one call per tick.
+
+    Parameters
+    ----------
+    seconds : float
+        Longest time that a law may take [s]; infinite for no watch.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._wall = self._cpu = 0.0
+        self._slept = 0
+
+    def start(self) -> None:
+        """Begin to watch."""
+        self._slept = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
+        self._cpu = time.thread_time()
+        self._wall = time.monotonic()
+
+    def overrun(self) -> str:
+        """Judge what has passed since `start`.
+
+        Returns
+        -------
+        str
+            What was overrun, with value and limit; empty when nothing was.
+        """
+        wall = time.monotonic() - self._wall
+        if wall <= self._seconds:
+            return ""
+        cpu = time.thread_time() - self._cpu
+        if cpu > self._seconds:
+            return f"computed for {cpu * 1e6:.0f} µs, budget {self._seconds * 1e6:.0f} µs"
+        if resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > self._slept:
+            return f"slept: took {wall * 1e6:.0f} µs, budget {self._seconds * 1e6:.0f} µs"
+        return ""

@@ -1,0 +1,128 @@
+"""The sim driver node: the driver of the loop with the virtual device in place of hardware."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, ClassVar, cast
+
+import msgspec
+
+from messages.types import Vector
+from nodes.device import Device, DeviceLimits
+from nodes.driver import Driver, DriverParameters
+from nodes.setup import AXIS_INDEX, Setup
+from sim.device import VirtualDevice
+from sim.plant import DeviceModel
+
+
+class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the sim driver.
+
+    Attributes
+    ----------
+    device : DeviceModel
+        The virtual device; see sim/plant.py.
+    """
+
+    device: DeviceModel
+
+
+class TimedDevice:
+    """The virtual device in the driver's time: forces take effect when they arrive, plus the model's own delay.
+
+    Parameters
+    ----------
+    model : DeviceModel
+        The device.
+    setup : Setup
+        Pace, period and axis of the run.
+    """
+
+    def __init__(self, model: DeviceModel, setup: Setup) -> None:
+        self._axis = AXIS_INDEX[setup.axes[0]]
+        self._period = setup.period
+        self._lockstep = setup.pace == "lockstep"
+        self._delay = model.delay
+        self._device = VirtualDevice(model, setup.period, self._lockstep and setup.apply == "next_tick")
+        self._tick = 0
+        self._acting = 0.0
+        # Commanded forces that have not taken effect: when, in ticks since tick 0, and what.
+        self._pending: deque[tuple[float, float]] = deque()
+
+    @property
+    def limits(self) -> DeviceLimits:
+        """A virtual device bears everything; what its motor cannot give, the model saturates."""
+        return DeviceLimits()
+
+    def open(self) -> None:
+        """Nothing to connect."""
+
+    def read_position(self, seq: int) -> Vector:
+        """Let the time up to a tick pass, then read the encoder.
+
+        Parameters
+        ----------
+        seq : int
+            Tick number.
+
+        Returns
+        -------
+        tuple of float, shape (3,)
+            Measured position [m].
+        """
+        if not self._lockstep:
+            while self._tick < seq:
+                self._pass_tick()
+        vector = [0.0, 0.0, 0.0]
+        vector[self._axis] = self._device.measured()
+        return cast(Vector, tuple(vector))
+
+    def _pass_tick(self) -> None:
+        start, now = float(self._tick), 0.0
+        while self._pending and self._pending[0][0] < start + 1.0:
+            when, force = self._pending.popleft()
+            offset = max(when - start, now)
+            self._device.pass_time(self._acting, (offset - now) * self._period)
+            self._acting, now = force, offset
+        self._device.pass_time(self._acting, (1.0 - now) * self._period)
+        self._device.end_tick()
+        self._tick += 1
+
+    def write_force(self, force: Vector, seq: int, offset: float) -> None:
+        """Hand over a force.
+
+        Parameters
+        ----------
+        force : tuple of float, shape (3,)
+            Force [N].
+        seq : int
+            Tick during which it arrives.
+        offset : float
+            Where in that tick [ticks].
+        """
+        value = force[self._axis]
+        if self._lockstep:
+            # The model itself knows about ``next_tick``: the whole tick passes here, on exactly the one-process path.
+            self._device.tick(value)
+        else:
+            self._pending.append((seq + offset + self._delay, value))
+
+    def close(self) -> None:
+        """Nothing to disconnect."""
+
+
+class SimDriver(Driver):
+    """A driver node with a virtual device of one axis."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = SimDriverParameters
+
+    def make_device(self) -> Device:
+        """Make the virtual device.
+
+        Returns
+        -------
+        Device
+            In the driver's time.
+        """
+        parameters: Any = self.store.current
+        return TimedDevice(parameters.device, self.setup)
