@@ -121,7 +121,7 @@ class Output:
                 os.ftruncate(self.descriptor, self.size)
             raise RecordError(
                 f"{self.path}: {error.strerror} after {self.size} bytes ({left} of the next {len(data)} could not be"
-                f" written); what was recorded before is kept: free some space and run: haptic bag recover {self.path}"
+                f" written); what was written before is kept, and completed by: haptic bag recover {self.path}"
             ) from error
         self.size += len(data)
         return len(data)
