@@ -7,8 +7,8 @@ judged when it is parsed, shown, switched or designed. numpy is imported inside.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
 from nodes.effective_damping import damping_needed, least
 from nodes.heldplant import held_plant, held_step
@@ -258,3 +258,35 @@ def rendered(
         passive_scale=scale,
         pole_radius=None if mass is None else pole_radius(law, period, mass, damping or 0.0, delay, stiffness),
     )
+
+
+def law_figures(
+    law: CompiledLaw,
+    period: float,
+    mass: float | None = None,
+    damping: float | None = None,
+    delay: float = 0.0,
+    stiffness: float = 0.0,
+) -> dict[str, Any]:
+    """Tell what a law really renders, for an answer in JSON or on the control socket.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    mass, damping : float or None
+        Device, a hand's share included [kg], [N s/m]; without them there is no pole radius.
+    delay : float
+        Whole or fractional delay of the loop [ticks].
+    stiffness : float
+        Hand's stiffness [N/m].
+
+    Returns
+    -------
+    dict
+        ``taps_n_per_m``, ``sections`` (count), ``delay_ticks`` and the fields of `Rendered`.
+    """
+    figures: dict[str, Any] = {"taps_n_per_m": list(law.taps), "sections": len(law.sections), "delay_ticks": delay}
+    return figures | asdict(rendered(law, period, mass, damping, delay, stiffness))
