@@ -140,7 +140,7 @@ def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.
     """Σ c_j w^j, Horner over blocks of 64 powers: thousands of taps at tens of thousands of frequencies in one go."""
     import numpy as np
 
-    block = 64
+    block = min(64, max(1, len(c)))
     blocks = max(1, -(-len(c) // block))
     padded = np.zeros(blocks * block)
     padded[: len(c)] = c
