@@ -3,8 +3,9 @@
 The newest 16 taps stay as they are; older ones share one value per bin, eight bins to every doubling of age (the idea
 of Ford & Simpson's nested meshes, 2001). The sum of the weights, so the leak, stays GL's. With its own running sums
 it would need 16 + 8 log₂(n/16) multiplies; the loop renders it with the kernel for taps, so there it costs what GL of
-the same length costs. For α > 1 the bins hold D^β and k differences follow, which leaves no leak. It breaks below 17
-+ k taps, where there is nothing to bin.
+the same length costs. For 1 < α < 2 the bins hold D^β and a difference follows, which leaves no leak. It breaks for α
+> 2, where the differences turn every edge of a bin into a click as an old corner of the motion passes it, and below
+17 + k taps, where there is nothing to bin; both are refused.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def log_binned(order: float, taps: int, period: float) -> CompiledLaw:
     Parameters
     ----------
     order : float
-        α, in (0, 4).
+        α, in (0, 2), or whole.
     taps : int
         n + 1, at least 17 + ⌊α⌋.
     period : float
@@ -63,9 +64,14 @@ def log_binned(order: float, taps: int, period: float) -> CompiledLaw:
     Raises
     ------
     ValueError
-        When the memory is too short to bin.
+        When the memory is too short to bin, or the order too high.
     """
     whole, fraction = split(order)
+    if whole > 1 and fraction > 0.0:
+        raise ValueError(
+            f"order = {order:g}: log-binned memory takes orders up to 2; beyond, the edges of the bins show in the "
+            "differences. Use exponentials, or gl"
+        )
     if taps <= _EXACT + whole:
         raise ValueError(
             f"taps = {taps}: log-binned memory of order {order:g} starts at {_EXACT + whole + 1}; use gl, which is the "

@@ -120,9 +120,9 @@ def parallel(
     shifted: list[tuple[float, float]] = []
     for pole, residue in single:
         # Amplitude of the tail, counted from tick 1, after k differences.
-        amplitude = residue * ((pole - 1.0) / (pole * period)) ** times
+        amplitude = residue * ((1.0 - 1.0 / pole) / period) ** times if times else residue
         for m in range(1, times + 1):
-            early = math.fsum(binomial[j] * residue * pole ** (m - j - 1) for j in range(m))
+            early = sum(binomial[j] * residue * pole ** (m - j - 1) for j in range(m))
             _add(taps, m, early - amplitude * pole ** (m - 1))
         shifted.append((pole, amplitude))
     sections = _paired(shifted, taps)
