@@ -117,6 +117,22 @@ class Node:
         self._told: dict[str, int] = {}
         self._change_lock = threading.Lock()
 
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Check, before anything is started, what the types of the parameters cannot say.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        del setup
+
     # -- what a kind of node defines ---------------------------------------------------------------------------------
 
     def configure(self) -> None:
@@ -130,7 +146,7 @@ class Node:
         """Leave everything safe; called on every way out of the loop."""
 
     def report(self) -> dict[str, Any]:
-        """What the launcher should know at the end, beside the status.
+        """Tell the launcher at the end what the status does not.
 
         Returns
         -------
@@ -409,6 +425,8 @@ class Node:
             finally:
                 self.state = "finished" if code == 0 else "failed"
                 control.stop()
+                # Emptied first, so that the last status tells exactly what was sent before it.
+                self.flush_outbox()
                 self.post(topics.status(self.setup.name), self.status())
                 self.flush_outbox()
                 if self.inbox is not None:
