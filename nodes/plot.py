@@ -203,7 +203,7 @@ def draw(recording: Recording) -> bytes:
     Parameters
     ----------
     recording : Recording
-        A recording with at least two ticks of ``/device/state``.
+        A recording with at least two messages on ``/device/state``.
 
     Returns
     -------
@@ -213,14 +213,14 @@ def draw(recording: Recording) -> bytes:
     Raises
     ------
     RecordError
-        When there are not two ticks to draw, or a message does not fit its type.
+        When there are not two states to draw, or a message does not fit its type.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     summary = summarise(recording)
-    if summary.ticks < 2:
-        raise RecordError(f"{recording.path}: {summary.ticks} messages on {DEVICE_STATE}; a plot needs two or more")
+    if summary.ticks < 1:
+        raise RecordError(f"{recording.path}: fewer than two messages on {DEVICE_STATE}; a plot needs at least two")
     state = recording.arrays(DEVICE_STATE)
     proxy = recording.arrays(PROXY) if PROXY in recording.topics else None
     force = recording.arrays(FORCE) if FORCE in recording.topics else None
@@ -272,7 +272,7 @@ def plot(recording: Recording, out: str | Path, *, overwrite: bool = False) -> P
     Parameters
     ----------
     recording : Recording
-        A recording with at least two ticks of ``/device/state``.
+        A recording with at least two messages on ``/device/state``.
     out : str or Path
         The PNG to write.
     overwrite : bool, optional

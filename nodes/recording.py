@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 RECOVERY = "recovery"
 """Name of the metadata record that `nodes.recover.recover` leaves in the file it writes."""
 
-_NANO = 1e-9
+_NANO = 1e9
 
 
 M = TypeVar("M", bound=Message)
@@ -212,7 +212,7 @@ class Recording:
                     self.complete = True
         except CutError as error:
             self.cut = str(error)
-        self.wall_duration = max(last_log - first_log, 0) * _NANO
+        self.wall_duration = max(last_log - first_log, 0) / _NANO
 
     def _count(self, raw: RawMessage, offset: int) -> None:
         channel = self._channels.get(raw.channel)
@@ -220,7 +220,7 @@ class Recording:
             raise RecordError(
                 f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which is unknown"
             )
-        stamp = raw.publish_time * _NANO
+        stamp = raw.publish_time / _NANO
         figures = self.topics.get(channel.topic)
         if figures is None:
             self.topics[channel.topic] = TopicFigures(1, 0, 0, raw.sequence, raw.sequence, stamp, stamp)
@@ -297,7 +297,7 @@ class Recording:
         for raw, offset in self._raw():
             if raw.channel in decoders:
                 topic, decoder = decoders[raw.channel]
-                yield Entry(topic, raw.log_time * _NANO, self._decoded(decoder, raw, topic, offset))
+                yield Entry(topic, raw.log_time / _NANO, self._decoded(decoder, raw, topic, offset))
 
     def accounts(self) -> dict[str, Account]:
         """Compare, node by node, what it says it sent with what was recorded.

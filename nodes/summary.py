@@ -20,9 +20,9 @@ class Summary(msgspec.Struct):
     Attributes
     ----------
     ticks : int
-        Ticks recorded.
+        Ticks whose outcome is recorded: each state tells how the tick before it went, the last one ends the run.
     duration_s : float
-        From the first tick's stamp to the last one's [s].
+        From the first state's stamp to the last one's [s].
     rate_hz : float
         Mean rate [1/s]; 0 for fewer than two ticks.
     missed, overruns : int
@@ -32,7 +32,7 @@ class Summary(msgspec.Struct):
     age_ticks_max : int
         Oldest force that was used [ticks].
     position_m, force_n : list of float, shape (3,)
-        Position and force at the last tick [m, N]; empty without ticks.
+        Position and force at the end [m, N]; empty when no state was recorded.
     """
 
     ticks: int
@@ -78,7 +78,7 @@ def summarise(recording: Recording) -> Summary:
     Returns
     -------
     Summary
-        The figures; zeros and empty where no tick was recorded.
+        The figures; zeros and empty where no state was recorded.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def summarise(recording: Recording) -> Summary:
     # A response is told by the tick after it; 0 says that there was none in time.
     responses = sorted(state.response * 1e6 for state in states if state.response > 0.0)
     return Summary(
-        ticks=len(states),
+        ticks=len(states) - 1,
         duration_s=span,
         rate_hz=(last.seq - first.seq) / span if span > 0.0 else 0.0,
         missed=last.missed - first.missed,
