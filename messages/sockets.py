@@ -88,13 +88,13 @@ class Publisher:
         Returns
         -------
         int
-            Largest number of live subscriptions to any one topic.
+            Live subscriptions to this publisher; every listener of a launch makes one.
         """
         while True:
             try:
                 frame = self._socket.recv(zmq.NOBLOCK)
             except zmq.Again:
-                return max(self._peers.values(), default=0)
+                return sum(self._peers.values())
             topic = frame[1:]
             self._peers[topic] = self._peers.get(topic, 0) + (1 if frame[:1] == b"\x01" else -1)
 

@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, TypeVar
@@ -137,6 +137,17 @@ class Node:
 
     def configure(self) -> None:
         """Build what the loop needs from the parameters, before any socket exists."""
+
+    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
+        """Connect to the publishers of what the kind listens to.
+
+        Parameters
+        ----------
+        subscribe : callable
+            Makes a subscription from endpoints, topics and queue length.
+        """
+        if self.listens_to:
+            self.inbox = subscribe({self.setup.sources[topic] for topic in self.listens_to}, self.listens_to, 1000)
 
     def loop(self) -> None:
         """Tick until `stopping` (main thread)."""
@@ -402,11 +413,8 @@ class Node:
             return 1
         context = new_context()
         self.publisher = Publisher(context, self.setup.publish)
-        wanted = self.listens_to
-        endpoints = self.setup.sources
         self.inbox: Subscription | None = None
-        if wanted and wanted != ("*",):
-            self.inbox = Subscription(context, {endpoints[topic] for topic in wanted}, wanted)
+        self.connect(lambda endpoints, topics, queue: Subscription(context, endpoints, topics, queue))
         control = ControlServer(self, context)
         code = 1
         try:

@@ -69,7 +69,12 @@ def main(argv: list[str] | None = None) -> int:
     verbs = {point.name: point for point in entry_points(group=GROUP)}
     chosen = next((word for word in argv if not word.startswith("-")), None)
     parser = _parser(verbs, chosen if chosen in verbs else None)
-    arguments = parser.parse_args(argv)
+    arguments, left_over = parser.parse_known_args(argv)
+    if left_over:
+        # argparse does not take positional words after options; name:=value may stand anywhere.
+        if not hasattr(arguments, "assignments") or any(":=" not in word for word in left_over):
+            parser.error(f"unrecognized arguments: {' '.join(left_over)}")
+        arguments.assignments += left_over
     if arguments.version:
         from importlib.metadata import version
 

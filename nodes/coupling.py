@@ -23,7 +23,8 @@ from nodes.kernels import deflection, one_sided
 from nodes.laws import CompiledLaw
 from nodes.lawbook import LawBook
 from nodes.rendering import Fade, History, LawOnAxis
-from nodes.setup import AXIS_INDEX
+from nodes.parameters import convert
+from nodes.setup import AXIS_INDEX, Setup
 from nodes.watch import Budget
 
 
@@ -66,6 +67,25 @@ class Coupling(Node):
     Parameters: ClassVar[type[msgspec.Struct]] = CouplingParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.FORCE, topics.RECEIPT)
     listens_to: ClassVar[tuple[str, ...]] = (topics.PROXY,)
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Compile every law before anything is started.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        parameters: CouplingParameters = convert(setup.parameters, CouplingParameters, setup.name)
+        book = LawBook(setup.name, setup.period)
+        for name in (*parameters.laws, parameters.law, *(swap.law for swap in parameters.schedule)):
+            book.compile(parameters, name, 0.0, judge=False)
 
     # -- off the hot path --------------------------------------------------------------------------------------------
 

@@ -79,7 +79,7 @@ class Driver(Node):
         self._complete = False
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """What the launcher's status line asks for.
+        """Offer what the launcher's status line asks for.
 
         Returns
         -------

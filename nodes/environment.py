@@ -16,6 +16,7 @@ from messages.codec import Decoder, encode
 from messages.types import DeviceState, Proxy
 from nodes.base import IDLE_MS, Node
 from nodes.follower import Follower
+from nodes.setup import Setup
 from nodes.surfaces import parse_surface
 
 
@@ -28,7 +29,7 @@ class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=T
         ``kind`` and parameters of the surface: see nodes/surfaces.py.
     """
 
-    surface: dict[str, Any] = {"kind": "free"}
+    surface: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "free"})
 
 
 class Environment(Node):
@@ -37,6 +38,22 @@ class Environment(Node):
     Parameters: ClassVar[type[msgspec.Struct]] = EnvironmentParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Make the surface before anything is started.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        parse_surface(setup.parameters.get("surface", {"kind": "free"}), f"{setup.name}.surface")
 
     def configure(self) -> None:
         """Build the surface."""

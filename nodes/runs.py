@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import stat
+import time
 from pathlib import Path
 
 import msgspec
@@ -248,8 +249,10 @@ def sweep() -> list[str]:
         Names of the runs removed.
     """
     swept = []
+    live = runs()
     for path in runtime_dir().iterdir():
-        if not path.is_dir():
+        # A directory that is being set up has no run.json yet; its launcher takes well under a minute.
+        if not path.is_dir() or path.name in live or time.time() - path.stat().st_mtime < 60.0:
             continue
         pids = [int(entry) for entry in os.listdir("/proc") if entry.isdigit()]
         if not any(belongs(pid, path) for pid in pids):

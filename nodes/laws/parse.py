@@ -15,11 +15,12 @@ import msgspec
 
 from nodes.laws import CompiledLaw, Law, law_kinds
 from nodes.laws.presets import PRESETS, expand, preset_names
+from nodes.parameters import ParameterError
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<where>.*)`)?$", re.DOTALL)
 
 
-class LawRefusedError(ValueError):
+class LawRefusedError(ParameterError):
     """A law that is not rendered; the text tells path, value, limit and remedy."""
 
 

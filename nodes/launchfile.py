@@ -1,0 +1,365 @@
+"""Launch files: one YAML per scenario, with arguments, checked completely before anything is started.
+
+A launch file has four parts: ``summary``, ``arguments`` (with default, unit, help, limits), ``run`` (rate, pace, apply,
+duration, axes, scheduling) and ``nodes``. ``$(var NAME)`` stands for an argument, as in ROS 2.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from nodes.parameters import ParameterError, convert, parse_yaml, read_yaml
+from nodes.setup import Apply, Axis, Pace
+
+NODE_GROUP = "haptic.nodes"
+_WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
+_WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
+_NAME = re.compile(r"^[a-z][a-z0-9_]{0,31}$")
+
+
+class Argument(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One argument of a launch file.
+
+    Attributes
+    ----------
+    default : object
+        Value when none is given; its type is the argument's type.
+    help, unit : str
+        For people.
+    min, max : float or None
+        Limits of a number.
+    choices : list
+        What a text may be; empty for anything.
+    """
+
+    default: bool | int | float | str | list[Any]
+    help: str = ""
+    unit: str = ""
+    min: float | None = None
+    max: float | None = None
+    choices: list[str] = []
+
+
+class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How the loop runs.
+
+    Attributes
+    ----------
+    rate : float
+        Sampling rate [Hz].
+    pace, apply : str
+        See nodes/setup.py.
+    duration : float
+        How long [s]; 0 runs until stopped.
+    axes : list of str
+        Axes that the scene computes.
+    cpu : int or str
+        Core of the chain driver-environment-coupling; ``auto`` takes the last one where there are several, ``any`` does not
+        pin.
+    fifo : int or str
+        SCHED_FIFO priority of the chain; ``auto`` takes 50 in real time, 0 none.
+    """
+
+    rate: Annotated[float, msgspec.Meta(ge=1.0, le=100_000.0)] = 500.0
+    pace: Pace = "realtime"
+    apply: Apply = "on_arrival"
+    duration: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    axes: Annotated[list[Axis], msgspec.Meta(min_length=1, max_length=3)] = msgspec.field(default_factory=lambda: ["z"])
+    cpu: int | Literal["auto", "any"] = "auto"
+    fifo: Annotated[int, msgspec.Meta(ge=0, le=90)] | Literal["auto"] = "auto"
+
+    @property
+    def period(self) -> float:
+        """Sampling period T [s]."""
+        return 1.0 / self.rate
+
+    @property
+    def ticks(self) -> int:
+        """Ticks to run, 0 until stopped."""
+        return round(self.duration * self.rate)
+
+
+class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One node of a launch file.
+
+    Attributes
+    ----------
+    kind : str
+        A registered kind of node.
+    parameters : dict
+        Its parameters.
+    required : bool
+        Whether the launch ends when the node does.
+    respawn : bool
+        Whether it is started again when it dies.
+    respawn_delay : float
+        Wait before that [s].
+    respawn_max : int
+        How often at most; -1 for ever.
+    watch : str
+        YAML file of parameters: read at the start, and again whenever it is saved. Empty for none.
+    host : str
+        Address of the machine that runs it; empty for this one.
+    """
+
+    kind: str
+    parameters: dict[str, Any] = {}
+    required: bool = True
+    respawn: bool = False
+    respawn_delay: Annotated[float, msgspec.Meta(ge=0.0)] = 0.5
+    respawn_max: Annotated[int, msgspec.Meta(ge=-1)] = 5
+    watch: str = ""
+    host: str = ""
+
+
+class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    summary: str
+    nodes: dict[str, Any]
+    arguments: dict[str, Argument] = {}
+    run: dict[str, Any] = {}
+
+
+class Launch(msgspec.Struct, frozen=True, kw_only=True):
+    """A launch file with its arguments filled in.
+
+    Attributes
+    ----------
+    scenario, summary : str
+        Name of the file and what it shows.
+    path : str
+        Where it is.
+    text : str
+        The file as written.
+    arguments : dict
+        Values of all arguments.
+    run : RunSpec
+        How the loop runs.
+    nodes : dict of str to NodeSpec
+        The nodes by name.
+    """
+
+    scenario: str
+    summary: str
+    path: str
+    text: str
+    arguments: dict[str, Any]
+    run: RunSpec
+    nodes: dict[str, NodeSpec]
+
+
+def launch_dirs() -> list[Path]:
+    """List where launch files are looked up.
+
+    Returns
+    -------
+    list of Path
+        In the wheel, then beside the package.
+    """
+    here = Path(__file__).resolve().parent
+    return [path for path in (here / "_launch", here.parent / "launch") if path.is_dir()]
+
+
+def scenarios() -> dict[str, Path]:
+    """List the launch files that come with the project.
+
+    Returns
+    -------
+    dict of str to Path
+        Scenario to file, sorted.
+    """
+    found = {path.stem: path for folder in reversed(launch_dirs()) for path in folder.glob("*.yaml")}
+    return dict(sorted(found.items()))
+
+
+def find(name: str) -> Path:
+    """Find a launch file.
+
+    Parameters
+    ----------
+    name : str
+        A scenario of the project, or the path of a YAML file.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ParameterError
+        When there is none; the text lists what there is.
+    """
+    known = scenarios()
+    if name in known:
+        return known[name]
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") or os.sep in name:
+        if path.is_file():
+            return path
+        raise ParameterError(f"{name}: no such file")
+    raise ParameterError(f"no launch file is named {name!r}; there is: {', '.join(known)}")
+
+
+def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
+    """Read only what a launch file says about itself.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    tuple of str and dict
+        Summary, and arguments by name.
+    """
+    file = convert(read_yaml(path), _File, path.name)
+    return file.summary, file.arguments
+
+
+def parse_assignments(words: list[str]) -> dict[str, Any]:
+    """Read ``name:=value`` words.
+
+    Parameters
+    ----------
+    words : list of str
+        As typed.
+
+    Returns
+    -------
+    dict of str to object
+        Values as YAML reads them.
+
+    Raises
+    ------
+    ParameterError
+        When a word is not of that form.
+    """
+    values = {}
+    for word in words:
+        name, sign, text = word.partition(":=")
+        if not sign:
+            raise ParameterError(f"{word!r}: expected name:=value")
+        values[name] = parse_yaml(text, name) if text else ""
+    return values
+
+
+def _fill_in(path: Path, arguments: Mapping[str, Argument], given: Mapping[str, Any]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for name in given:
+        if name not in arguments:
+            raise ParameterError(
+                f"{path.name}: no argument {name!r}; there is: {', '.join(arguments)} (haptic launch --show-args {path.stem})"
+            )
+    for name, argument in arguments.items():
+        value = given.get(name, argument.default)
+        where = f"{path.name}.arguments.{name}"
+        kind = type(argument.default)
+        if kind is float and type(value) is int:
+            value = float(value)
+        if kind is str and isinstance(value, (int, float)):
+            value = str(value)
+        if type(value) is not kind:
+            raise ParameterError(f"{where}: expected {kind.__name__}, got {value!r}")
+        unit = f" {argument.unit}" if argument.unit else ""
+        if argument.min is not None and isinstance(value, (int, float)) and not value >= argument.min:
+            raise ParameterError(f"{where}: {value!r}{unit}, limit: at least {argument.min:g}{unit}")
+        if argument.max is not None and isinstance(value, (int, float)) and not value <= argument.max:
+            raise ParameterError(f"{where}: {value!r}{unit}, limit: at most {argument.max:g}{unit}")
+        if argument.choices and value not in argument.choices:
+            raise ParameterError(f"{where}: {value!r}, expected one of {', '.join(argument.choices)}")
+        values[name] = value
+    return values
+
+
+def _substitute(data: Any, values: Mapping[str, Any], where: str) -> Any:
+    if isinstance(data, dict):
+        return {key: _substitute(inner, values, f"{where}.{key}") for key, inner in data.items()}
+    if isinstance(data, list):
+        return [_substitute(inner, values, f"{where}[{i}]") for i, inner in enumerate(data)]
+    if isinstance(data, str):
+        for name in _WITHIN.findall(data):
+            if name not in values:
+                raise ParameterError(f"{where}: $(var {name}) is not an argument; there is: {', '.join(values)}")
+        whole = _WHOLE.match(data)
+        if whole:
+            return values[whole.group(1)]
+        return _WITHIN.sub(lambda match: str(values[match.group(1)]), data)
+    return data
+
+
+def node_kinds() -> dict[str, str]:
+    """Find all installed kinds of node.
+
+    Returns
+    -------
+    dict of str to str
+        Kind to ``module:Class``.
+    """
+    return {point.name: point.value for point in entry_points(group=NODE_GROUP)}
+
+
+def read(name: str, given: Mapping[str, Any]) -> Launch:
+    """Read a launch file and fill in its arguments.
+
+    Parameters
+    ----------
+    name : str
+        Scenario or path.
+    given : mapping of str to object
+        Arguments that differ from their defaults.
+
+    Returns
+    -------
+    Launch
+        Ready to be started.
+
+    Raises
+    ------
+    ParameterError
+        With the path, the value and the limit of whatever is wrong.
+    """
+    path = find(name)
+    data = read_yaml(path)
+    file = convert(data, _File, path.name)
+    values = _fill_in(path, file.arguments, given)
+    run = convert(_substitute(file.run, values, f"{path.name}.run"), RunSpec, f"{path.name}.run")
+    nodes = {}
+    kinds = node_kinds()
+    for node, spec in file.nodes.items():
+        where = f"{path.name}.nodes.{node}"
+        if not _NAME.match(node):
+            raise ParameterError(f"{where}: a node's name is lower-case letters, digits and _, at most 32")
+        made: NodeSpec = convert(_substitute(spec, values, where), NodeSpec, where)
+        if made.kind not in kinds:
+            raise ParameterError(f"{where}.kind: {made.kind!r} is not installed; there is: {', '.join(sorted(kinds))}")
+        if made.watch:
+            made = msgspec.structs.replace(made, parameters=_watched(node, made, where))
+        nodes[node] = made
+    return Launch(
+        scenario=path.stem,
+        summary=file.summary,
+        path=str(path),
+        text=path.read_text(encoding="utf-8"),
+        arguments=values,
+        run=run,
+        nodes=nodes,
+    )
+
+
+def _watched(node: str, spec: NodeSpec, where: str) -> dict[str, Any]:
+    if not Path(spec.watch).is_file():
+        raise ParameterError(f"{where}.watch: {spec.watch}: no such file; write one with haptic param dump {node}")
+    content = read_yaml(spec.watch)
+    if isinstance(content, dict) and set(content) == {node}:
+        content = content[node]
+    if not isinstance(content, dict):
+        raise ParameterError(f"{spec.watch}: expected the parameters of {node}, got {content!r}")
+    return {**spec.parameters, **content}

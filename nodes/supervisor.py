@@ -1,0 +1,311 @@
+"""Supervision of one run in ROS 2's manner: start, respawn, required nodes, and an end that leaves nothing behind.
+
+An end goes in order: first the driver (which brings the force to zero), then the rest of the chain, last the loggers, so that
+every message is recorded. Each node is asked with SIGINT, then SIGTERM, then SIGKILL.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+import zmq
+
+from messages.control import ControlError, call
+from messages.sockets import new_context
+from nodes import guard, runs
+from nodes.launchfile import Launch
+from nodes.setup import Setup
+from nodes.wiring import manifest_of, wire
+
+START_TIMEOUT = 30.0
+INT_TIMEOUT = 3.0
+TERM_TIMEOUT = 2.0
+
+
+class LaunchFailedError(RuntimeError):
+    """A launch that could not be started or had to be ended; the text names the node and the reason."""
+
+
+class Child:
+    """One node's process.
+
+    Parameters
+    ----------
+    setup : Setup
+        The node.
+    respawns : int
+        How often it may be started again, -1 for ever.
+    delay : float
+        Wait before that [s].
+    required : bool
+        Whether the launch ends when it does.
+    """
+
+    def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
+        self.setup = setup
+        self.respawns = respawns
+        self.delay = delay
+        self.required = required
+        self.restarts = 0
+        self.process: subprocess.Popen[bytes] | None = None
+        self.again_at: float | None = None
+        self.over = False
+
+    @property
+    def running(self) -> bool:
+        """Whether the process exists."""
+        return self.process is not None and self.process.poll() is None
+
+    @property
+    def drives(self) -> bool:
+        """Whether it is the driver: it listens to forces."""
+        return "/coupling/force" in self.setup.sources
+
+    @property
+    def listens(self) -> bool:
+        """Whether it only listens (a logger)."""
+        return bool(self.setup.manifest)
+
+
+class Supervisor:
+    """Starts and ends the nodes of one launch.
+
+    Parameters
+    ----------
+    launch : Launch
+        What to run.
+    say : callable
+        Takes one line for the user.
+    """
+
+    def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
+        self._launch = launch
+        self._say = say
+        self.run = f"{launch.scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{time.monotonic_ns() % 10**6:06d}"
+        self.reports: dict[str, dict[str, Any]] = {}
+        self.exit_reason = ""
+        self.failed = False
+        self.startup_s = 0.0
+        self._stop_asked = ""
+
+    def stop(self, reason: str) -> None:
+        """Ask for the end; safe in a signal handler.
+
+        Parameters
+        ----------
+        reason : str
+            Why.
+        """
+        self._stop_asked = self._stop_asked or reason
+
+    def supervise(self, progress: Callable[[Supervisor], None] | None = None) -> None:
+        """Run the launch from start to end.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called about five times a second while the loop runs.
+
+        Raises
+        ------
+        LaunchFailedError
+            When a node could not be started.
+        """
+        self._begun = time.monotonic()
+        runs.sweep()
+        run_dir = runs.new_run_dir(self.run)
+        self.run_dir = run_dir
+        self.context: zmq.Context[zmq.Socket[bytes]] | None = None
+        self.children: dict[str, Child] = {}
+        try:
+            offset = time.time() - time.monotonic()
+            manifest = manifest_of(self._launch, self.run, offset)
+            setups = wire(self._launch, self.run, run_dir, manifest)
+            info = runs.RunInfo(
+                run=self.run,
+                scenario=self._launch.scenario,
+                launcher=os.getpid(),
+                nodes=setups,
+                wall_minus_monotonic=offset,
+                manifest=manifest,
+            )
+            self._guard = self._start_guard(run_dir)
+            self.context = new_context()
+            for name, setup in setups.items():
+                spec = self._launch.nodes[name]
+                self.children[name] = Child(
+                    setup, spec.respawn_max if spec.respawn else 0, spec.respawn_delay, spec.required
+                )
+                self._spawn(self.children[name])
+            runs.write_run(run_dir, info)
+            self._await_ready()
+            self._start_driver()
+            self._watch(progress)
+        finally:
+            self._end_all()
+            if self.context is not None:
+                self.context.term()
+            shutil.rmtree(run_dir, ignore_errors=True)
+            if hasattr(self, "_guard"):
+                self._tell_guard("done")
+                self._guard.wait(timeout=5.0)
+
+    # -- processes ---------------------------------------------------------------------------------------------------
+
+    def _start_guard(self, run_dir: Path) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-S", "-E", str(guard.__file__), str(run_dir)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    def _tell_guard(self, word: str) -> None:
+        pipe: IO[bytes] | None = self._guard.stdin
+        if pipe is None or pipe.closed:
+            return
+        try:
+            pipe.write(f"{word}\n".encode())
+            pipe.flush()
+            if word == "done":
+                pipe.close()
+        except BrokenPipeError:
+            self._say("the guard is gone: a killed launcher would leave its nodes to the kernel's parent-death signal")
+
+    def _spawn(self, child: Child) -> None:
+        path = self.run_dir / f"{child.setup.name}.json"
+        path.write_bytes(msgspec.json.encode(child.setup))
+        # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends the nodes in order.
+        child.process = subprocess.Popen(
+            [sys.executable, "-m", "nodes.start", str(path)],
+            stdin=subprocess.DEVNULL,
+            stdout=sys.stderr,
+            process_group=0,
+        )
+        child.again_at = None
+        self._tell_guard(f"+{child.process.pid}")
+
+    def _await_ready(self) -> None:
+        assert self.context is not None  # noqa: S101
+        deadline = time.monotonic() + START_TIMEOUT
+        for name, child in self.children.items():
+            while not self._stop_asked:
+                if not child.running:
+                    raise LaunchFailedError(f"{name}: ended during start with exit code {self._code(child)}")
+                try:
+                    status = call(self.context, child.setup.control, "status", timeout=0.25)
+                except ControlError:
+                    status = {"state": "starting"}
+                if status["state"] in ("ready", "running"):
+                    break
+                if time.monotonic() > deadline:
+                    raise LaunchFailedError(f"{name}: still {status['state']} after {START_TIMEOUT:g} s")
+                time.sleep(0.01)
+
+    def _start_driver(self) -> None:
+        assert self.context is not None  # noqa: S101
+        for child in self.children.values():
+            if child.drives and child.running and not self._stop_asked:
+                call(self.context, child.setup.control, "start")
+        self.startup_s = time.monotonic() - self._begun
+
+    @staticmethod
+    def _code(child: Child) -> int | None:
+        return None if child.process is None else child.process.returncode
+
+    def _watch(self, progress: Callable[[Supervisor], None] | None) -> None:
+        next_progress = 0.0
+        while not self._stop_asked:
+            for name, child in self.children.items():
+                self._look_after(name, child)
+            if progress is not None and time.monotonic() >= next_progress:
+                next_progress = time.monotonic() + 0.2
+                progress(self)
+            time.sleep(0.01)
+        self.exit_reason = self.exit_reason or self._stop_asked
+
+    def _look_after(self, name: str, child: Child) -> None:
+        if child.over or child.running:
+            return
+        if child.again_at is not None:
+            if time.monotonic() >= child.again_at:
+                child.restarts += 1
+                self._say(f"{name}: started again ({child.restarts})")
+                self._spawn(child)
+                if child.drives:
+                    self._restart_driver(child)
+            return
+        code = self._code(child)
+        self._tell_guard(f"-{child.process.pid if child.process else 0}")
+        if code == 0 and child.drives:
+            child.over = True
+            self.exit_reason = self._read_report(name).get("status", {}).get("reason", "") or "done"
+            self.stop(self.exit_reason)
+        elif child.respawns < 0 or child.restarts < child.respawns:
+            self._say(f"{name}: ended with {_describe(code)}; starting it again in {child.delay:g} s")
+            child.again_at = time.monotonic() + child.delay
+        else:
+            child.over = True
+            reason = f"{name}: ended with {_describe(code)}"
+            if child.required:
+                self.failed = True
+                self.exit_reason = reason
+                self.stop(reason)
+            self._say(f"{reason}{'; ending the launch' if child.required else ''}")
+
+    def _restart_driver(self, child: Child) -> None:
+        assert self.context is not None  # noqa: S101
+        try:
+            call(self.context, child.setup.control, "start", timeout=10.0)
+        except ControlError as error:
+            self._say(f"{child.setup.name}: {error}")
+
+    # -- the end -----------------------------------------------------------------------------------------------------
+
+    def _end_all(self) -> None:
+        groups = (
+            [child for child in self.children.values() if child.drives],
+            [child for child in self.children.values() if not child.drives and not child.listens],
+            [child for child in self.children.values() if child.listens],
+        )
+        for group in groups:
+            self._end(group)
+        for name in self.children:
+            self._read_report(name)
+
+    def _end(self, group: list[Child]) -> None:
+        for number, patience in (
+            (signal.SIGINT, INT_TIMEOUT),
+            (signal.SIGTERM, TERM_TIMEOUT),
+            (signal.SIGKILL, TERM_TIMEOUT),
+        ):
+            left = [child for child in group if child.running]
+            for child in left:
+                if number != signal.SIGINT:
+                    self._say(f"{child.setup.name}: does not end; {number.name}")
+                assert child.process is not None  # noqa: S101
+                child.process.send_signal(number)
+            deadline = time.monotonic() + patience
+            while any(child.running for child in left) and time.monotonic() < deadline:
+                time.sleep(0.005)
+
+    def _read_report(self, name: str) -> dict[str, Any]:
+        path = self.run_dir / f"{name}.report.json"
+        if name not in self.reports and path.exists():
+            self.reports[name] = msgspec.json.decode(path.read_bytes())
+        return self.reports.get(name, {})
+
+
+def _describe(code: int | None) -> str:
+    if code is not None and code < 0:
+        return signal.Signals(-code).name
+    return f"exit code {code}"

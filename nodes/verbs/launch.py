@@ -1,0 +1,245 @@
+"""Start a scenario: haptic launch floor_drop stiffness:=1500 rate:=1000."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+import sys
+import time
+from array import array
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from messages.control import ControlError, call
+from nodes import launchfile
+from nodes.cli import UsageError, answer
+from nodes.launchfile import Launch
+from nodes.parameters import ParameterError
+from nodes.runs import RunError
+from nodes.supervisor import LaunchFailedError, Supervisor
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of this verb.
+    """
+    parser.add_argument("scenario", nargs="?", help="name of a launch file, or the path of one")
+    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    parser.add_argument("--list", action="store_true", help="list the scenarios")
+    parser.add_argument("--show-args", action="store_true", help="show the arguments of a scenario")
+    parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
+    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    parser.set_defaults(run=run)
+
+
+def _list() -> dict[str, Any]:
+    found = {}
+    for name, path in launchfile.scenarios().items():
+        summary, arguments = launchfile.read_arguments(path)
+        found[name] = {"summary": summary, "arguments": {key: value.default for key, value in arguments.items()}}
+    return {"scenarios": found}
+
+
+def _show_args(scenario: str) -> tuple[dict[str, Any], str]:
+    path = launchfile.find(scenario)
+    summary, arguments = launchfile.read_arguments(path)
+    lines = [f"{path.stem}: {summary}"]
+    figures = {}
+    for name, argument in arguments.items():
+        limits = [f"at least {argument.min:g}"] if argument.min is not None else []
+        limits += [f"at most {argument.max:g}"] if argument.max is not None else []
+        limits += [f"one of {', '.join(argument.choices)}"] if argument.choices else []
+        unit = f" {argument.unit}" if argument.unit else ""
+        bounds = f" ({'; '.join(limits)})" if limits else ""
+        lines.append(f"  {name}:={argument.default}{unit}   {argument.help}{bounds}")
+        figures[name] = {"default": argument.default, "unit": argument.unit, "help": argument.help}
+    return {"scenario": path.stem, "arguments": figures}, "\n".join(lines)
+
+
+class _StatusLine:
+    """One line on the terminal while the loop runs; nothing where there is no terminal."""
+
+    def __init__(self, launch: Launch) -> None:
+        self._launch = launch
+        self._axis = "xyz".index(launch.run.axes[0])
+        self._before = (time.monotonic(), 0)
+        self._live = sys.stderr.isatty()
+
+    def __call__(self, supervisor: Supervisor) -> None:
+        if not self._live or supervisor.context is None:
+            return
+        driver = next((child for child in supervisor.children.values() if child.drives and child.running), None)
+        if driver is None:
+            return
+        try:
+            now = call(supervisor.context, driver.setup.control, "progress", timeout=0.2)
+        except ControlError:
+            return
+        recent = array("d")
+        recent.frombytes(now["recent_s"])
+        responses = sorted(value for value in recent if value > 0.0) or [0.0]
+        clock, ticks = time.monotonic(), now["tick"]
+        rate = (ticks - self._before[1]) / (clock - self._before[0])
+        self._before = (clock, ticks)
+        of = f"/{now['ticks']}" if now["ticks"] else ""
+        p50, p99 = responses[len(responses) // 2] * 1e6, responses[int(len(responses) * 0.99)] * 1e6
+        sys.stderr.write(
+            f"\r\x1b[K{self._launch.scenario}  tick {ticks}{of}  {rate:.0f} Hz  force {now['force_n'][self._axis]:+.3f} N  "
+            f"response p50 {p50:.0f} µs p99 {p99:.0f} µs  missed {now['missed']}  {now['safety']}"
+        )
+        sys.stderr.flush()
+
+    def clear(self) -> None:
+        """Leave the line empty for what follows."""
+        if self._live:
+            sys.stderr.write("\r\x1b[K")
+
+
+@contextlib.contextmanager
+def _signals(supervisor: Supervisor) -> Iterator[None]:
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del frame
+        supervisor.stop(signal.Signals(number).name)
+
+    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
+    """Collect the figures of a run from the reports of its nodes.
+
+    Parameters
+    ----------
+    launch : Launch
+        What ran.
+    supervisor : Supervisor
+        After its end.
+
+    Returns
+    -------
+    dict
+        The keys that are promised for ``haptic launch --json``.
+    """
+    driver = next((r for name, r in supervisor.reports.items() if supervisor.children[name].drives), {})
+    axis = "xyz".index(launch.run.axes[0])
+    final = driver.get("final", {})
+    single = len(launch.run.axes) == 1
+    recordings = [report["recording"] for report in supervisor.reports.values() if "recording" in report]
+    return {
+        "scenario": launch.scenario,
+        "run": supervisor.run,
+        "ticks": driver.get("ticks", 0),
+        "missed": driver.get("missed", 0),
+        "overruns": driver.get("overruns", 0),
+        "rate_hz": driver.get("rate_hz", 0.0),
+        "response_us": driver.get("response_us", {}),
+        "age_ticks_max": driver.get("age_ticks_max", 0),
+        "energy_j": driver.get("energy_j", 0.0),
+        "recording": recordings[0] if recordings else None,
+        "recordings": recordings,
+        "plot": None,
+        "exit_reason": supervisor.exit_reason,
+        "startup_s": round(supervisor.startup_s, 3),
+        "final": {
+            key: (final[key][axis] if single else final[key]) if key in final else None
+            for key in ("position_m", "force_n")
+        },
+        "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
+    }
+
+
+def _text(launch: Launch, figures: dict[str, Any]) -> str:
+    response = figures["response_us"]
+    lines = [f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"]
+    if response:
+        lines.append(
+            f"  rate      {figures['rate_hz']:.2f} Hz, missed {figures['missed']}, overruns {figures['overruns']}, "
+            f"oldest force {figures['age_ticks_max']} ticks"
+        )
+        lines.append(
+            f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
+            f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs"
+        )
+    final = figures["final"]
+    if isinstance(final["position_m"], float):
+        lines.append(f"  at rest   position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N")
+    lines += [f"  recording {path}" for path in figures["recordings"]]
+    if figures["plot"]:
+        lines.append(f"  plot      {figures['plot']}")
+    return "\n".join(lines)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0 when the loop ended as planned, 1 when a node failed, 130 or 143 when it was interrupted before its time.
+    """
+    if arguments.list:
+        figures = _list()
+        lines = [f"{name:18} {entry['summary']}" for name, entry in figures["scenarios"].items()]
+        answer(arguments.json, figures, "\n".join(lines))
+        return 0
+    if arguments.scenario is None:
+        raise UsageError("name a scenario; haptic launch --list shows them")
+    try:
+        if arguments.show_args:
+            answer(arguments.json, *_show_args(arguments.scenario))
+            return 0
+        launch = launchfile.read(arguments.scenario, launchfile.parse_assignments(arguments.assignments))
+        return _launch(launch, arguments)
+    except (ParameterError, RunError) as error:
+        raise UsageError(str(error)) from error
+
+
+def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
+    status = _StatusLine(launch)
+
+    def say(text: str) -> None:
+        status.clear()
+        print(f"[launch] {text}", file=sys.stderr, flush=True)
+
+    supervisor = Supervisor(launch, say)
+    with _signals(supervisor):
+        try:
+            supervisor.supervise(status)
+        except LaunchFailedError as error:
+            supervisor.failed = True
+            supervisor.exit_reason = str(error)
+            say(str(error))
+        except ControlError as error:
+            supervisor.failed = True
+            supervisor.exit_reason = str(error)
+            say(str(error))
+    status.clear()
+    figures = summarise(launch, supervisor)
+    if figures["recording"] and not arguments.no_plot and figures["ticks"]:
+        from nodes.plot import plot
+        from nodes.recording import Recording
+
+        picture = Path(figures["recording"]).with_suffix(".png")
+        plot(Recording(figures["recording"]), picture, overwrite=True)
+        figures["plot"] = str(picture)
+    answer(arguments.json, figures, _text(launch, figures))
+    if supervisor.failed:
+        return 1
+    early = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
+    return early.get(supervisor.exit_reason, 0) if launch.run.ticks else 0

@@ -1,0 +1,159 @@
+"""From a launch to one setup per node: endpoints, who listens to whom, cores and priorities."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+
+from nodes.base import Node, load
+from nodes.launchfile import Launch, node_kinds
+from nodes.parameters import ParameterError, convert
+from nodes.setup import Scheduling, Setup
+
+FIFO = 50
+"""Priority of the chain in real time: above what a desktop runs, below the kernel's own threads."""
+
+
+def _scheduling(launch: Launch, chain: bool) -> Scheduling:
+    available = sorted(os.sched_getaffinity(0))
+    run = launch.run
+    if run.cpu == "any" or (run.cpu == "auto" and len(available) < 2):
+        core = None
+    elif run.cpu == "auto":
+        core = available[-1]
+    elif run.cpu in available:
+        core = run.cpu
+    else:
+        raise ParameterError(f"{launch.scenario}.run.cpu: {run.cpu}, available: {', '.join(map(str, available))}")
+    # In saturated lockstep the kernel throttles FIFO tasks, which shows as gaps of 50 ms.
+    fifo = (FIFO if launch.run.pace == "realtime" else 0) if run.fifo == "auto" else run.fifo
+    if chain:
+        return Scheduling(cpus=[] if core is None else [core], fifo=fifo)
+    return Scheduling(cpus=[] if core is None else [cpu for cpu in available if cpu != core] or [core])
+
+
+def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str]]:
+    """Classes by node, and the publishing node of each loop topic."""
+    factories = node_kinds()
+    classes = {name: load(factories[spec.kind]) for name, spec in launch.nodes.items()}
+    publisher: dict[str, str] = {}
+    for name, kind in classes.items():
+        for topic in kind.publishes:
+            if topic in publisher:
+                raise ParameterError(
+                    f"{launch.scenario}.nodes.{name}: {topic} is already published by {publisher[topic]}"
+                )
+            publisher[topic] = name
+    for name, kind in classes.items():
+        for topic in kind.listens_to:
+            if topic != "*" and topic not in publisher:
+                raise ParameterError(f"{launch.scenario}.nodes.{name}: listens to {topic}, which no node publishes")
+    return classes, publisher
+
+
+def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
+    """Resolve a launch.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch.
+    run : str
+        Name of the run.
+    run_dir : Path
+        Its directory.
+    manifest : dict of str to str
+        What goes into every recording.
+
+    Returns
+    -------
+    dict of str to Setup
+        One per node.
+
+    Raises
+    ------
+    ParameterError
+        When nodes do not fit together or a parameter is refused.
+    """
+    classes, publisher = _roles(launch)
+    factories = node_kinds()
+    publish = {name: f"ipc://{run_dir}/{name}.pub" for name in launch.nodes}
+    setups = {}
+    for name, spec in launch.nodes.items():
+        kind = classes[name]
+        convert(spec.parameters, kind.Parameters, name)
+        if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not kind.listens_to == ("*",):
+            raise ParameterError(
+                f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a lockstep run would no longer "
+                "be deterministic; use pace realtime"
+            )
+        everything = kind.listens_to == ("*",)
+        if everything:
+            sources = {other: endpoint for other, endpoint in publish.items() if other != name}
+        else:
+            sources = {topic: publish[publisher[topic]] for topic in kind.listens_to}
+        listeners = sum(
+            other != name
+            and ("*" in classes[other].listens_to or bool(set(kind.publishes) & set(classes[other].listens_to)))
+            for other in launch.nodes
+        )
+        setups[name] = Setup(
+            run=run,
+            run_dir=str(run_dir),
+            name=name,
+            kind=spec.kind,
+            factory=factories[spec.kind],
+            period=launch.run.period,
+            pace=launch.run.pace,
+            apply=launch.run.apply,
+            axes=launch.run.axes,
+            ticks=launch.run.ticks,
+            publish=publish[name],
+            control=f"ipc://{run_dir}/{name}.ctl",
+            sources=sources,
+            listeners=listeners,
+            scheduling=_scheduling(launch, chain=not everything),
+            parameters=spec.parameters,
+            watch=os.path.abspath(spec.watch) if spec.watch else "",
+            manifest=manifest if everything else {},
+        )
+        kind.check(setups[name])
+    return setups
+
+
+def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[str, str]:
+    """Describe a run for its recordings.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch.
+    run : str
+        Name of the run.
+    wall_minus_monotonic : float
+        What to add to a stamp to get wall time [s].
+
+    Returns
+    -------
+    dict of str to str
+        Text by name; parameters of the nodes as JSON.
+    """
+    uname = os.uname()
+    return {
+        "run": run,
+        "scenario": launch.scenario,
+        "summary": launch.summary,
+        "arguments": msgspec.json.encode(launch.arguments).decode(),
+        "rate_hz": repr(launch.run.rate),
+        "pace": launch.run.pace,
+        "apply": launch.run.apply,
+        "duration_s": repr(launch.run.duration),
+        "axes": ",".join(launch.run.axes),
+        "wall_minus_monotonic_s": repr(wall_minus_monotonic),
+        "host": uname.nodename,
+        "kernel": f"{uname.sysname} {uname.release} {uname.machine}",
+        "launch_file": launch.text,
+        "nodes": msgspec.json.encode({name: spec.parameters for name, spec in launch.nodes.items()}).decode(),
+    }
