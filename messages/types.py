@@ -175,6 +175,8 @@ class Receipt(Message, frozen=True, kw_only=True, gc=False):
         Ticks of cross-fade, 0 for a hard swap.
     reason : str
         Who asked, or what failed.
+    revision : int
+        Revision that the forces carry from this tick on.
     """
 
     action: Name

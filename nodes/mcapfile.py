@@ -7,7 +7,6 @@ verified, and whatever is wrong is told with its offset.
 
 from __future__ import annotations
 
-import mmap
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -25,12 +24,13 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x01, 0x02
 MAX_RECORD = 1 << 28
 """Largest record that is read and largest chunk that is unpacked [bytes]; this project writes chunks of 64 KiB."""
 
-_FRAME = struct.Struct("<BQ")
-FRAME_SIZE = _FRAME.size
-"""Opcode and length in front of each record [bytes]."""
+FRAME = struct.Struct("<BQ")
+"""Opcode and length in front of each record."""
+
+CHUNK_HEAD = struct.Struct("<QQQI")
+"""First and last log time, uncompressed size and checksum, in front of a chunk's compression and data."""
 
 _MESSAGE = struct.Struct("<HIQQ")
-_CHUNK = struct.Struct("<QQQI")
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
@@ -275,8 +275,8 @@ def unpack_chunk(path: Path, record: Record) -> list[Record]:
     """
 
     def parse(content: bytes) -> list[Record]:
-        _, _, size, checksum = _CHUNK.unpack_from(content)
-        compression, at = _string(content, _CHUNK.size)
+        _, _, size, checksum = CHUNK_HEAD.unpack_from(content)
+        compression, at = _string(content, CHUNK_HEAD.size)
         (length,) = _U64.unpack_from(content, at)
         data = content[at + 8 : at + 8 + length]
         if len(data) != length or size > MAX_RECORD:
@@ -293,8 +293,8 @@ def unpack_chunk(path: Path, record: Record) -> list[Record]:
         found = []
         at = 0
         while at < size:
-            opcode, length = _FRAME.unpack_from(data, at)
-            at += _FRAME.size
+            opcode, length = FRAME.unpack_from(data, at)
+            at += FRAME.size
             if at + length > size:
                 raise ValueError(f"a record of {length} bytes does not fit into the chunk")
             found.append(Record(record.offset, opcode, data[at : at + length]))
@@ -307,9 +307,23 @@ def unpack_chunk(path: Path, record: Record) -> list[Record]:
         raise RecordError(f"{path}: damaged chunk at byte {record.offset}: {error}") from error
 
 
-def _footer_sound(content: bytes, summary_checksum: int) -> bool:
-    (checksum,) = _U32.unpack_from(content, 16)
-    return checksum in (0, zlib.crc32(_FRAME.pack(FOOTER, 20) + content[:16], summary_checksum))
+def footer_sound(content: bytes, checksum: int) -> bool:
+    """Check the footer against the summary.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of the footer record, 20 bytes.
+    checksum : int
+        CRC-32 of the summary.
+
+    Returns
+    -------
+    bool
+        Whether the checksum in it matches (or it has none).
+    """
+    (told,) = _U32.unpack_from(content, 16)
+    return told in (0, zlib.crc32(FRAME.pack(FOOTER, 20) + content[:16], checksum))
 
 
 def walk(path: Path) -> Iterator[Record]:
@@ -349,9 +363,9 @@ def walk(path: Path) -> Iterator[Record]:
         checksum = zlib.crc32(MAGIC)
         offset = len(MAGIC)
         while True:
-            frame = stream.read(_FRAME.size)
-            opcode, length = _FRAME.unpack(frame) if len(frame) == _FRAME.size else (0, 0)
-            rest = size - offset - _FRAME.size
+            frame = stream.read(FRAME.size)
+            opcode, length = FRAME.unpack(frame) if len(frame) == FRAME.size else (0, 0)
+            rest = size - offset - FRAME.size
             if opcode == 0 or length > rest:
                 if ended:
                     raise RecordError(f"{path}: damaged at byte {offset}: opcode {opcode}, {length} of {rest} bytes")
@@ -366,7 +380,7 @@ def walk(path: Path) -> Iterator[Record]:
                     raise RecordError(f"{path}: damaged: the checksum of the data up to byte {offset} does not match")
                 checksum = 0
             elif opcode == FOOTER:
-                if length != 20 or not _footer_sound(content, checksum) or stream.read() != MAGIC:
+                if length != 20 or not footer_sound(content, checksum) or stream.read() != MAGIC:
                     raise RecordError(
                         f"{path}: damaged: checksum or end of the summary at byte {offset} does not match"
                     )
@@ -375,34 +389,4 @@ def walk(path: Path) -> Iterator[Record]:
             else:
                 checksum = zlib.crc32(content, zlib.crc32(frame, checksum))
             yield Record(offset, opcode, content)
-            offset += _FRAME.size + length
-
-
-def resume(path: Path, offset: int) -> Iterator[Record]:
-    """Find whole chunks after a damaged place, by the pattern of their header.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    offset : int
-        Where the walk ended [bytes].
-
-    Yields
-    ------
-    Record
-        Records with opcode CHUNK; the caller's `unpack_chunk` decides whether they are sound.
-    """
-    mark = b"\x04\x00\x00\x00zstd"
-    lead = _FRAME.size + _CHUNK.size
-    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        at = data.find(mark, offset + lead)
-        while at >= 0:
-            start = at - lead
-            opcode, length = _FRAME.unpack_from(data, start)
-            end = start + _FRAME.size + length
-            if opcode == CHUNK and end <= len(data):
-                yield Record(start, CHUNK, data[start + _FRAME.size : end])
-                at = data.find(mark, end)
-            else:
-                at = data.find(mark, at + 1)
+            offset += FRAME.size + length

@@ -31,7 +31,9 @@ PROFILE = "haptic-nodes"
 MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = "manifest", "launch_file", "parameters", "versions"
 """Names of the metadata records."""
 
-_LATEST = 2**64 - 1
+_LATEST = 1.8e10
+"""Latest time that 64 bits of nanoseconds hold [s], rounded down."""
+
 _PACKAGES = ("haptic-nodes", "mcap", "msgspec", "pyzmq", "zstandard")
 
 
@@ -282,9 +284,9 @@ class RecordWriter:
         try:
             self._writer.add_message(
                 channel,
-                min(max(round(log_time_s * 1e9), 0), _LATEST),
+                round(min(max(log_time_s, 0.0), _LATEST) * 1e9),
                 self._encode(message),
-                min(max(round(message.stamp * 1e9), 0), _LATEST),
+                round(min(max(message.stamp, 0.0), _LATEST) * 1e9),
                 message.seq & 0xFFFFFFFF,
             )
         except RecordError:

@@ -6,6 +6,9 @@ damaged place the search goes on for the next whole chunk.
 
 from __future__ import annotations
 
+import mmap
+import struct
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,7 +16,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from nodes import mcapfile
-from nodes.mcapfile import Channel, RawMessage, Record, Schema
+from nodes.mcapfile import FRAME, Channel, RawMessage, Record, Schema
 from nodes.record import Output, RecordError, mcap_writer, versions
 from nodes.recording import RECOVERY
 
@@ -46,19 +49,56 @@ def _opened(path: Path, record: Record, problems: list[str]) -> list[Record]:
         return []
 
 
+def _summary(data: mmap.mmap) -> Iterator[Record]:
+    """Find the records of the summary from the footer at the end of the file; none when that is not sound either."""
+    footer = len(data) - len(mcapfile.MAGIC) - 20
+    end = footer - FRAME.size
+    if end < 0 or data[end:footer] != FRAME.pack(mcapfile.FOOTER, 20):
+        return
+    (offset,) = struct.unpack_from("<Q", data, footer)
+    if offset > end or not mcapfile.footer_sound(data[footer : footer + 20], zlib.crc32(data[offset:end])):
+        return
+    while offset + FRAME.size <= end:
+        opcode, length = FRAME.unpack_from(data, offset)
+        start = offset + FRAME.size
+        yield Record(offset, opcode, data[start : start + length])
+        offset = start + length
+
+
+def _resume(path: Path, offset: int) -> Iterator[Record]:
+    """Find what is whole after a damaged place: the summary, which repeats schemas and channels, and further chunks.
+
+    Chunks are found by the pattern of their header; whether they are sound is for `mcapfile.unpack_chunk` to say.
+    """
+    mark = b"\x04\x00\x00\x00zstd"
+    lead = FRAME.size + mcapfile.CHUNK_HEAD.size
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        yield from _summary(data)
+        at = data.find(mark, offset + lead)
+        while at >= 0:
+            start = at - lead
+            opcode, length = FRAME.unpack_from(data, start)
+            end = start + FRAME.size + length
+            if opcode == mcapfile.CHUNK and end <= len(data):
+                yield Record(start, mcapfile.CHUNK, data[start + FRAME.size : end])
+                at = data.find(mark, end)
+            else:
+                at = data.find(mark, at + 1)
+
+
 def _salvage(path: Path, problems: list[str]) -> Iterator[Record]:
     """Go through every sound record, the summary's repeats included; note whatever is not."""
     offset = 0
     try:
         for record in mcapfile.walk(path):
             yield from _opened(path, record, problems)
-            offset = record.offset + mcapfile.FRAME_SIZE + len(record.content)
+            offset = record.offset + FRAME.size + len(record.content)
         return
     except RecordError as error:
         if offset == 0:
             raise
         problems.append(str(error))
-    for record in mcapfile.resume(path, offset):
+    for record in _resume(path, offset):
         yield from _opened(path, record, problems)
 
 
