@@ -11,10 +11,14 @@ import argparse
 from sim.verbs.dispatch import dispatch
 
 STUDIES: dict[str, str] = {
+    "analyse": "sim.verbs.study_analyse",
+    "design": "sim.verbs.study_design",
     "failures": "sim.verbs.study_failures",
     "fig2": "sim.verbs.study_fig2",
     "fig3": "sim.verbs.study_fig3",
     "fig4": "sim.verbs.study_fig4",
+    "kmax": "sim.verbs.study_kmax",
+    "optimise": "sim.verbs.study_optimise",
 }
 
 

@@ -1,0 +1,135 @@
+"""Largest stable stiffness of a law on a known device: closed form, pole radius or simulation; with a range, its chart."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+from nodes.cli import UsageError, answer
+from sim.boundary import Device, KMax, k_max, without_spring
+from sim.verbs import arguments as shared
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument("--law", default="pd", help="kind, preset or YAML mapping (default: %(default)s)")
+    parser.add_argument("--gain", type=shared.interval, help="damping gain of the law; LOW..HIGH draws the boundary")
+    parser.add_argument("--points", type=int, default=41, help="points of a range of gains (default: %(default)s)")
+    parser.add_argument(
+        "--method", choices=("closed_form", "pole_radius"), help="default: the closed form where there is one"
+    )
+    shared.add_law(parser)
+    shared.add_device(parser)
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Find K_max, or its boundary over a range of gains.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0; 1 when no stiffness is stable.
+
+    Raises
+    ------
+    UsageError
+        When the law or the method cannot be had.
+    """
+    device, period = shared.device(arguments), 1.0 / arguments.rate
+    if arguments.gain is not None and arguments.gain[0] < arguments.gain[1]:
+        return _boundary(arguments, device, period)
+    gain = None if arguments.gain is None else arguments.gain[0]
+    found = _k_max(arguments, gain, device, period)
+    stable = [[low, high if math.isfinite(high) else None] for low, high in found.stable]
+    figures = _figures(found) | {"stable_n_per_m": stable}
+    if found.k_max_n_per_m is None:
+        answer(arguments.json, figures, "no stiffness is stable: lower the gain, the delay or the order")
+        return 1
+    if not math.isfinite(found.k_max_n_per_m):
+        answer(arguments.json, figures, "every stiffness that was looked at is stable: there is no K_max")
+        return 0
+    text = (
+        f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\n"
+        f"H(1)_max {found.h1_max_n_per_m:.6g} N/m (felt)\n"
+        f"method   {found.method}"
+    )
+    answer(arguments.json, figures, text)
+    return 0
+
+
+def _k_max(arguments: argparse.Namespace, gain: float | None, device: Device, period: float) -> KMax:
+    law = shared.law(arguments, arguments.law, gain)
+    try:
+        return k_max(without_spring(law, period), period, device, arguments.method)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def _figures(found: KMax) -> dict[str, Any]:
+    # JSON has no infinity: without a limit the figure is null, and the stable interval is open.
+    bounded = found.k_max_n_per_m is not None and math.isfinite(found.k_max_n_per_m)
+    return {
+        "k_max_n_per_m": found.k_max_n_per_m if bounded else None,
+        "h1_max_n_per_m": found.h1_max_n_per_m if bounded else None,
+        "method": found.method,
+    }
+
+
+def _boundary(arguments: argparse.Namespace, device: Device, period: float) -> int:
+    low, high = arguments.gain
+    if arguments.points < 2:
+        raise UsageError(f"--points {arguments.points}: a range needs at least 2")
+    gains = [low + (high - low) * i / (arguments.points - 1) for i in range(arguments.points)]
+    points = [{"gain": gain, **_figures(_k_max(arguments, gain, device, period))} for gain in gains]
+    stable = [point for point in points if point["k_max_n_per_m"] is not None]
+    if not stable:
+        answer(arguments.json, {"points": points, "plot": None}, "no stiffness is stable anywhere in this range")
+        return 1
+    best = max(stable, key=lambda point: float(point["h1_max_n_per_m"]))
+    plot = _draw(arguments, points)
+    lines = ["      gain     K_max N/m   H(1)_max N/m"]
+    for point in points:
+        k, h1 = point["k_max_n_per_m"], point["h1_max_n_per_m"]
+        lines.append(
+            f"{point['gain']:10.4g}  {'-' if k is None else f'{k:.6g}':>12}  {'-' if h1 is None else f'{h1:.6g}':>12}"
+        )
+    lines.append(f"stiffest: gain {best['gain']:.4g}, H(1) {best['h1_max_n_per_m']:.6g} N/m\n{plot}")
+    figures = {**{key: best[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")}, "gain": best["gain"]}
+    answer(arguments.json, {**figures, "points": points, "plot": str(plot)}, "\n".join(lines))
+    return 0
+
+
+def _draw(arguments: argparse.Namespace, points: list[dict[str, Any]]) -> Path:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.add_subplot(xlabel="gain B [N s/m]", ylabel="stiffness [N/m]")
+    gains = [point["gain"] for point in points]
+    for key, label, style in (("k_max_n_per_m", "nominal K", "--"), ("h1_max_n_per_m", "felt, H(1)", "-")):
+        axes.plot(gains, [float("nan") if point[key] is None else point[key] for point in points], style, label=label)
+    axes.set_title(
+        f"Stability boundary: {arguments.law}, m = {arguments.mass:g} kg, b = {arguments.damping:g} N s/m, "
+        f"d = {arguments.delay:g}, {arguments.rate:g} Hz",
+        fontsize=9,
+    )
+    axes.legend()
+    axes.grid(alpha=0.3)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    path: Path = arguments.out / "kmax.png"
+    figure.savefig(path, dpi=150)
+    return path
