@@ -271,7 +271,8 @@ def record(run: RunInfo, path: str, topics: list[str], duration: float, overwrit
             until = time.monotonic() + duration if duration else float("inf")
             while not ended and time.monotonic() < until and alive(run.launcher):
                 recorder.take(100)
-            if not ended:
+            # While the run lives there is no end to wait for.
+            if not alive(run.launcher):
                 recorder.drain()
             return recorder.recorded
     finally:

@@ -49,7 +49,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--out", "-o", type=Path, metavar="FILE", help="file to write (default: SCENARIO-DATE.mcap here)"
     )
     record.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
-    record.add_argument("--duration", type=_positive, metavar="S", help="stop after so many seconds")
+    record.add_argument("--duration", type=_positive, default=0.0, metavar="S", help="stop after so many seconds")
 
     info = declare("info", _info, "Tell what a recording holds: topics, messages, gaps in seq, sent against recorded.")
     info.add_argument("file", type=Path)
@@ -102,14 +102,21 @@ def _free(out: Path, force: bool) -> Path:
 
 
 def _record(arguments: argparse.Namespace) -> int:
-    from nodes import logger
+    import os
+
+    from nodes.logger import record
     from nodes.runs import RunError, find_run
 
     try:
         run = find_run(arguments.run_name)
     except RunError as error:
         raise UsageError(str(error)) from error
-    return logger.record(run, arguments.out, arguments.topics, arguments.duration)
+    # Several recorders beside one launch each get a file of their own.
+    out = _free(arguments.out or Path("recordings") / f"{run.run}-{os.getpid()}.mcap", arguments.force)
+    print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
+    count = record(run, str(out), arguments.topics, arguments.duration, arguments.force)
+    answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
+    return 0
 
 
 def _info_text(recording: Recording) -> str:
