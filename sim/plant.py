@@ -167,7 +167,8 @@ def halt_time(x: float, v: float, u: float, direction: float, mass: float, dampi
     squared = s * s - stiffness / mass
     if squared < 0.0:
         root = math.sqrt(-squared)
-        return math.atan2(root * speed, -w) / root
+        # From rest the next zero is half a period away, whatever the rounding of w says.
+        return (math.atan2(root * speed, -w) if speed > 0.0 else math.pi) / root
     root = math.sqrt(squared)
     if speed <= 0.0 or -w <= root * speed:
         return math.inf
