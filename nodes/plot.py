@@ -103,7 +103,8 @@ def _draw_force(axes: Axes, state: Arrays, force: Arrays | None, axis: int, star
     named: set[str] = set()
     for low, high in pairwise(changes):
         kind = str(safety[low])
-        if kind == "active":
+        # Waiting for the first force is how every run begins.
+        if kind in ("active", "waiting"):
             continue
         label = None if kind in named else f"safety: {kind}"
         named.add(kind)
@@ -172,29 +173,24 @@ def _draw_receipts(panels: list[Axes], recording: Recording, force: Arrays | Non
             )
 
 
-def title(recording: Recording, summary: Summary) -> tuple[str, str]:
-    """Write the two lines above a plot.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    summary : Summary
-        Its figures.
-
-    Returns
-    -------
-    tuple of str
-        Scenario, and the run in one line.
-    """
+def _title(
+    recording: Recording, summary: Summary, state: Arrays, proxy: Arrays | None, force: Arrays | None
+) -> tuple[str, str]:
+    """Name the scenario, and tell the run in one line."""
     pace = recording.manifest.get("pace", "")
     share = 100.0 * summary.missed / summary.ticks if summary.ticks else 0.0
-    parts = [f"{summary.ticks} ticks at {summary.rate_hz:.6g} Hz" + (f", {pace}" if pace else "")]
-    parts.append(f"missed {summary.missed} ({share:.2g} %)")
+    axis = main_axis(proxy, state["position"])
     gaps = sum(figures.gaps for figures in recording.topics.values())
+    laws = [] if force is None else [name for name in dict.fromkeys(force["law"].tolist()) if name]
     whole = "complete" if recording.complete else "cut"
-    parts.append(f"recording {whole}, " + (f"{gaps} gaps" if gaps else "no gap"))
-    return recording.manifest.get("scenario", recording.path.stem), "   ·   ".join(parts)
+    parts = [
+        f"{summary.ticks} ticks at {summary.rate_hz:.6g} Hz" + (f", {pace}" if pace else ""),
+        *(["law " + ", ".join(laws[:4])] if laws else []),
+        f"missed {summary.missed} ({share:.2g} %)",
+        f"ends at {summary.position_m[axis] * 1e3:.4g} mm, {summary.force_n[axis]:.4g} N".replace("-", "−"),
+        f"recording {whole}, " + (f"{gaps} gaps" if gaps else "no gap"),
+    ]
+    return recording.manifest.get("scenario", recording.path.stem), "  ·  ".join(parts)
 
 
 def draw(recording: Recording) -> bytes:
@@ -248,7 +244,7 @@ def draw(recording: Recording) -> bytes:
         axes.margins(x=0.01)
     panels[-1].set_xlabel("time [s]" if realtime else "simulated time [s]")
     figure.align_ylabels(panels)
-    scenario, line = title(recording, summary)
+    scenario, line = _title(recording, summary, state, proxy, force)
     # Texts of a file are texts: a $ in a scenario's name is no formula.
     panels[0].set_title(scenario, fontsize=14, fontweight="bold", loc="left", pad=36, parse_math=False)
     panels[0].annotate(

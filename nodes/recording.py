@@ -133,6 +133,8 @@ class Recording:
         Whether its writer finished it; False for the file of a killed logger.
     cut : str
         Where it was cut; empty for a complete file.
+    first_log : float
+        First receipt, on the clock of the recording host [s].
     wall_duration : float
         Time from the first to the last receipt [s].
 
@@ -148,6 +150,7 @@ class Recording:
         self.metadata: dict[str, dict[str, str]] = {}
         self.complete = False
         self.cut = ""
+        self.first_log = 0.0
         self.wall_duration = 0.0
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
@@ -212,7 +215,9 @@ class Recording:
                     self.complete = True
         except CutError as error:
             self.cut = str(error)
-        self.wall_duration = max(last_log - first_log, 0) / _NANO
+        if self.topics:
+            self.first_log = first_log / _NANO
+            self.wall_duration = (last_log - first_log) / _NANO
 
     def _count(self, raw: RawMessage, offset: int) -> None:
         channel = self._channels.get(raw.channel)

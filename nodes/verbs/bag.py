@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import sys
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -121,9 +123,13 @@ def _record(arguments: argparse.Namespace) -> int:
 
 def _info_text(recording: Recording) -> str:
     lines = [str(recording.path)]
-    for name in ("scenario", "run", "pace", "rate", "started"):
-        if name in recording.manifest:
-            lines.append(f"  {name:9} {recording.manifest[name]}")
+    facts = dict(recording.manifest)
+    with contextlib.suppress(KeyError, ValueError, OverflowError):
+        begin = recording.first_log + float(facts["wall_minus_monotonic_s"])
+        facts["started"] = datetime.fromtimestamp(begin).astimezone().isoformat(" ", "seconds")
+    for name in ("scenario", "run", "started", "host", "pace", "rate_hz"):
+        if name in facts:
+            lines.append(f"  {name:9} {facts[name]}")
     lines.append(f"  {'duration':9} {recording.duration:.6g} s (recorded in {recording.wall_duration:.6g} s)")
     lines.append(f"  {'state':9} {'complete' if recording.complete else recording.cut}")
     width = max(map(len, recording.topics), default=5)
