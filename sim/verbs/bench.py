@@ -1,0 +1,27 @@
+"""Measure the project's speed: one sub-verb per question, ratios taken in one run.
+
+A benchmark is a module of sim.verbs with the same shape as a verb: its docstring's first line is its help, ``add(parser)``
+declares its arguments and sets ``run``. Only the one asked for is imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from sim.verbs.dispatch import dispatch
+
+BENCHMARKS: dict[str, str] = {
+    "loop": "sim.verbs.bench_loop",
+    "listeners": "sim.verbs.bench_listeners",
+}
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the benchmarks.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb ``bench``.
+    """
+    dispatch(parser, BENCHMARKS, "benchmark")
