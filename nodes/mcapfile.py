@@ -380,10 +380,11 @@ def walk(path: Path) -> Iterator[Record]:
                     raise RecordError(f"{path}: damaged: the checksum of the data up to byte {offset} does not match")
                 checksum = 0
             elif opcode == FOOTER:
-                if length != 20 or not footer_sound(content, checksum) or stream.read() != MAGIC:
-                    raise RecordError(
-                        f"{path}: damaged: checksum or end of the summary at byte {offset} does not match"
-                    )
+                tail = stream.read()
+                if tail != MAGIC and MAGIC.startswith(tail):
+                    raise CutError(f"{path}: cut at byte {offset}, in its very last bytes")
+                if length != 20 or not footer_sound(content, checksum) or tail != MAGIC:
+                    raise RecordError(f"{path}: damaged: the summary before byte {offset} or the end does not match")
                 yield Record(offset, opcode, content)
                 return
             else:

@@ -1,11 +1,12 @@
 """Rewrite the file of a killed logger into a complete one, and tell what was saved and what was lost.
 
-Messages are copied as they stand, byte for byte. Chunks whose checksum does not match are left out and told; after a
-damaged place the search goes on for the next whole chunk.
+Messages are copied as they stand, byte for byte. Chunks whose checksum does not match are left out and told; whatever is
+damaged around them, all chunks that are sound are found.
 """
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 import struct
 import zlib
@@ -38,17 +39,6 @@ class Recovered(msgspec.Struct):
     problems: list[str]
 
 
-def _opened(path: Path, record: Record, problems: list[str]) -> list[Record]:
-    """Unpack a record that is a chunk; note a damaged one and leave it out."""
-    if record.opcode != mcapfile.CHUNK:
-        return [record]
-    try:
-        return mcapfile.unpack_chunk(path, record)
-    except RecordError as error:
-        problems.append(str(error))
-        return []
-
-
 def _summary(data: mmap.mmap) -> Iterator[Record]:
     """Find the records of the summary from the footer at the end of the file; none when that is not sound either."""
     footer = len(data) - len(mcapfile.MAGIC) - 20
@@ -65,41 +55,55 @@ def _summary(data: mmap.mmap) -> Iterator[Record]:
         offset = start + length
 
 
-def _resume(path: Path, offset: int) -> Iterator[Record]:
-    """Find what is whole after a damaged place: the summary, which repeats schemas and channels, and further chunks.
+def _search(path: Path) -> Iterator[Record]:
+    """Find what is sound wherever it stands: the summary, which repeats schemas and channels, then every chunk.
 
-    Chunks are found by the pattern of their header; whether they are sound is for `mcapfile.unpack_chunk` to say.
+    Chunks are found by the pattern of their header and believed by their checksum. Following the lengths instead would
+    lose all that a damaged length strides over.
     """
     mark = b"\x04\x00\x00\x00zstd"
     lead = FRAME.size + mcapfile.CHUNK_HEAD.size
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         yield from _summary(data)
-        at = data.find(mark, offset + lead)
+        at = data.find(mark, lead)
         while at >= 0:
             start = at - lead
             opcode, length = FRAME.unpack_from(data, start)
             end = start + FRAME.size + length
+            following = at + 1
             if opcode == mcapfile.CHUNK and end <= len(data):
-                yield Record(start, mcapfile.CHUNK, data[start + FRAME.size : end])
-                at = data.find(mark, end)
-            else:
-                at = data.find(mark, at + 1)
+                with contextlib.suppress(RecordError):
+                    yield from mcapfile.unpack_chunk(path, Record(start, opcode, data[start + FRAME.size : end]))
+                    following = end
+            at = data.find(mark, following)
 
 
-def _salvage(path: Path, problems: list[str]) -> Iterator[Record]:
-    """Go through every sound record, the summary's repeats included; note whatever is not."""
-    offset = 0
+def _problems(path: Path) -> list[str]:
+    """Tell all that is wrong with a file; nothing when it is complete and sound."""
+    found = []
     try:
         for record in mcapfile.walk(path):
-            yield from _opened(path, record, problems)
-            offset = record.offset + FRAME.size + len(record.content)
-        return
+            if record.opcode == mcapfile.CHUNK:
+                try:
+                    mcapfile.unpack_chunk(path, record)
+                except RecordError as error:
+                    found.append(str(error))
     except RecordError as error:
-        if offset == 0:
-            raise
-        problems.append(str(error))
-    for record in _resume(path, offset):
-        yield from _opened(path, record, problems)
+        found.append(str(error))
+    return found
+
+
+def _salvage(path: Path, sound: bool) -> Iterator[Record]:
+    """Go through all that can be believed, chunks unpacked."""
+    # In a file that is not sound, records outside chunks have no checksum; metadata are taken while the walk goes well.
+    with contextlib.nullcontext() if sound else contextlib.suppress(RecordError):
+        for record in mcapfile.walk(path):
+            if record.opcode == mcapfile.CHUNK and sound:
+                yield from mcapfile.unpack_chunk(path, record)
+            elif sound or record.opcode == mcapfile.METADATA:
+                yield record
+    if not sound:
+        yield from _search(path)
 
 
 def _sound(parse: Callable[[Path, Record], T], path: Path, record: Record, problems: list[str]) -> T | None:
@@ -167,12 +171,15 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
         when the disk is full.
     """
     path, out = Path(path), Path(out)
-    problems: list[str] = []
+    problems = _problems(path)
+    sound = not problems
+    if not path.is_file() or not path.stat().st_size:
+        raise RecordError(problems[0])
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     messages = 0
     # A first pass for the channels: where the chunk that registers one is lost, the summary may still name it.
-    for record in _salvage(path, problems):
+    for record in _salvage(path, sound):
         if record.opcode == mcapfile.SCHEMA and (schema := _sound(mcapfile.parse_schema, path, record, problems)):
             schemas.setdefault(schema.number, schema)
         elif record.opcode == mcapfile.CHANNEL and (channel := _sound(mcapfile.parse_channel, path, record, problems)):
@@ -185,8 +192,7 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
     output = Output(out, overwrite)
     try:
         copy = _Copy(mcap_writer(output, f"haptic-nodes {versions()['haptic-nodes']}"), schemas, channels)
-        # The second pass meets the same unsound chunks again: they are noted already.
-        for record in _salvage(path, []):
+        for record in _salvage(path, sound):
             if record.opcode == mcapfile.MESSAGE and (raw := _sound(mcapfile.parse_message, path, record, problems)):
                 copy.message(raw)
             elif record.opcode == mcapfile.METADATA and (
