@@ -25,12 +25,31 @@ if TYPE_CHECKING:
 POINTS = 4000
 """Longest line that is drawn as it is; longer ones keep the extremes of each stretch."""
 
-_BLUE, _ORANGE, _GREY, _RED, _GREEN = "#1f5fa8", "#d9730d", "#8a8f98", "#c0262d", "#2b8a57"
+COLORS = {
+    "device": "#1f5fa8",
+    "asked": "#d9730d",
+    "surface": "#8a8f98",
+    "late": "#c0262d",
+    "switch": "#2b8a57",
+}
+"""What each colour of a plot stands for."""
+
 _SAFETY = {"ramp": "#e8d9a0", "damping": "#f2b48a", "zero": "#e58c8c", "fault": "#c0262d"}
 
 
-def _thin(time: Array, value: Array) -> tuple[Array, Array]:
-    """Keep the smallest and the largest value of each stretch, so that no spike is lost."""
+def thin(time: Array, value: Array) -> tuple[Array, Array]:
+    """Keep the smallest and the largest value of each stretch of a long line, so that no spike is lost.
+
+    Parameters
+    ----------
+    time, value : numpy.ndarray, shape (N,)
+        The line.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        At most POINTS of its points, in their order.
+    """
     import numpy as np
 
     if len(value) <= POINTS:
@@ -66,7 +85,7 @@ def main_axis(proxy: Arrays | None, position: Array) -> int:
 
 
 def _line(axes: Axes, time: Array, value: Array, color: str, label: str, **style: Any) -> None:
-    axes.plot(*_thin(time, value), color=color, label=label, **{"lw": 1.2, **style})
+    axes.plot(*thin(time, value), color=color, label=label, **{"lw": 1.2, **style})
 
 
 def _draw_position(axes: Axes, state: Arrays, proxy: Arrays | None, axis: int, start: float) -> None:
@@ -78,13 +97,13 @@ def _draw_position(axes: Axes, state: Arrays, proxy: Arrays | None, axis: int, s
         faced = normal != 0.0
         if faced.any():
             surface = (proxy["position"][:, axis] - proxy["distance"] * normal)[faced] * 1e3
-            at, level = _thin(time[faced], surface)
-            axes.plot(at, level, color=_GREY, lw=1.5, label="surface")
+            at, level = thin(time[faced], surface)
+            axes.plot(at, level, color=COLORS["surface"], lw=1.5, label="surface")
             reach = np.ptp(state["position"][:, axis]) * 1e3 + 1e-3
-            axes.fill_between(at, level, level - normal[faced][0] * reach, color=_GREY, alpha=0.18, lw=0)
-        _line(axes, time, proxy["proxy"][:, axis] * 1e3, _ORANGE, "proxy", ls="--")
+            axes.fill_between(at, level, level - normal[faced][0] * reach, color=COLORS["surface"], alpha=0.18, lw=0)
+        _line(axes, time, proxy["proxy"][:, axis] * 1e3, COLORS["asked"], "proxy", ls="--")
     position = state["position"][:, axis] * 1e3
-    _line(axes, state["stamp"] - start, position, _BLUE, "device")
+    _line(axes, state["stamp"] - start, position, COLORS["device"], "device")
     margin = 0.06 * float(np.ptp(position)) or 1.0
     axes.set_ylim(float(position.min()) - margin, float(position.max()) + margin)
     axes.set_ylabel(f"position {'xyz'[axis]} [mm]")
@@ -92,10 +111,10 @@ def _draw_position(axes: Axes, state: Arrays, proxy: Arrays | None, axis: int, s
 
 def _draw_force(axes: Axes, state: Arrays, force: Arrays | None, axis: int, start: float) -> None:
     if force is not None:
-        _line(axes, force["stamp"] - start, force["force"][:, axis], _ORANGE, "law", lw=0.9)
+        _line(axes, force["stamp"] - start, force["force"][:, axis], COLORS["asked"], "law", lw=0.9)
     # A state tells the force handed over when the tick before it closed.
     handed = state["force"][1:, axis]
-    _line(axes, state["stamp"][:-1] - start, handed, _BLUE, "after limits", drawstyle="steps-post")
+    _line(axes, state["stamp"][:-1] - start, handed, COLORS["device"], "after limits", drawstyle="steps-post")
     axes.set_ylabel(f"force {'xyz'[axis]} [N]")
     time = state["stamp"] - start
     safety = state["safety"]
@@ -109,12 +128,12 @@ def _draw_force(axes: Axes, state: Arrays, force: Arrays | None, axis: int, star
         label = None if kind in named else f"safety: {kind}"
         named.add(kind)
         end = time[min(high, len(time) - 1)]
-        axes.axvspan(time[low], end, color=_SAFETY.get(kind, _GREY), alpha=0.4, lw=0, label=label)
+        axes.axvspan(time[low], end, color=_SAFETY.get(kind, COLORS["surface"]), alpha=0.4, lw=0, label=label)
 
 
 def _draw_energy(axes: Axes, state: Arrays, start: float) -> None:
-    axes.axhline(0.0, color=_GREY, lw=0.8)
-    _line(axes, state["stamp"] - start, state["energy"] * 1e3, _BLUE, "given out by the virtual side")
+    axes.axhline(0.0, color=COLORS["surface"], lw=0.8)
+    _line(axes, state["stamp"] - start, state["energy"] * 1e3, COLORS["device"], "given out by the virtual side")
     axes.set_ylabel("energy [mJ]")
 
 
@@ -127,7 +146,7 @@ def _draw_response(axes: Axes, state: Arrays, summary: Summary, realtime: bool, 
     answered = response > 0.0
     told = summary.response_us
     label = f"p50 {told['p50']:.0f}, p99 {told['p99']:.0f}, max {told['max']:.0f} µs" if told else "no tick answered"
-    axes.plot(time[answered], response[answered], ".", ms=1.6, color=_BLUE, label=label, rasterized=True)
+    axes.plot(time[answered], response[answered], ".", ms=1.6, color=COLORS["device"], label=label, rasterized=True)
     axes.set_ylabel("response [µs]")
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -139,10 +158,10 @@ def _draw_response(axes: Axes, state: Arrays, summary: Summary, realtime: bool, 
         axes.set_ylim(0.7 * min(shown), 1.4 * max(shown))
     if not period:
         return
-    axes.axhline(period, color=_RED, lw=1.0, ls="--", label=f"period {period:.0f} µs")
+    axes.axhline(period, color=COLORS["late"], lw=1.0, ls="--", label=f"period {period:.0f} µs")
     late = (state["missed"][1:] > state["missed"][:-1]).nonzero()[0]
     if len(late):
-        axes.plot(time[late], [period] * len(late), "v", ms=5, color=_RED, label=f"missed ({summary.missed})")
+        axes.plot(time[late], [period] * len(late), "v", ms=5, color=COLORS["late"], label=f"missed ({summary.missed})")
 
 
 def _draw_receipts(panels: list[Axes], recording: Recording, force: Arrays | None, start: float) -> None:
@@ -150,7 +169,7 @@ def _draw_receipts(panels: list[Axes], recording: Recording, force: Arrays | Non
     import numpy as np
 
     for number, receipt in enumerate(recording.messages(RECEIPT)):
-        color = {"switch": _GREEN, "fallback": _RED}.get(receipt.action, _GREY)
+        color = {"switch": COLORS["switch"], "fallback": COLORS["late"]}.get(receipt.action, COLORS["surface"])
         for axes in panels:
             axes.axvline(receipt.stamp - start, color=color, lw=1.0, ls=":")
         name = receipt.action

@@ -193,9 +193,9 @@ def _play(arguments: argparse.Namespace) -> int:
     context = new_context()
     try:
         publisher = Publisher(context, arguments.endpoint)
-    except zmq.ZMQError as error:
+    except (ValueError, zmq.ZMQError) as error:
         context.term()
-        raise UsageError(f"--endpoint {arguments.endpoint}: {error.strerror}") from error
+        raise UsageError(f"--endpoint: {error}") from error
     try:
         print(f"publishing on {arguments.endpoint}; Ctrl-C ends", file=sys.stderr, flush=True)
         while arguments.wait and not publisher.listeners():
