@@ -1,0 +1,272 @@
+"""Loop rate and delay on the chart, through the real processes: error of the rendered force, and stiffness that settles.
+
+Each point is a launch of its own: four processes, real time, the force measured from the recording. The reference is
+the same drop on a continuous spring and damper (the one-process loop at 200 kHz, without delay). A stiffness counts
+as stable when the dropped device comes to rest; it is looked for downwards from what the pole radius at the
+*measured* delay says.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from nodes.launchfile import find
+from nodes.laws.pd import PD
+from nodes.recording import Recording
+from sim.boundary import Device, k_max, without_spring
+from sim.chart import Detail, Group, Point
+from sim.loop import Scene, Surface, run
+from sim.plant import DeviceModel
+
+RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
+APPLY = ("on_arrival", "next_tick")
+MASS, DAMPING, HEIGHT, GRAVITY = 0.1, 1.0, 0.01, 9.81
+STIFFNESS, GAIN = 400.0, 3.0
+_SECONDS = 1.0
+_TRIES = (1.1, 0.9, 0.7, 0.5)
+_FINE = 200_000.0
+
+
+class LaunchFailedError(RuntimeError):
+    """A launch of the chart ended in an error; the text has its last words."""
+
+
+@dataclass(frozen=True)
+class Launched:
+    """What a launch rendered.
+
+    Attributes
+    ----------
+    figures : dict
+        Answer of ``haptic launch --json``.
+    onset : ndarray, shape (n,)
+        When each force took effect, from tick 0 on [s].
+    force : ndarray, shape (n,)
+        The forces [N].
+    height : ndarray, shape (n,)
+        Measured height at the ticks [m].
+    delay : float
+        Median delay between a sample and the effect of its force [ticks].
+    """
+
+    figures: dict[str, Any]
+    onset: NDArray[np.float64]
+    force: NDArray[np.float64]
+    height: NDArray[np.float64]
+    delay: float
+
+
+def launch(rate: float, apply: str, stiffness: float) -> Launched:
+    """Drop the device through the real processes.
+
+    Parameters
+    ----------
+    rate : float
+        Rate of the loop [Hz].
+    apply : str
+        ``on_arrival`` or ``next_tick``.
+    stiffness : float
+        K of the floor [N/m].
+
+    Returns
+    -------
+    Launched
+        Forces and heights from the recording.
+
+    Raises
+    ------
+    LaunchFailedError
+        When the launch ends with an error.
+    """
+    values = {
+        "rate": rate,
+        "apply": apply,
+        "pace": "realtime",
+        "duration": _SECONDS,
+        "stiffness": stiffness,
+        "damping": GAIN,
+        "mass": MASS,
+        "height": HEIGHT,
+    }
+    with tempfile.TemporaryDirectory(prefix="haptic-chart-") as folder:
+        scenario = Path(folder) / "floor_drop.yaml"
+        scenario.write_text(yaml.safe_dump(_with_one_law(), sort_keys=False))
+        command = [sys.executable, "-m", "nodes.cli", "launch", str(scenario), "--no-plot", "--json"]
+        done = subprocess.run(
+            [*command, *(f"{name}:={value}" for name, value in values.items())],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != 0 or not done.stdout.strip():
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            raise LaunchFailedError(f"haptic launch floor_drop rate:={rate:g} apply:={apply}: {last}")
+        figures: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+        states = Recording(Path(folder) / figures["recording"]).arrays("/device/state")
+    period = 1.0 / rate
+    seq, answered = states["seq"], states["force_seq"]
+    fresh = np.flatnonzero((answered >= 0) & np.append(True, np.diff(answered) > 0))
+    late = states["delay"][fresh]
+    return Launched(
+        figures=figures,
+        onset=np.asarray((answered[fresh] + late) * period, dtype=np.float64),
+        force=np.asarray(states["force"][fresh, 2], dtype=np.float64),
+        height=np.asarray(states["position"][np.argsort(seq), 2], dtype=np.float64),
+        delay=float(np.median(late)),
+    )
+
+
+def _with_one_law() -> dict[str, Any]:
+    """Read the shipped drop and leave PD only: others would be refused at some of these rates and stiffnesses."""
+    scenario: dict[str, Any] = yaml.safe_load(find("floor_drop").read_text())
+    coupling = scenario["nodes"]["coupling"]["parameters"]
+    coupling["laws"] = {"pd": coupling["laws"]["pd"]}
+    return scenario
+
+
+def continuous(stiffness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Drop the device on a floor without sampling, near enough.
+
+    Parameters
+    ----------
+    stiffness : float
+        K of the floor [N/m].
+
+    Returns
+    -------
+    tuple of ndarray, shapes (n,) and (n,)
+        Time [s] and force [N].
+    """
+    device = DeviceModel(mass=MASS, damping=DAMPING, gravity=GRAVITY, position=HEIGHT)
+    scene = Scene(device=device, surface=Surface("plane"), period=1.0 / _FINE, raw=False, clamp=True)
+    trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), round(_SECONDS * _FINE))
+    return trace.time, trace.force
+
+
+def force_error(
+    onset: NDArray[np.float64], force: NDArray[np.float64], time: NDArray[np.float64], wanted: NDArray[np.float64]
+) -> float:
+    """Compare a force held between its onsets with a continuous one.
+
+    Parameters
+    ----------
+    onset, force : ndarray, shape (n,)
+        When each force took effect [s], and the forces [N].
+    time, wanted : ndarray, shape (m,)
+        The reference.
+
+    Returns
+    -------
+    float
+        Root mean square of the difference over that of the reference.
+    """
+    order = np.argsort(onset, kind="stable")
+    index = np.searchsorted(onset[order], time, side="right") - 1
+    held = np.where(index >= 0, force[order][np.maximum(index, 0)], 0.0)
+    return float(np.sqrt(np.mean((held - wanted) ** 2) / np.mean(wanted**2)))
+
+
+def settles(height: NDArray[np.float64]) -> bool:
+    """Tell whether a drop came to rest.
+
+    Parameters
+    ----------
+    height : ndarray, shape (n,)
+        Height at the ticks [m].
+
+    Returns
+    -------
+    bool
+        Whether the swing in the last fifth is below a tenth of the height of the drop.
+    """
+    end = height[-max(2, len(height) // 5) :]
+    return bool(np.isfinite(end).all() and np.ptp(end) < 0.1 * HEIGHT)
+
+
+def rate_groups(step: Callable[[str], None]) -> list[Group]:
+    """Measure all rates and delays.
+
+    Parameters
+    ----------
+    step : callable
+        Told after every piece of work, `rate_steps` times in all.
+
+    Returns
+    -------
+    list of Group
+        Force and stiffness.
+    """
+    time, wanted = continuous(STIFFNESS)
+    points: list[tuple[str, float, float, str, dict[str, Detail]]] = []
+    for apply in APPLY:
+        for rate in RATES:
+            name = f"{rate:g} Hz {apply}"
+            first = launch(rate, apply, STIFFNESS)
+            period = 1.0 / rate
+            law = without_spring(PD(stiffness=1.0, damping=GAIN), period)
+            limit = k_max(law, period, Device(MASS, DAMPING, first.delay)).k_max_n_per_m or 0.0
+            stable = next(
+                (f * limit for f in _TRIES if settles(launch(rate, apply, f * limit).height)),
+                0.0,
+            )
+            cpu = sum(first.figures["nodes"][node]["cpu"] for node in ("driver", "environment", "coupling"))
+            detail: dict[str, Detail] = {
+                "rate_hz": rate,
+                "delay_ticks": first.delay,
+                "delay_us": 1e6 * first.delay * period,
+                "missed": int(first.figures["missed"]),
+                "ticks": int(first.figures["ticks"]),
+                "response_us_p99": float(first.figures["response_us"]["p99"]),
+                "cpu_s": float(cpu),
+                "force_error": force_error(first.onset, first.force, time, wanted),
+                "k_max_n_per_m": limit,
+                "k_settled_n_per_m": stable,
+            }
+            points.append((name, rate, stable, apply, detail))
+            step(f"launch at {name}")
+    best = max(stable for _, _, stable, _, _ in points) or 1.0
+    note = (
+        f"{1e3 * MASS:g} g dropped {1e3 * HEIGHT:g} mm on K = {STIFFNESS:g} N/m, B = {GAIN:g} N s/m, four processes in "
+        "real time; one launch per point and up to four more for the stiffness."
+    )
+    return [
+        Group(
+            "rate_force",
+            "Loop rate: force",
+            "rate of the loop [Hz]",
+            "error of the rendered force against a continuous floor (rms)",
+            tuple(Point(name, rate, float(d["force_error"] or 0.0), family, d) for name, rate, _, family, d in points),
+            note,
+        ),
+        Group(
+            "rate_stiffness",
+            "Loop rate: stiffness that settles",
+            "rate of the loop [Hz]",
+            f"stiffness lost against the best, {best:.0f} N/m",
+            tuple(Point(name, rate, 1.0 - stable / best, family, d) for name, rate, stable, family, d in points),
+            f"{note} Tried at 110, 90, 70 and 50 % of what the pole radius at the measured delay allows.",
+        ),
+    ]
+
+
+def rate_steps() -> int:
+    """Count the pieces of work of `rate_groups`.
+
+    Returns
+    -------
+    int
+        How often it reports.
+    """
+    return len(RATES) * len(APPLY)
