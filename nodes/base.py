@@ -7,6 +7,7 @@ two ticks, and what it wants published goes through an outbox that is emptied af
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import resource
@@ -41,13 +42,14 @@ class Change:
     Parameters
     ----------
     apply : callable
-        Called on the main thread with the tick number; its return value goes back to whoever asked.
+        Called on the main thread with the tick number; its return value, or what it raises, goes back to whoever asked.
     """
 
     def __init__(self, apply: Callable[[int], Any]) -> None:
         self._apply = apply
         self._done = threading.Event()
         self._result: Any = None
+        self._error: Exception | None = None
 
     def run(self, seq: int) -> None:
         """Apply it (main thread).
@@ -57,16 +59,29 @@ class Change:
         seq : int
             Tick number at which it takes effect.
         """
-        self._result = self._apply(seq)
+        try:
+            self._result = self._apply(seq)
+        except Exception as error:  # noqa: BLE001  # a change that fails must not end the loop; whoever asked is told
+            self._error = error
         self._done.set()
 
-    def wait(self, timeout: float) -> Any:
+    def wait(self, timeout: float | None) -> bool:
         """Wait until it was applied (control thread).
 
         Parameters
         ----------
-        timeout : float
-            Longest wait [s].
+        timeout : float or None
+            Longest wait [s]; None waits as long as it takes.
+
+        Returns
+        -------
+        bool
+            Whether it was.
+        """
+        return self._done.wait(timeout)
+
+    def result(self) -> Any:
+        """Give what came of it (control thread, after `wait`).
 
         Returns
         -------
@@ -75,11 +90,11 @@ class Change:
 
         Raises
         ------
-        ParameterError
-            When the main thread did not take it up in time.
+        Exception
+            What the change raised.
         """
-        if not self._done.wait(timeout):
-            raise ParameterError(f"not taken up by the loop within {timeout:g} s; is the node being stopped?")
+        if self._error is not None:
+            raise self._error
         return self._result
 
 
@@ -110,12 +125,11 @@ class Node:
         self.stop_reason = ""
         self.stopping = False
         self.started = threading.Event()
-        self.change: Change | None = None
+        self._changes: deque[Change] = deque()
         self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
         self.seq = 0
         self.ticks = self.sent = self.received = self.refused = self.skipped = self.gaps = 0
         self._told: dict[str, int] = {}
-        self._change_lock = threading.Lock()
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -232,8 +246,8 @@ class Node:
         """
         print(f"[{self.setup.name}] {text}", file=sys.stderr, flush=True)
 
-    def tell(self, kind: str, reason: str) -> None:
-        """Publish an event and say it; repeats of one kind are said at powers of two only.
+    def tell(self, kind: str, reason: str, always: bool = False) -> None:
+        """Publish an event and say it; repeats of one kind at powers of two only.
 
         Parameters
         ----------
@@ -241,11 +255,15 @@ class Node:
             Kind of event.
         reason : str
             One sentence with value and limit.
+        always : bool
+            Whether repeats are published all the same; said they are at powers of two even then.
         """
         count = self._told[kind] = self._told.get(kind, 0) + 1
-        if count & (count - 1) == 0:
+        seldom = count & (count - 1) == 0
+        if seldom:
             repeat = f" ({count} times)" if count > 1 else ""
             self.say(f"{kind}: {reason}{repeat}")
+        if seldom or always:
             message = Event(seq=self.seq, stamp=self.now(), node=self.setup.name, kind=kind, reason=reason[:4000])
             self.post(topics.event(self.setup.name), message)
 
@@ -306,10 +324,9 @@ class Node:
         seq : int
             The tick at which a change takes effect.
         """
-        change = self.change
-        if change is not None:
-            self.change = None
-            change.run(seq)
+        if self._changes:
+            with contextlib.suppress(IndexError):  # withdrawn at this very moment
+                self._changes.popleft().run(seq)
         if self.outbox:
             self.flush_outbox()
 
@@ -327,28 +344,65 @@ class Node:
         -------
         object
             What `apply` returned.
-        """
-        with self._change_lock:
-            change = Change(apply)
-            self.change = change
-            return change.wait(timeout)
 
-    def change_parameters(self, parameters: Any) -> Any:
-        """Check, prepare and apply new parameters, all or nothing (control thread).
+        Raises
+        ------
+        ParameterError
+            When the loop did not take it up in time; it is withdrawn then, and will not be applied later.
+        """
+        change = Change(apply)
+        self._changes.append(change)
+        deadline = time.monotonic() + timeout
+        while not change.wait(0.05):
+            if time.monotonic() < deadline and self.state not in ("finished", "failed"):
+                continue
+            try:
+                self._changes.remove(change)
+            except ValueError:
+                # Taken up just now: it is being applied.
+                change.wait(None)
+            else:
+                raise ParameterError(
+                    f"{self.setup.name}: not taken up by the loop within {timeout:g} s; nothing was changed; is the node stopping?"
+                )
+        return change.result()
+
+    def change_parameters(self, make: Callable[[], Any]) -> Any:
+        """Make, check, prepare and apply new parameters, all or nothing (control thread).
+
+        Should the parameters change in between (a scheduled swap), all is made again from the newer ones.
 
         Parameters
         ----------
-        parameters : msgspec.Struct
-            The node's parameters after the change.
+        make : callable
+            Makes the node's parameters after the change from those in `store`.
 
         Returns
         -------
         object
             The receipt of the change.
+
+        Raises
+        ------
+        ParameterError
+            When they are refused, or the loop does not take them up.
         """
-        receipt = self.hand_over(self.prepare(parameters))
-        self.store.accept(parameters)
-        return receipt
+        while True:
+            base = self.store.current
+            parameters = make()
+            receipt = self.hand_over(self._unless_changed(base, parameters, self.prepare(parameters)))
+            if receipt is not None:
+                return receipt
+
+    def _unless_changed(self, base: Any, parameters: Any, apply: Callable[[int], Any]) -> Callable[[int], Any]:
+        def at_tick(seq: int) -> Any:
+            if self.store.current is not base:
+                return None
+            receipt = apply(seq)
+            self.store.accept(parameters)
+            return receipt
+
+        return at_tick
 
     def status(self) -> NodeStatus:
         """Describe the node now.
@@ -403,6 +457,8 @@ class Node:
 
         signal.signal(signal.SIGINT, self._on_signal)
         signal.signal(signal.SIGTERM, self._on_signal)
+        # Sent when somebody opens a watched file that is being read under a lease; its default is to end the process.
+        signal.signal(signal.SIGIO, signal.SIG_IGN)
         refused = realtime.apply(self.setup.scheduling)
         try:
             self.configure()

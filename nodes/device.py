@@ -7,11 +7,14 @@ closes. A real one wraps its vendor's library; the virtual one is sim/driver.py.
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import msgspec
 
 from messages.types import Vector
+
+Bounds: TypeAlias = tuple[float, float]
+Workspace: TypeAlias = tuple[Bounds, Bounds, Bounds]
 
 
 class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
@@ -23,13 +26,19 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
         Largest force on any axis [N].
     continuous_force : float
         Largest root-mean-square force over the thermal time [N].
+    slew : float
+        Fastest change of force on any axis [N/s].
+    silence : float
+        Longest time without a fresh force, and oldest force: bounds the driver's watchdog [s].
     workspace : tuple of tuple of float, shape (3, 2)
         Smallest and largest coordinate of each axis [m].
     """
 
     peak_force: float = math.inf
     continuous_force: float = math.inf
-    workspace: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] = (
+    slew: float = math.inf
+    silence: float = math.inf
+    workspace: Workspace = (
         (-math.inf, math.inf),
         (-math.inf, math.inf),
         (-math.inf, math.inf),

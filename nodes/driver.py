@@ -22,8 +22,9 @@ from messages.types import ZERO, DeviceState, Force, Vector
 from nodes import realtime
 from nodes.base import IDLE_MS, Node
 from nodes.device import Device
+from nodes.parameters import ParameterError, convert
 from nodes.safety import Safety, SafetyParameters
-from nodes.setup import AXIS_INDEX
+from nodes.setup import AXIS_INDEX, Setup
 from nodes.timing import ResponseTimes
 
 ASK_AGAIN = 0.5
@@ -45,12 +46,67 @@ class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     safety: SafetyParameters = SafetyParameters()
 
 
+class _Split:
+    """Mean force of one tick, split where the measured arrivals changed it.
+
+    Between two samples the device is taken to move evenly; with one force per tick nothing is assumed.
+    """
+
+    def __init__(self, at_start: Vector, fixed: Vector | None) -> None:
+        # Under ``next_tick`` what arrives now acts later: the tick's force is known at its start.
+        self._fixed = fixed
+        self._now = at_start
+        self._since = 0.0
+        self._sum = [0.0, 0.0, 0.0]
+
+    def change(self, force: Vector, offset: float) -> None:
+        """Let a force take effect at a place in the tick."""
+        self._add(offset)
+        self._now = force
+
+    def _add(self, offset: float) -> None:
+        share, now, total = offset - self._since, self._now, self._sum
+        if share > 0.0:
+            for i in range(3):
+                total[i] += share * now[i]
+            self._since = offset
+
+    def mean(self) -> list[float]:
+        """Give the mean of the tick [N]."""
+        if self._fixed is not None:
+            return list(self._fixed)
+        self._add(1.0)
+        return self._sum
+
+
 class Driver(Node):
     """Base of the drivers: a kind of device defines `make_device` and adds its own parameters."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Check the workspace before anything is started.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        workspace = convert(setup.parameters, cls.Parameters, setup.name).safety.workspace
+        for axis, (low, high) in enumerate(workspace or ()):
+            if not low < high:
+                raise ParameterError(
+                    f"{setup.name}.safety.workspace[{axis}]: {low:g} to {high:g} m, expected low to high: outside it there "
+                    "is no force"
+                )
 
     def make_device(self) -> Device:
         """Make the device from the parameters; do not open it yet.
@@ -66,10 +122,20 @@ class Driver(Node):
         """Make the device and its safety."""
         self._device = self.make_device()
         self._axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
-        self._safety = Safety(self.store.current.safety, self._device.limits, self.setup.period, self._axes, self.tell)
-        self._opened = False
+        self._safety = Safety(
+            self.store.current.safety,
+            self._device.limits,
+            self.setup.period,
+            self._axes,
+            self._tell_safety,
+            f"{self.setup.name}.safety",
+        )
+        self._open = False
+        self._soft_stop_ticks = 0
         self._position: Vector = ZERO
         self._before: Vector = ZERO
+        # Mean force since the sample before: what acted, exact under zero-order hold.
+        self._acting: list[float] = [0.0, 0.0, 0.0]
         self._response = self._lateness = self._delay = self._energy = 0.0
         self._age = self._missed = self._overruns = 0
         self._responses = ResponseTimes()
@@ -77,6 +143,10 @@ class Driver(Node):
         self._oldest_age = 0
         self._first_stamp = self._last_stamp = 0.0
         self._complete = False
+
+    def _tell_safety(self, kind: str, reason: str) -> None:
+        # Every change of state is published, whatever else happened; refusals by the thousand are not.
+        self.tell(kind, reason, always=kind == "safety")
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the launcher's status line asks for.
@@ -116,7 +186,8 @@ class Driver(Node):
             "missed": self._missed,
             "overruns": self._overruns,
             "answered": self._responses.count,
-            "forces_refused": self._safety.refused,
+            "forces_refused": sum(self._safety.refused.values()),
+            "safety": {**self._safety.summary(), "soft_stop_ticks": self._soft_stop_ticks},
             "rate_hz": (self.seq - self._first_seq) / span if span > 0.0 else 0.0,
             "response_us": self._responses.summary_us(),
             "age_ticks_max": self._oldest_age,
@@ -129,14 +200,16 @@ class Driver(Node):
     def _sample(self, seq: int, stamp: float) -> None:
         """Sample the device and publish its state, with the report of the tick before."""
         position = self._device.read_position(seq)
-        self._before, before = self._position, self._position
-        self._position = position
         safety = self._safety
-        force = safety.force
+        self._held = 1
+        before = self._before = self._position
+        if not safety.watch_position(position, seq):
+            position = before
+        self._position = position
+        force, acting = safety.force, self._acting
         if self.ticks:
             for i in self._axes:
-                self._energy += force[i] * (position[i] - before[i])
-        safety.watch_position(position, seq)
+                self._energy += acting[i] * (position[i] - before[i])
         self.seq = seq
         self.publisher.send(
             self._topic,
@@ -171,8 +244,9 @@ class Driver(Node):
         self._expected = topics.FORCE.encode()
         self._decoder = Decoder(Force)
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        # Set first: a device that failed half-way is closed too.
+        self._open = True
         self._device.open()
-        self._opened = True
         self.started.wait()
         self.state = "running"
         self._first_seq = 0
@@ -182,7 +256,7 @@ class Driver(Node):
                 self._lockstep(end)
             else:
                 self._realtime(end)
-            self._complete = self.ticks >= end - self._first_seq
+            self._complete = self.seq >= end
             if self._complete:
                 self.stop("done")
 
@@ -193,6 +267,7 @@ class Driver(Node):
         late = 1 if self.setup.apply == "next_tick" else 0
         self._first_stamp = time.monotonic()
         seq = 0
+        acting = ZERO
         while seq < end and not self.stopping:
             self._sample(seq, seq * period)
             sent = asked = time.monotonic()
@@ -208,7 +283,10 @@ class Driver(Node):
                 force = self.take(self._decoder, frames, self._expected)
                 if force is not None and force.seq == seq and safety.admit(force, seq):
                     self._answered(time.monotonic() - sent)
-                    device.write_force(safety.command(force, seq), seq + late, 0.0)
+                    command = safety.command(force.force, seq, seq)
+                    device.write_force(command, seq + late, 0.0)
+                    self._acting = list(acting if late else command)
+                    acting = command
                     self.ticks += 1
                     self._delay = float(late)
                     seq += 1
@@ -238,6 +316,7 @@ class Driver(Node):
         next_tick = self.setup.apply == "next_tick"
         epoch = self._epoch()
         seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
+        acting = ZERO
         while seq < end and not self.stopping:
             deadline = epoch + seq * period
             now = realtime.sleep_until(deadline)
@@ -246,6 +325,7 @@ class Driver(Node):
                 # The driver itself was held up: the ticks that are over cannot be sampled any more, only counted.
                 lost = min(int(late / period), end - seq)
                 self._overruns += lost
+                self._hold(lost)
                 seq += lost
                 self._lateness = late
                 continue
@@ -257,6 +337,7 @@ class Driver(Node):
             following = deadline + period
             self._age = seq - safety.force_seq if safety.force_seq >= 0 else 0
             answered = False
+            split = _Split(safety.force, acting if next_tick else None)
             while not answered:
                 frames = inbox.receive_until(following)
                 if frames is None:
@@ -265,19 +346,23 @@ class Driver(Node):
                 force = self.take(self._decoder, frames, self._expected)
                 if force is None or not safety.admit(force, seq):
                     self.skipped += 1
-                    continue
-                answered = force.seq == seq
-                self._age = seq - force.seq
-                offset = min(max((arrival - deadline) / period, 0.0), 1.0)
-                command = safety.command(force, seq)
-                if next_tick:
-                    device.write_force(command, seq + 1, 0.0)
-                    self._delay = 1.0 + self._age
-                else:
-                    device.write_force(command, seq, offset)
-                    self._delay = offset + self._age
-                if answered:
-                    self._answered(arrival - sent)
+                elif arrival < following:
+                    answered = force.seq == seq
+                    self._age = seq - force.seq
+                    offset = min(max((arrival - deadline) / period, 0.0), 1.0)
+                    command = safety.command(force.force, force.seq, seq)
+                    if next_tick:
+                        device.write_force(command, seq + 1, 0.0)
+                        self._delay = 1.0 + self._age
+                    else:
+                        device.write_force(command, seq, offset)
+                        split.change(command, offset)
+                        self._delay = offset + self._age
+                    if answered:
+                        self._answered(arrival - sent)
+                if arrival >= following:
+                    # Whoever floods the topic must not keep the driver from its next tick.
+                    break
             if self._age > self._oldest_age:
                 self._oldest_age = self._age
             if not answered:
@@ -286,6 +371,8 @@ class Driver(Node):
                 command_now = safety.missed(seq, self._velocity())
                 if command_now is not None:
                     device.write_force(command_now, seq + 1, 0.0)
+            self._acting = split.mean()
+            acting = safety.force
             self.ticks += 1
             seq += 1
             self.between_ticks(seq)
@@ -302,14 +389,22 @@ class Driver(Node):
             (now[2] - before[2]) / period,
         )
 
+    def _hold(self, lost: int) -> None:
+        """Take into the mean force that the last one was held during ticks that were left out."""
+        held, already = self._safety.force, self._held
+        for i in self._axes:
+            self._acting[i] = (self._acting[i] * already + held[i] * lost) / (already + lost)
+        self._held += lost
+
     def finish(self) -> None:
         """Bring the force down to zero and close the device, on every way out."""
-        if not self._opened:
+        if not self._open:
             return
-        self._opened = False
+        self._open = False
         try:
             start = time.monotonic()
             for n, force in enumerate(self._safety.soft_stop(), 1):
+                self._soft_stop_ticks = n
                 self._device.write_force(force, self.seq + n - 1, 0.0)
                 if self.setup.pace == "realtime":
                     realtime.sleep_until(start + n * self.setup.period)

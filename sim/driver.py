@@ -44,7 +44,7 @@ class TimedDevice:
         self._lockstep = setup.pace == "lockstep"
         self._delay = model.delay
         self._device = VirtualDevice(model, setup.period, self._lockstep and setup.apply == "next_tick")
-        self._tick = 0
+        self._tick = -1
         self._acting = 0.0
         # Commanded forces that have not taken effect: when, in ticks since tick 0, and what.
         self._pending: deque[tuple[float, float]] = deque()
@@ -71,6 +71,9 @@ class TimedDevice:
             Measured position [m].
         """
         if not self._lockstep:
+            if self._tick < 0:
+                # Respawned, or started late: the device is put there now, it was not falling all the time.
+                self._tick = self._device.ticks = seq
             while self._tick < seq:
                 self._pass_tick()
         vector = [0.0, 0.0, 0.0]

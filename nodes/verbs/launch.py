@@ -146,6 +146,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "response_us": driver.get("response_us", {}),
         "age_ticks_max": driver.get("age_ticks_max", 0),
         "energy_j": driver.get("energy_j", 0.0),
+        "safety": driver.get("safety", {}),
         "recording": recordings[0] if recordings else None,
         "recordings": recordings,
         "plot": None,
@@ -157,6 +158,18 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         },
         "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
     }
+
+
+def _safety_text(safety: dict[str, Any]) -> list[str]:
+    """Lines about what the driver's safety did; none for a run in which it had nothing to do."""
+    counts = [f"{number} refused ({why})" for why, number in safety.get("refused", {}).items() if number]
+    counts += [f"{number} lowered ({which})" for which, number in safety.get("limited", {}).items() if number]
+    reasons = safety.get("reasons", [])
+    # The first force is no news.
+    changes = [reason for reason in reasons if not reason.startswith("waiting → active")]
+    lines = [f"  safety    forces {', '.join(counts)}"] if counts else []
+    lines += [f"  safety    {text}" for text in (*safety.get("told", []), *changes)]
+    return lines
 
 
 def _text(launch: Launch, figures: dict[str, Any]) -> str:
@@ -171,6 +184,7 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
             f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
             f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs"
         )
+    lines += _safety_text(figures["safety"])
     final = figures["final"]
     if isinstance(final["position_m"], float):
         lines.append(f"  at rest   position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N")
