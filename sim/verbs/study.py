@@ -13,6 +13,7 @@ from sim.verbs.dispatch import dispatch
 STUDIES: dict[str, str] = {
     "analyse": "sim.verbs.study_analyse",
     "design": "sim.verbs.study_design",
+    "chart": "sim.verbs.study_chart",
     "failures": "sim.verbs.study_failures",
     "fig2": "sim.verbs.study_fig2",
     "fig3": "sim.verbs.study_fig3",
