@@ -112,6 +112,8 @@ class Node:
         The struct of the node's parameters.
     publishes, listens_to : tuple of str
         The loop topics that the kind binds and takes; ``"*"`` listens to everything.
+    serving : int
+        Counts each beginning and each end of the control thread's work: odd while it works.
     """
 
     Parameters: ClassVar[type[msgspec.Struct]] = msgspec.Struct
@@ -129,6 +131,7 @@ class Node:
         self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
         self.seq = 0
         self.ticks = self.sent = self.received = self.refused = self.skipped = self.gaps = 0
+        self.serving = 0
         self._told: dict[str, int] = {}
 
     @classmethod
@@ -264,8 +267,24 @@ class Node:
             repeat = f" ({count} times)" if count > 1 else ""
             self.say(f"{kind}: {reason}{repeat}")
         if seldom or always:
-            message = Event(seq=self.seq, stamp=self.now(), node=self.setup.name, kind=kind, reason=reason[:4000])
-            self.post(topics.event(self.setup.name), message)
+            self._post_event(kind, reason)
+
+    def announce(self, kind: str, reason: str) -> None:
+        """Publish an event and say it, however often: for what people do, which cannot come in every tick.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of event.
+        reason : str
+            One sentence with value and limit.
+        """
+        self.say(f"{kind}: {reason}")
+        self._post_event(kind, reason)
+
+    def _post_event(self, kind: str, reason: str) -> None:
+        message = Event(seq=self.seq, stamp=self.now(), node=self.setup.name, kind=kind, reason=reason[:4000])
+        self.post(topics.event(self.setup.name), message)
 
     def post(self, topic: str, message: Message) -> None:
         """Queue a message that is not part of the tick; it leaves after the tick's own.
@@ -367,7 +386,9 @@ class Node:
                 )
         return change.result()
 
-    def change_parameters(self, make: Callable[[], Any]) -> Any:
+    def change_parameters(
+        self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None
+    ) -> Any:
         """Make, check, prepare and apply new parameters, all or nothing (control thread).
 
         Should the parameters change in between (a scheduled swap), all is made again from the newer ones.
@@ -376,6 +397,8 @@ class Node:
         ----------
         make : callable
             Makes the node's parameters after the change from those in `store`.
+        prepare : callable, optional
+            Used in place of the method `prepare`.
 
         Returns
         -------
@@ -390,7 +413,8 @@ class Node:
         while True:
             base = self.store.current
             parameters = make()
-            receipt = self.hand_over(self._unless_changed(base, parameters, self.prepare(parameters)))
+            apply = (prepare or self.prepare)(parameters)
+            receipt = self.hand_over(self._unless_changed(base, parameters, apply))
             if receipt is not None:
                 return receipt
 

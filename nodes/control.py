@@ -1,11 +1,12 @@
 """The second thread of a node: serves control requests, writes the status, watches the parameter file.
 
 It is the only thread that may take its time. It never touches the loop's sockets: what must be published goes through the
-node's outbox, what must change is handed over between two ticks.
+node's outbox, what must change is handed over between two ticks. Whatever a request provokes, it goes on serving.
 """
 
 from __future__ import annotations
 
+import inspect
 import threading
 import time
 from collections.abc import Callable
@@ -18,7 +19,8 @@ from messages import topics
 from messages.codec import MessageRefusedError
 from messages.control import Reply, decode_request
 from messages.sockets import remove_ipc
-from nodes.parameters import ParameterError, WatchedFile
+from nodes.parameters import ParameterError
+from nodes.yamlfile import WatchedFile
 
 if TYPE_CHECKING:
     from messages.sockets import Context
@@ -48,17 +50,16 @@ class ControlServer(threading.Thread):
         self._socket.bind(node.setup.control)
         self._socket.rcvtimeo = int(WATCH_PERIOD * 1000)
         self._watched = WatchedFile(node.setup.watch) if node.setup.watch else None
-        store = node.store
         self._operations: dict[str, Callable[..., Any]] = {
             "status": lambda: msgspec.to_builtins(node.status()),
             "info": self._info,
             "start": self._start,
             "stop": lambda: node.stop("stop requested"),
-            "param.list": store.flat,
-            "param.get": store.get,
-            "param.set": lambda values: node.change_parameters(store.changed(values)),
-            "param.dump": store.dump,
-            "param.load": lambda values: node.change_parameters(store.replaced(values)),
+            "param.list": node.store.flat,
+            "param.get": lambda name: node.store.get(name),
+            "param.set": lambda values: node.change_parameters(lambda: node.store.changed(values)),
+            "param.dump": node.store.dump,
+            "param.load": lambda values: node.change_parameters(lambda: node.store.merged(values)),
             **node.operations(),
         }
 
@@ -75,51 +76,69 @@ class ControlServer(threading.Thread):
     def _start(self) -> None:
         self._node.started.set()
 
-    def _answer(self, payload: bytes) -> Reply:
+    def _answer(self, frames: list[bytes]) -> Reply:
+        name = self._node.setup.name
         try:
-            request = decode_request(payload)
+            request = decode_request(frames)
         except MessageRefusedError as error:
             self._node.refused += 1
-            return Reply(False, error=f"{self._node.setup.name}: {error}")
+            return Reply(False, error=f"{name}: {error}")
         operation = self._operations.get(request.op)
         if operation is None:
             known = ", ".join(sorted(self._operations))
-            return Reply(False, error=f"{self._node.setup.name}: unknown operation {request.op!r}; known: {known}")
+            return Reply(False, error=f"{name}: unknown operation {request.op!r}; known: {known}")
+        try:
+            inspect.signature(operation).bind(**request.args)
+        except TypeError as error:
+            return Reply(False, error=f"{name}: {request.op}: {error}"[:4000])
         try:
             return Reply(True, operation(**request.args))
-        except (ParameterError, ValueError, TypeError) as error:
-            return Reply(False, error=f"{error}"[:4000])
+        except ParameterError as error:
+            return Reply(False, error=str(error)[:4000])
+        except Exception as error:  # noqa: BLE001  # e.g. what a law of another package raises while it is compiled
+            return Reply(False, error=f"{name}: {request.op}: {type(error).__name__}: {error}"[:4000])
+
+    def _serve(self) -> None:
+        try:
+            frames = self._socket.recv_multipart()
+        except zmq.Again:
+            return
+        node = self._node
+        node.serving += 1
+        reply = self._answer(frames)
+        try:
+            encoded = msgspec.msgpack.encode(reply)
+        except (TypeError, OverflowError, RecursionError) as error:
+            encoded = msgspec.msgpack.encode(Reply(False, error=f"{node.setup.name}: unsendable result: {error}"))
+        self._socket.send(encoded)
+        node.serving += 1
 
     def run(self) -> None:
         """Serve until stopped."""
-        next_status = 0.0
+        next_status = next_watch = 0.0
         while not self._ending.is_set():
-            try:
-                payload = self._socket.recv()
-            except zmq.Again:
-                payload = None
-            if payload is not None:
-                reply = self._answer(payload)
-                try:
-                    self._socket.send(msgspec.msgpack.encode(reply))
-                except (TypeError, msgspec.ValidationError) as error:
-                    self._socket.send(msgspec.msgpack.encode(Reply(False, error=f"unsendable result: {error}")))
-            if self._watched is not None:
+            self._serve()
+            now = time.monotonic()
+            if self._watched is not None and now >= next_watch:
+                next_watch = now + WATCH_PERIOD
                 self._poll_file(self._watched)
-            if time.monotonic() >= next_status:
-                next_status = time.monotonic() + STATUS_PERIOD
+            if now >= next_status:
+                next_status = now + STATUS_PERIOD
                 self._node.post(topics.status(self._node.setup.name), self._node.status())
         self._socket.close(linger=100)
 
     def _poll_file(self, watched: WatchedFile) -> None:
         node = self._node
+        node.serving += 1
         try:
             values = watched.poll()
-            if values is not None:
-                receipt = node.change_parameters(node.store.replaced(values))
+            if values is not None and node.store.merged(values) != node.store.current:
+                receipt = node.change_parameters(lambda: node.store.merged(values))
                 node.say(f"applied {watched.path}: {receipt}")
-        except (ParameterError, ValueError) as error:
-            node.tell("refused", f"{watched.path}: {error}; the running parameters are untouched")
+        except Exception as error:  # noqa: BLE001  # as for requests: refused, told, and served on
+            kind = "" if isinstance(error, ParameterError) else f"{type(error).__name__}: "
+            node.announce("refused", f"{watched.path}: {kind}{error}; the running parameters are untouched")
+        node.serving += 1
 
     def stop(self) -> None:
         """Stop serving and wait for the thread."""

@@ -15,8 +15,9 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from nodes.parameters import ParameterError, convert, parse_yaml, read_yaml
+from nodes.parameters import ParameterError, convert, merge, of_node
 from nodes.setup import Apply, Axis, Pace
+from nodes.yamlfile import parse_yaml, read_yaml
 
 NODE_GROUP = "haptic.nodes"
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
@@ -357,9 +358,5 @@ def read(name: str, given: Mapping[str, Any]) -> Launch:
 def _watched(node: str, spec: NodeSpec, where: str) -> dict[str, Any]:
     if not Path(spec.watch).is_file():
         raise ParameterError(f"{where}.watch: {spec.watch}: no such file; write one with haptic param dump {node}")
-    content = read_yaml(spec.watch)
-    if isinstance(content, dict) and set(content) == {node}:
-        content = content[node]
-    if not isinstance(content, dict):
-        raise ParameterError(f"{spec.watch}: expected the parameters of {node}, got {content!r}")
-    return {**spec.parameters, **content}
+    merged: dict[str, Any] = merge(spec.parameters, of_node(read_yaml(spec.watch), node))
+    return merged

@@ -1,4 +1,4 @@
-"""A node's parameters: one typed tree, read from YAML, addressed by dotted paths, changed all or nothing.
+"""A node's parameters: one typed tree, addressed by paths such as ``laws.pd.stiffness``, changed all or nothing.
 
 The struct that types the tree is the only place where names, types, limits and defaults are written; the YAML reader, the
 command line and the control requests all go through it, so an error always carries the path, the value and the limit.
@@ -6,110 +6,20 @@ command line and the control requests all go through it, so an error always carr
 
 from __future__ import annotations
 
-import fcntl
-import os
+import math
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import msgspec
-import yaml
 
-MAX_YAML_BYTES = 1_000_000
-MAX_YAML_DEPTH = 32
+_PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d+\])*")
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+_AT = re.compile(r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<path>.*)`)?$", re.DOTALL)
 
 
 class ParameterError(ValueError):
     """A parameter that cannot be taken; the text names node, path, value, limit and remedy."""
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe YAML without aliases (they allow exponential bombs), without duplicate keys, with 1e3 as a number."""
-
-    depth = 0
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.events.AliasEvent):
-            raise yaml.YAMLError(f"aliases are not accepted{self.peek_event().start_mark}")
-        self.depth += 1
-        if self.depth > MAX_YAML_DEPTH:
-            raise yaml.YAMLError(f"nested deeper than {MAX_YAML_DEPTH}{self.peek_event().start_mark}")
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
-        for key, _ in node.value:
-            name = self.construct_object(key, deep=True)
-            if not isinstance(name, str):
-                raise yaml.YAMLError(f"key {name!r} is not text{key.start_mark}")
-            if name in seen:
-                raise yaml.YAMLError(f"{name!r} stands twice{key.start_mark}")
-            seen.add(name)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d[\d_]*\.[\d_]*|\.\d[\d_]*|\d[\d_]*)([eE][-+]?\d+)?$|^[-+]?\.(inf|Inf|INF)$|^\.(nan|NaN|NAN)$"),
-    list("-+0123456789."),
-)
-
-
-def parse_yaml(text: str, source: str) -> Any:
-    """Read one YAML document, bounded in size and depth.
-
-    Parameters
-    ----------
-    text : str
-        The document.
-    source : str
-        Where it came from, for errors.
-
-    Returns
-    -------
-    object
-        Builtins.
-
-    Raises
-    ------
-    ParameterError
-        When it is not YAML, too long, too deep, or uses aliases or duplicate keys.
-    """
-    if len(text) > MAX_YAML_BYTES:
-        raise ParameterError(f"{source}: {len(text)} characters, limit {MAX_YAML_BYTES}")
-    try:
-        # _Loader is a SafeLoader: it constructs builtins only.
-        return yaml.load(text, Loader=_Loader)  # noqa: S506
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise ParameterError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
-
-
-def read_yaml(path: str | os.PathLike[str]) -> Any:
-    """Read a YAML file.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-
-    Returns
-    -------
-    object
-        Builtins.
-
-    Raises
-    ------
-    ParameterError
-        When it cannot be read or parsed.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{path}: {error}") from error
-    return parse_yaml(text, str(path))
 
 
 def convert(data: Any, target: Any, where: str) -> Any:
@@ -134,35 +44,83 @@ def convert(data: Any, target: Any, where: str) -> Any:
     ParameterError
         With the path, the value where it helps, and the limit.
     """
-    try:
-        made = msgspec.convert(data, target)
-    except msgspec.ValidationError as error:
-        reason, _, path = str(error).partition(" - at `$")
-        spot = where + path.rstrip("`")
-        value = _look_up(data, path.rstrip("`"))
-        raise ParameterError(f"{spot}: {reason}{'' if value is None else f', got {value!r}'}") from error
     _refuse_non_finite(data, where)
-    return made
+    try:
+        return msgspec.convert(data, target)
+    except (msgspec.ValidationError, OverflowError) as error:
+        match = _AT.match(str(error))
+        reason, path = (match["reason"], match["path"] or "") if match else (str(error), "")
+        value = _look_up(data, path)
+        shown = "" if value is None else f", got {value!r}"
+        raise ParameterError(f"{where}{path}: {reason.replace('`', '')}{shown}") from error
 
 
 def _look_up(data: Any, path: str) -> Any:
-    for name, index in re.findall(r"\.([^.\[\]]+)|\[(\d+)\]", path):
+    for name, index in _STEP.findall(path):
         try:
             data = data[name] if name else data[int(index)]
         except (KeyError, IndexError, TypeError):
             return None
-    return data if isinstance(data, (str, int, float, bool)) else None
+    return data if isinstance(data, str | int | float | bool) else None
 
 
 def _refuse_non_finite(data: Any, where: str) -> None:
-    if isinstance(data, float) and not (data - data == 0.0):
+    if isinstance(data, float) and not math.isfinite(data):
         raise ParameterError(f"{where}: {data} is not a finite number")
     if isinstance(data, Mapping):
         for key, value in data.items():
             _refuse_non_finite(value, f"{where}.{key}")
-    elif isinstance(data, (list, tuple)):
+    elif isinstance(data, list | tuple):
         for i, value in enumerate(data):
             _refuse_non_finite(value, f"{where}[{i}]")
+
+
+def merge(base: Any, over: Any) -> Any:
+    """Lay a partial tree over a whole one.
+
+    Parameters
+    ----------
+    base, over : object
+        Builtins. Mappings are merged name by name, everything else is replaced; a mapping that names another ``kind``
+        replaces the one that is there, whose parameters would not fit it.
+
+    Returns
+    -------
+    object
+        A new tree; neither argument is changed.
+    """
+    if not (isinstance(base, Mapping) and isinstance(over, Mapping)):
+        return over
+    if "kind" in over and over["kind"] != base.get("kind", over["kind"]):
+        return dict(over)
+    return {**base, **{key: merge(base.get(key), value) for key, value in over.items()}}
+
+
+def of_node(tree: Any, node: str) -> Any:
+    """Take a top level of just the node's name off a tree, as files have it.
+
+    Parameters
+    ----------
+    tree : object
+        What a file holds.
+    node : str
+        Name of the node.
+
+    Returns
+    -------
+    dict
+        The node's parameters.
+
+    Raises
+    ------
+    ParameterError
+        When it is not a mapping.
+    """
+    if isinstance(tree, Mapping) and set(tree) == {node}:
+        tree = tree[node]
+    if not isinstance(tree, Mapping):
+        raise ParameterError(f"{node}: expected a mapping of parameters, got {str(tree)[:100]!r}")
+    return dict(tree)
 
 
 class ParameterStore:
@@ -176,6 +134,11 @@ class ParameterStore:
         Struct of the node's parameters.
     data : mapping
         Their values as builtins.
+
+    Attributes
+    ----------
+    current : msgspec.Struct
+        The parameters now.
     """
 
     def __init__(self, node: str, target: type[msgspec.Struct], data: Mapping[str, Any]) -> None:
@@ -194,7 +157,7 @@ class ParameterStore:
         self.current = parameters
 
     def dump(self) -> dict[str, Any]:
-        """Give all parameters, as `replaced` and a launch file take them.
+        """Give all parameters, as `merged` and a launch file take them.
 
         Returns
         -------
@@ -205,12 +168,12 @@ class ParameterStore:
         return built
 
     def flat(self) -> dict[str, Any]:
-        """List all parameters by dotted path.
+        """List all parameters by path.
 
         Returns
         -------
         dict of str to object
-            Path to value.
+            Path to value; lists are values.
         """
         found: dict[str, Any] = {}
 
@@ -230,7 +193,7 @@ class ParameterStore:
         Parameters
         ----------
         name : str
-            Dotted path.
+            Path.
 
         Returns
         -------
@@ -243,20 +206,45 @@ class ParameterStore:
             When there is none of that name; the text lists what is there.
         """
         value: Any = self.dump()
-        for i, part in enumerate(parts := name.split(".")):
-            if not isinstance(value, dict) or part not in value:
-                there = ", ".join(value) if isinstance(value, dict) else "no further names"
-                raise ParameterError(f"{self._node}.{'.'.join(parts[: i + 1])}: no such parameter; there is: {there}")
-            value = value[part]
+        done = ""
+        for step in self._steps(name):
+            value = self._down(value, step, done)
+            done += self._shown(step, done)
         return value
+
+    def _steps(self, name: str) -> list[str | int]:
+        if not (isinstance(name, str) and _PATH.fullmatch(name)):
+            raise ParameterError(f"{self._node}: {name!r} is not a parameter's name, e.g. laws.pd.stiffness or axes[0]")
+        return [key if key else int(index) for key, index in _STEP.findall(name)]
+
+    @staticmethod
+    def _shown(step: str | int, done: str) -> str:
+        if isinstance(step, int):
+            return f"[{step}]"
+        return f".{step}" if done else step
+
+    def _down(self, value: Any, step: str | int, done: str) -> Any:
+        if isinstance(step, str) and isinstance(value, dict) and step in value:
+            return value[step]
+        if isinstance(step, int) and isinstance(value, list) and step < len(value):
+            return value[step]
+        there = "nothing below it; set it as a whole" if value is None else "no further names"
+        if isinstance(value, dict):
+            there = ", ".join(value) or "nothing yet"
+        elif isinstance(value, list):
+            there = f"{len(value)} entries from [0]"
+        raise ParameterError(f"{self._node}.{done}{self._shown(step, done)}: no such parameter; there is: {there}")
 
     def changed(self, values: Mapping[str, Any]) -> Any:
         """Make the parameters that result from setting some of them.
 
+        A name that is not there yet is taken where names are free (a new law, a parameter that a law did not state); what
+        reads that mapping refuses those it does not know.
+
         Parameters
         ----------
         values : mapping of str to object
-            Dotted path to new value.
+            Path to new value.
 
         Returns
         -------
@@ -268,19 +256,32 @@ class ParameterStore:
         ParameterError
             When a name is unknown or a value is refused; nothing has changed then.
         """
+        if not isinstance(values, Mapping) or not values:
+            raise ParameterError(f"{self._node}: expected names and values, got {values!r}")
         data = self.dump()
         for name, new in values.items():
-            parent, _, last = name.rpartition(".")
-            branch = data
-            for part in parent.split(".") if parent else []:
-                branch = branch.get(part) if isinstance(branch, dict) else None  # type: ignore[assignment]
-            if not isinstance(branch, dict) or last not in branch:
-                self.get(name)
+            *upper, last = self._steps(name)
+            branch: Any = data
+            done = ""
+            for step in upper:
+                branch = self._down(branch, step, done)
+                done += self._shown(step, done)
+            if not (isinstance(branch, dict) and isinstance(last, str) and self._free(upper)):
+                self._down(branch, last, done)
             branch[last] = new
         return convert(data, self._target, self._node)
 
-    def replaced(self, values: Mapping[str, Any]) -> Any:
-        """Make parameters from a whole tree, as `dump` writes it.
+    def _free(self, upper: list[str | int]) -> bool:
+        """Whether names are free at a place: within a field that is typed as a mapping, not as a struct."""
+        info: msgspec.inspect.Type = msgspec.inspect.type_info(self._target)
+        for step in upper:
+            if not isinstance(info, msgspec.inspect.StructType):
+                break
+            info = next((field.type for field in info.fields if field.encode_name == step), info)
+        return isinstance(info, msgspec.inspect.DictType | msgspec.inspect.AnyType)
+
+    def merged(self, values: Any) -> Any:
+        """Make the parameters that result from loading a tree, whole or in part, over the current ones.
 
         Parameters
         ----------
@@ -297,65 +298,4 @@ class ParameterStore:
         ParameterError
             When anything is refused.
         """
-        if isinstance(values, Mapping) and set(values) == {self._node}:
-            values = values[self._node]
-        return convert(values, self._target, self._node)
-
-
-class WatchedFile:
-    """A YAML file whose saved changes are picked up, never half-written ones.
-
-    A file is read only when its size and time have stayed the same for two polls and the kernel confirms, by granting a
-    read lease, that no process has it open for writing.
-
-    Parameters
-    ----------
-    path : str
-        The file.
-    """
-
-    def __init__(self, path: str) -> None:
-        self.path = path
-        self._seen = self._signature()
-        self._applied = self._seen
-
-    def _signature(self) -> tuple[int, int, int] | None:
-        try:
-            found = os.stat(self.path)
-        except FileNotFoundError:
-            return None
-        return found.st_mtime_ns, found.st_size, found.st_ino
-
-    def poll(self) -> Any:
-        """Look whether the file was saved anew.
-
-        Returns
-        -------
-        object or None
-            Its content as builtins; None when there is nothing new or it is still being written.
-
-        Raises
-        ------
-        ParameterError
-            When it cannot be parsed; it is not tried again until it is saved again.
-        """
-        signature = self._signature()
-        steady = signature == self._seen
-        self._seen = signature
-        if signature is None or not steady or signature == self._applied:
-            return None
-        with open(self.path, encoding="utf-8") as file:
-            try:
-                fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_RDLCK)
-            except BlockingIOError:
-                return None
-            except OSError:
-                # The file system or its owner gives no leases (NFS, another user's file): two equal polls must do.
-                text = file.read()
-            else:
-                text = file.read()
-                fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_UNLCK)
-        if self._signature() != signature:
-            return None
-        self._applied = signature
-        return parse_yaml(text, self.path)
+        return convert(merge(self.dump(), of_node(values, self._node)), self._target, self._node)

@@ -1,7 +1,7 @@
 """Rendering on one axis: one deflection history that all laws share, and the law that reads it now.
 
 A swap replaces the law between two ticks; because the history is shared there is no start-up transient, and a cross-fade is
-a weighted sum of two laws over the same history. Laws with recursive sections are brought up to date by replaying it.
+a weighted sum of laws over the same history. Laws with recursive sections are brought up to date by replaying it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from nodes.laws import CompiledLaw
 PLAIN_TAPS = 24
 """Up to so many taps a plain loop is fastest, beyond it numpy's multiply and running sum: ``haptic bench taps``."""
 
+MAX_LEAVING = 8
+"""Laws that may fade out together when swaps come faster than their ramps; bounds the work of a tick."""
+
 
 class History:
     """The newest deflections of one axis, each written twice so that they are contiguous (see kernels.push).
@@ -23,10 +26,21 @@ class History:
     ----------
     length : int
         How many ticks it remembers.
+
+    Attributes
+    ----------
+    values : array of float, shape (2 * length,)
+        The ring [m].
+    head : int
+        Index of the newest value.
+    pushes : int
+        Values pushed so far.
+    known : int
+        How many of the newest values can be relied on: all, but for a snapshot.
     """
 
     def __init__(self, length: int) -> None:
-        self.length = length
+        self.length = self.known = length
         self.values = array("d", [0.0]) * (2 * length)
         self.head = 0
         self.pushes = 0
@@ -64,15 +78,18 @@ class History:
         Returns
         -------
         History
-            A copy that was not pushed to half-way.
+            A copy that belongs to one number of pushes. Its oldest value is not known: a push may have been under way.
         """
+        copy = History(0)
         while True:
-            copy = History(0)
-            before = self.pushes
-            copy.values, copy.head, copy.length = self.values[:], self.head, self.length
             copy.pushes = self.pushes
-            if before == copy.pushes:
-                return copy
+            copy.values = self.values[:]
+            if copy.pushes == self.pushes:
+                break
+        copy.length, copy.known = self.length, self.length - 1
+        # Not self.head, which a push under way may have moved already: each push moves it down by one.
+        copy.head = -copy.pushes % self.length
+        return copy
 
 
 def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], float]:
@@ -118,6 +135,11 @@ class LawOnAxis:
         Taps, sections or an evaluator of its own.
     history : History
         What it reads.
+
+    Raises
+    ------
+    ValueError
+        When the law is longer than the history.
     """
 
     def __init__(self, law: CompiledLaw, history: History) -> None:
@@ -140,17 +162,33 @@ class LawOnAxis:
         """
         if self._state:
             self._state[:] = [0.0] * len(self._state)
-            warm_up(self._coefficients, self._state, history.values, history.head, history.length)
+            warm_up(self._coefficients, self._state, history.values, history.head, history.known)
         self._pushes = history.pushes
 
     def catch_up(self) -> None:
-        """Replay what was pushed since the snapshot (loop's thread, a few ticks)."""
+        """Let the sections see what was pushed since they last did (loop's thread)."""
         history = self._history
         if self._state:
-            for age in range(history.pushes - self._pushes - 1, -1, -1):
+            unseen = min(history.pushes - self._pushes, history.length - 1)
+            for age in range(unseen - 1, -1, -1):
                 at = history.head + age
                 sections(self._coefficients, self._state, history.values[at], history.values[at + 1])
         self._pushes = history.pushes
+
+    def own(self, history: History) -> float:
+        """Call the law's own code once.
+
+        Parameters
+        ----------
+        history : History
+            The live one or a snapshot.
+
+        Returns
+        -------
+        float
+            Its part of the force [N]; 0 when it has none.
+        """
+        return 0.0 if self._own is None else self._own(history.values, history.head)
 
     def force(self) -> float:
         """Render the newest deflection; once per tick.
@@ -178,9 +216,8 @@ class LawOnAxis:
         float
             Force [N].
         """
-        head = self._history.head
-        force = self._taps(head) + sum(self._state[::2])
-        return force if self._own is None else force + self._own(self._history.values, head)
+        force = self._taps(self._history.head) + sum(self._state[::2])
+        return force + self.own(self._history)
 
 
 class Fade:
@@ -188,19 +225,19 @@ class Fade:
 
     Parameters
     ----------
-    old : LawOnAxis
-        The law that leaves.
+    leaving : list of tuple of LawOnAxis and float
+        The laws that leave and their weights, which add up to 1: several when a swap came during another's fade.
     ramp : int
         Length [ticks].
     """
 
-    def __init__(self, old: LawOnAxis, ramp: int) -> None:
-        self._old = old
+    def __init__(self, leaving: list[tuple[LawOnAxis, float]], ramp: int) -> None:
+        self.leaving = leaving
         self._ramp = ramp
         self._done = 0
 
     def mix(self, new: float) -> float:
-        """Blend the leaving law into the new one's force; once per tick.
+        """Blend the leaving laws into the new one's force; once per tick.
 
         Parameters
         ----------
@@ -212,9 +249,33 @@ class Fade:
         float
             Force to render [N].
         """
-        force = cross_fade(self._old.force(), new, self._done, self._ramp)
+        old = 0.0
+        for law, weight in self.leaving:
+            old += weight * law.force()
+        force = cross_fade(old, new, self._done, self._ramp)
         self._done += 1
         return force
+
+    def shares(self, new: LawOnAxis) -> list[tuple[LawOnAxis, float]]:
+        """Tell what the force of the last tick was mixed of, to let just that fade out.
+
+        Parameters
+        ----------
+        new : LawOnAxis
+            The law that was fading in.
+
+        Returns
+        -------
+        list of tuple of LawOnAxis and float
+            At most MAX_LEAVING laws and their weights, which add up to 1.
+        """
+        weight = min(self._done / self._ramp, 1.0)
+        shares = [(law, share * (1.0 - weight)) for law, share in self.leaving] + [(new, weight)]
+        shares = sorted((share for share in shares if share[1] > 0.0), key=lambda share: share[1], reverse=True)
+        while len(shares) > MAX_LEAVING:
+            _, least = shares.pop()
+            shares[0] = (shares[0][0], shares[0][1] + least)
+        return shares
 
     @property
     def over(self) -> bool:
