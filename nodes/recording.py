@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import msgspec
 
 import messages.types
-from messages.topics import DEVICE_STATE, FORCE, LOOP, PROXY, RECEIPT, message_type
-from messages.types import Message, NodeStatus
+from messages.topics import LOOP, message_type
+from messages.types import Message
 from nodes import mcapfile
 from nodes.mcapfile import Channel, CutError, RawMessage, Record, Schema
 from nodes.record import MANIFEST, RecordError
@@ -30,13 +30,6 @@ _NANO = 1e9
 
 
 M = TypeVar("M", bound=Message)
-
-
-def _tick_topics(kind: str) -> tuple[str, ...]:
-    """Topics outside its own name that a kind of node publishes."""
-    if "driver" in kind:
-        return (DEVICE_STATE,)
-    return {"environment": (PROXY,), "coupling": (FORCE, RECEIPT)}.get(kind, ())
 
 
 class TopicFigures(msgspec.Struct):
@@ -69,30 +62,6 @@ class TopicFigures(msgspec.Struct):
         """Mean rate over the stamps [1/s]; 0 for fewer than two messages."""
         span = self.last_stamp - self.first_stamp
         return (self.messages - 1) / span if span > 0.0 else 0.0
-
-
-class Account(msgspec.Struct):
-    """What a node says it sent against what was recorded of it.
-
-    Attributes
-    ----------
-    sent : int
-        Messages sent, by the last status of each of its processes.
-    recorded : int
-        Messages of the node recorded before that status.
-    lost : int
-        Difference; 0 when everything arrived. For a logger that came late, only what is missing in ``seq`` since then.
-    since : int
-        ``seq`` of the first recorded message of the node's tick topic: above 0 for a logger that came late.
-    finished : bool
-        Whether the last status is a final one: otherwise the node was killed, or the logger left before it.
-    """
-
-    sent: int
-    recorded: int
-    lost: int
-    since: int
-    finished: bool
 
 
 class Entry(NamedTuple):
@@ -258,17 +227,55 @@ class Recording:
                     raise RecordError(f"{self.path}: {channel.topic} carries two types of message")
         return found
 
-    def _raw(self) -> Iterator[tuple[RawMessage, int]]:
-        """Go through the messages as they stand, with the place of each; a cut was told about by the scan already."""
+    def raw(self) -> Iterator[tuple[str, RawMessage, int]]:
+        """Go through the messages as they stand, in the order in which they were received.
+
+        Yields
+        ------
+        tuple of str, RawMessage and int
+            Topic, message and the place of its chunk [bytes].
+
+        Raises
+        ------
+        RecordError
+            When the file has changed since it was opened.
+        """
+        # A cut was told about when the file was opened.
         with contextlib.suppress(CutError):
             for record in self._records():
                 if record.opcode == mcapfile.MESSAGE:
-                    yield mcapfile.parse_message(self.path, record), record.offset
+                    raw = mcapfile.parse_message(self.path, record)
+                    channel = self._channels.get(raw.channel)
+                    if channel is None:
+                        raise RecordError(f"{self.path}: has changed while it was read")
+                    yield channel.topic, raw, record.offset
 
-    def _decoded(self, decoder: msgspec.json.Decoder[M], raw: RawMessage, topic: str, offset: int) -> M:
+    def decode(self, decoder: msgspec.json.Decoder[M], raw: RawMessage, offset: int) -> M:
+        """Decode a message of `raw`.
+
+        Parameters
+        ----------
+        decoder : msgspec.json.Decoder
+            For its type.
+        raw : RawMessage
+            The message.
+        offset : int
+            Place of its chunk [bytes], for the error's text.
+
+        Returns
+        -------
+        Message
+            The message.
+
+        Raises
+        ------
+        RecordError
+            When it does not fit its type.
+        """
         try:
             return decoder.decode(raw.data)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            topic = self._channels[raw.channel].topic
             raise RecordError(f"{self.path}: {topic} seq {raw.sequence} (chunk at byte {offset}): {error}") from error
 
     def entries(self, topics: Iterable[str] | None = None) -> Iterator[Entry]:
@@ -293,49 +300,15 @@ class Recording:
         for topic in wanted - set(self.topics):
             raise RecordError(f"{self.path}: no topic {topic!r}; there are {', '.join(self.topics) or 'none'}")
         types = self._types()
-        decoders: dict[int, tuple[str, msgspec.json.Decoder[Message]]] = {}
+        decoders: dict[int, msgspec.json.Decoder[Message]] = {}
         for number, channel in self._channels.items():
             if channel.topic in wanted:
                 if number not in types:
                     raise RecordError(f"{self.path}: the type of {channel.topic} is not known here")
-                decoders[number] = (channel.topic, msgspec.json.Decoder(types[number]))
-        for raw, offset in self._raw():
+                decoders[number] = msgspec.json.Decoder(types[number])
+        for topic, raw, offset in self.raw():
             if raw.channel in decoders:
-                topic, decoder = decoders[raw.channel]
-                yield Entry(topic, raw.log_time / _NANO, self._decoded(decoder, raw, topic, offset))
-
-    def accounts(self) -> dict[str, Account]:
-        """Compare, node by node, what it says it sent with what was recorded.
-
-        Returns
-        -------
-        dict of str to Account
-            By node name, for each node whose status was recorded.
-
-        Raises
-        ------
-        RecordError
-            When a status does not fit its type.
-        """
-        topics = {number: channel.topic for number, channel in self._channels.items()}
-        decoder = msgspec.json.Decoder(NodeStatus)
-        counts: dict[str, int] = dict.fromkeys(self.topics, 0)
-        sent: dict[str, dict[int, int]] = {}
-        found: dict[str, Account] = {}
-        for raw, offset in self._raw():
-            topic = topics[raw.channel]
-            if message_type(topic) is NodeStatus:
-                status = self._decoded(decoder, raw, topic, offset)
-                node = status.node
-                sent.setdefault(node, {})[status.pid] = status.sent
-                own = [t for t in self.topics if t in _tick_topics(status.kind) or t.startswith(f"/{node}/")]
-                since = max((self.topics[t].first_seq for t in own if t in LOOP), default=0)
-                total, recorded = sum(sent[node].values()), sum(counts[t] for t in own)
-                gaps = sum(self.topics[t].gaps for t in own)
-                lost = gaps if since else max(total - recorded, 0)
-                found[node] = Account(total, recorded, lost, since, status.state in ("finished", "failed"))
-            counts[topic] += 1
-        return found
+                yield Entry(topic, raw.log_time / _NANO, self.decode(decoders[raw.channel], raw, offset))
 
     def messages(self, topic: str) -> list[Any]:
         """Read all messages of one topic.

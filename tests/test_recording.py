@@ -21,6 +21,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from messages.topics import DEVICE_STATE, FORCE, PROXY, event, status
 from messages.types import DeviceState, Event, Message, NodeStatus
 from nodes import mcapfile
+from nodes.accounts import accounts, overruns
 from nodes.record import RecordError, RecordWriter
 from nodes.recording import RECOVERY, Recording
 from nodes.recover import recover
@@ -319,16 +320,16 @@ def test_accounts_compare_sent_with_recorded(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     sent = list(drop(100))
     write(path, sent)
-    accounts = Recording(path).accounts()
-    assert {node: (a.sent, a.recorded, a.lost) for node, a in accounts.items()} == {
+    found = accounts(Recording(path))
+    assert {node: (a.sent, a.recorded, a.lost) for node, a in found.items()} == {
         "driver": (100, 100, 0),
         "environment": (100, 100, 0),
     }
     # Three messages of the environment that never came.
     write(path, [(topic, m) for topic, m in sent if not (topic == PROXY and m.seq in (10, 11, 99))])
     recording = Recording(path)
-    assert recording.accounts()["environment"].lost == 3
-    assert recording.accounts()["driver"].lost == 0
+    assert accounts(recording)["environment"].lost == 3
+    assert accounts(recording)["driver"].lost == 0
     assert recording.topics[PROXY].gaps == 2, "the last one leaves no gap: only the account tells"
 
 
@@ -336,7 +337,7 @@ def test_accounts_of_a_late_logger_and_of_a_respawned_node(tmp_path: Path) -> No
     path = tmp_path / "r.mcap"
     sent = list(drop(100))
     write(path, [(topic, m) for topic, m in sent if m.seq >= 40])
-    account = Recording(path).accounts()["driver"]
+    account = accounts(Recording(path))["driver"]
     assert (account.since, account.lost, account.finished) == (40, 0, True)
 
     def told(pid: int, count: int, state: str) -> tuple[str, Message]:
@@ -346,9 +347,23 @@ def test_accounts_of_a_late_logger_and_of_a_respawned_node(tmp_path: Path) -> No
 
     proxies = [(topic, m) for topic, m in sent if topic == PROXY]
     write(path, [*proxies[:50], told(7, 50, "running"), *proxies[50:], told(8, 51, "finished")])
-    account = Recording(path).accounts()["environment"]
+    account = accounts(Recording(path))["environment"]
     # 50 before the respawn, then 50 more and the status of the first process: 101 recorded, 101 sent.
     assert (account.sent, account.recorded, account.lost) == (101, 101, 0)
+
+
+def test_overruns_are_gaps_that_the_driver_declares(tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+    told = [(0, 0), (1, 0), (4, 2), (5, 2), (9, 5)]
+    write(
+        path,
+        [
+            (DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), overruns=count))
+            for seq, count in told
+        ],
+    )
+    recording = Recording(path)
+    assert recording.topics[DEVICE_STATE].gaps == overruns(recording) == 5
 
 
 def test_events_are_read(tmp_path: Path) -> None:

@@ -48,8 +48,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     record = declare("record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C.")
     record.add_argument("topics", nargs="*", metavar="TOPIC", help="topics to record; all when left out")
     record.add_argument(
-        "--out", "-o", type=Path, metavar="FILE", help="file to write (default: SCENARIO-DATE.mcap here)"
+        "--out", "-o", type=Path, metavar="FILE", help="file to write (default: recordings/RUN-PID.mcap)"
     )
+    record.add_argument("--force", action="store_true", help="replace a file that is there already")
     record.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
     record.add_argument("--duration", type=_positive, default=0.0, metavar="S", help="stop after so many seconds")
 
@@ -122,6 +123,8 @@ def _record(arguments: argparse.Namespace) -> int:
 
 
 def _info_text(recording: Recording) -> str:
+    from nodes.accounts import accounts, overruns
+
     lines = [str(recording.path)]
     facts = dict(recording.manifest)
     with contextlib.suppress(KeyError, ValueError, OverflowError):
@@ -136,7 +139,12 @@ def _info_text(recording: Recording) -> str:
     lines.append(f"  {'topic':{width}} {'messages':>9} {'rate [Hz]':>10} {'gaps':>6} {'repeats':>8}")
     for topic, figures in recording.topics.items():
         lines.append(f"  {topic:{width}} {figures.messages:9} {figures.rate:10.6g} {figures.gaps:6} {figures.back:8}")
-    for node, account in recording.accounts().items():
+    left_out = overruns(recording)
+    if left_out:
+        lines.append(
+            f"  {left_out} ticks were left out by the driver, which was late by a whole period: gaps on every topic"
+        )
+    for node, account in accounts(recording).items():
         told = "all there" if not account.lost else f"{account.lost} lost"
         late = f", recorded from seq {account.since} on" if account.since else ""
         lines.append(f"  {node}: sent {account.sent}, recorded {account.recorded}: {told}{late}")
@@ -144,6 +152,7 @@ def _info_text(recording: Recording) -> str:
 
 
 def _info(arguments: argparse.Namespace) -> int:
+    from nodes.accounts import accounts, overruns
     from nodes.recording import Recording
 
     recording = Recording(arguments.file)
@@ -164,8 +173,9 @@ def _info(arguments: argparse.Namespace) -> int:
         },
         "nodes": {
             node: {"sent": account.sent, "recorded": account.recorded, "lost": account.lost}
-            for node, account in recording.accounts().items()
+            for node, account in accounts(recording).items()
         },
+        "overruns": overruns(recording),
         "recovered": recording.recovered,
         "complete": recording.complete,
         "cut": recording.cut,
