@@ -13,6 +13,7 @@ from sim.verbs.dispatch import dispatch
 BENCHMARKS: dict[str, str] = {
     "loop": "sim.verbs.bench_loop",
     "listeners": "sim.verbs.bench_listeners",
+    "taps": "sim.verbs.bench_taps",
 }
 
 
