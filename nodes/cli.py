@@ -98,4 +98,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Under its real name, so that a verb's UsageError is the one that main() knows.
+    from nodes.cli import main as haptic
+
+    sys.exit(haptic())
