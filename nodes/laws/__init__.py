@@ -1,4 +1,4 @@
-"""The coupling laws: parameters in, taps out. One law per file; other packages add laws through the entry points ``haptic.laws``.
+"""The coupling laws: parameters in, taps out. One law per file; other packages add laws through entry points ``haptic.laws``.
 
 A law is a frozen msgspec struct whose fields are its parameters, with one method, ``compile``. What it compiles to is the
 same for all: a vector of taps over the shared deflection history (every law of the seed is just that, eq. 1, 6, 10) and, for
@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import cmath
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import entry_points
-from typing import Any, ClassVar
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import ClassVar
 
 import msgspec
 
@@ -31,8 +33,9 @@ class CompiledLaw:
         b0, b1 [N/m], a1, a2 of parallel sections y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂.
     evaluate : callable or None
         A law's own code beside taps and sections, for what is not linear: from (ring, head), with ``ring[head + m]`` the
-        deflection m ticks ago, to a force [N] that is added. It is guarded: when it raises, returns a force that is not
-        finite or overruns its budget, the fallback takes over within the same tick.
+        deflection m ticks ago, to a force [N] that is added. It is tried once before it may render, and guarded then:
+        when it raises, returns a force that is not finite or overruns its budget, the fallback takes over within the
+        same tick.
     """
 
     taps: tuple[float, ...]
@@ -119,7 +122,7 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         ValueError
             When the parameters cannot be realised; the text names the parameter, its value and the limit.
         """
-        raise TypeError(f"law kind {type(self).kind!r} does not define compile()")
+        raise TypeError(f"law kind {type(self).kind!r} does not define compile(), asked for T = {period:g} s")
 
 
 def law_kinds() -> dict[str, type[Law]]:
@@ -130,5 +133,52 @@ def law_kinds() -> dict[str, type[Law]]:
     dict of str to type of Law
         Registered name to class, sorted by name.
     """
-    found: dict[str, Any] = {point.name: point.load() for point in entry_points(group=GROUP)}
-    return dict(sorted(found.items()))
+    return {name: load_law(name) for name in law_names()}
+
+
+def law_names() -> list[str]:
+    """List the installed laws without importing any.
+
+    Returns
+    -------
+    list of str
+        Registered names, sorted.
+    """
+    return sorted(_installed(tuple(sys.path)))
+
+
+def load_law(kind: str) -> type[Law]:
+    """Import one law.
+
+    Parameters
+    ----------
+    kind : str
+        Registered name.
+
+    Returns
+    -------
+    type of Law
+        The class.
+
+    Raises
+    ------
+    KeyError
+        When none of that name is installed.
+    TypeError
+        When what is registered is not a law.
+    """
+    found = _installed(tuple(sys.path))[kind].load()
+    if not (isinstance(found, type) and issubclass(found, Law)):
+        raise TypeError(f"{kind}: {found!r} is registered in {GROUP}, but is not a subclass of nodes.laws.Law")
+    if found.kind != kind:
+        raise TypeError(
+            f"{kind}: {found!r} calls itself {found.kind!r}; its class variable kind must be its registered name"
+        )
+    return found
+
+
+@cache
+def _installed(path: tuple[str, ...]) -> dict[str, EntryPoint]:
+    """Read the registry once per search path: that takes milliseconds, and a running loop asks at every change."""
+    del path
+    return {point.name: point for point in entry_points(group=GROUP)}

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from nodes.laws import CompiledLaw, Law, law_kinds
+from nodes.laws import CompiledLaw, Law, law_names, load_law
 from nodes.laws.presets import PRESETS, expand, preset_names
 from nodes.parameters import ParameterError
 
@@ -53,18 +53,21 @@ def parse_law(data: object, path: str = "law") -> Law:
     named = data.get("kind")
     whole = expand(data)
     kind = whole.pop("kind", None)
-    kinds = law_kinds()
-    if not isinstance(kind, str) or kind not in kinds:
-        known = ", ".join([*kinds, *preset_names()])
+    if not isinstance(kind, str) or kind not in law_names():
+        known = ", ".join([*law_names(), *preset_names()])
         raise LawRefusedError(f"{path}.kind: {_shown(named)} is not an installed law or preset; known are {known}")
-    parameters = kinds[kind].__struct_fields__
+    try:
+        law = load_law(kind)
+    except Exception as error:  # another package's module may raise anything while it is imported
+        raise LawRefusedError(f"{path}.kind: {kind} cannot be imported: {type(error).__name__}: {error}") from error
+    parameters = law.__struct_fields__
     unknown = [key for key in whole if key not in parameters]
     if unknown:
         raise LawRefusedError(
             f"{path}.{unknown[0]}: law kind {kind} has no such parameter; it takes {', '.join(parameters)}"
         )
     try:
-        return msgspec.convert(whole, kinds[kind])
+        return msgspec.convert(whole, law)
     except msgspec.ValidationError as error:
         raise LawRefusedError(_located(str(error), whole, path, kind)) from error
 
@@ -118,6 +121,12 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
     except ValueError as error:
         text = str(error)
         raise LawRefusedError(f"{path}.{text}" if re.match(r"[a-z_]+[.:\[]", text) else f"{path}: {text}") from error
+    except Exception as error:  # a law of another package may raise anything
+        raise LawRefusedError(f"{path}: cannot be compiled: {type(error).__name__}: {error}") from error
+    if not isinstance(compiled, CompiledLaw):
+        raise LawRefusedError(
+            f"{path}: compiles to {type(compiled).__name__}, expected CompiledLaw (law kind {law.kind})"
+        )
     if not compiled.finite:
         raise LawRefusedError(
             f"{path}: taps are not finite at T = {period:g} s (limit: below 1.8e308); lower the gains or the order"
