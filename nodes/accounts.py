@@ -20,9 +20,10 @@ class Account(msgspec.Struct):
     recorded : int
         Messages of the node recorded before that status.
     lost : int
-        Difference; 0 when everything arrived. For a logger that came late, only what is missing in ``seq`` since then.
+        Difference; 0 when everything arrived. For a logger that came late, only what is missing in ``seq`` since then
+        and was not left out by the driver.
     since : int
-        ``seq`` of the first recorded message of the node's tick topic: above 0 for a logger that came late.
+        ``seq`` at which the recording begins: above 0 for a logger that came late.
     finished : bool
         Whether the last status is a final one: otherwise the node was killed, or the logger left before it.
     """
@@ -52,7 +53,7 @@ def accounts(recording: Recording) -> dict[str, Account]:
     Returns
     -------
     dict of str to Account
-        By node name, for each node whose status was recorded.
+        By node name, for each node whose status was recorded, and its messages too.
 
     Raises
     ------
@@ -60,6 +61,8 @@ def accounts(recording: Recording) -> dict[str, Account]:
         When a status does not fit its type.
     """
     topics = recording.topics
+    since = max((figures.first_seq for topic, figures in topics.items() if topic in LOOP), default=0)
+    left_out = overruns(recording) if since else 0
     decoder = msgspec.json.Decoder(NodeStatus)
     counts = dict.fromkeys(topics, 0)
     sent: dict[str, dict[int, int]] = {}
@@ -68,11 +71,14 @@ def accounts(recording: Recording) -> dict[str, Account]:
         if message_type(topic) is NodeStatus:
             status = recording.decode(decoder, raw, offset)
             sent.setdefault(status.node, {})[status.pid] = status.sent
-            own = [t for t in topics if t in _tick_topics(status.kind) or t.startswith(f"/{status.node}/")]
-            since = max((topics[t].first_seq for t in own if t in LOOP), default=0)
+            ticking = _tick_topics(status.kind)
+            own = [t for t in topics if t in ticking or t.startswith(f"/{status.node}/")]
             total, recorded = sum(sent[status.node].values()), sum(counts[t] for t in own)
-            lost = sum(topics[t].gaps for t in own) if since else max(total - recorded, 0)
-            found[status.node] = Account(total, recorded, lost, since, status.state in ("finished", "failed"))
+            lost = max(sum(topics[t].gaps for t in own) - left_out, 0) if since else max(total - recorded, 0)
+            # Where only some topics were recorded, there is nothing to compare.
+            if not ticking or ticking[0] in topics:
+                ended = status.state in ("finished", "failed")
+                found[status.node] = Account(total, recorded, lost, since, ended)
         counts[topic] += 1
     return found
 

@@ -141,9 +141,7 @@ def _info_text(recording: Recording) -> str:
         lines.append(f"  {topic:{width}} {figures.messages:9} {figures.rate:10.6g} {figures.gaps:6} {figures.back:8}")
     left_out = overruns(recording)
     if left_out:
-        lines.append(
-            f"  {left_out} ticks were left out by the driver, which was late by a whole period: gaps on every topic"
-        )
+        lines.append(f"  ticks left out by the driver, late by a whole period: {left_out} (gaps everywhere, no losses)")
     for node, account in accounts(recording).items():
         told = "all there" if not account.lost else f"{account.lost} lost"
         late = f", recorded from seq {account.since} on" if account.since else ""
