@@ -70,7 +70,9 @@ class Coupling(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Compile every law before anything is started.
+        """Compile the laws that will render before anything is started, and read the others.
+
+        A law that only waits to be switched to may be one that this rate does not allow; it is refused when it is asked for.
 
         Parameters
         ----------
@@ -84,7 +86,9 @@ class Coupling(Node):
         """
         parameters: CouplingParameters = convert(setup.parameters, CouplingParameters, setup.name)
         book = LawBook(setup.name, setup.period)
-        for name in (*parameters.laws, parameters.law, *(swap.law for swap in parameters.schedule)):
+        for name in parameters.laws:
+            book.description(parameters, name)
+        for name in (parameters.law, *(swap.law for swap in parameters.schedule)):
             book.compile(parameters, name, 0.0, judge=False)
 
     # -- off the hot path --------------------------------------------------------------------------------------------
@@ -137,7 +141,7 @@ class Coupling(Node):
         now: CouplingParameters = self.store.current
         self._book.refuse_fixed(now, parameters)
         for name in parameters.laws:
-            self._book.compile(parameters, name, self._delay, judge=False)
+            self._book.description(parameters, name)
         law = self._ready(self._prepare_law(parameters, parameters.law))
         fallback = self._make("fallback", parameters.fallback.compile(self.setup.period))
         action = "set" if parameters.law == now.law else "switch"

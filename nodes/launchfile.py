@@ -355,6 +355,34 @@ def read(name: str, given: Mapping[str, Any]) -> Launch:
     )
 
 
+def without(launch: Launch, left_out: list[str]) -> Launch:
+    """Leave nodes out of a launch.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch.
+    left_out : list of str
+        Names of nodes.
+
+    Returns
+    -------
+    Launch
+        The same launch without them.
+
+    Raises
+    ------
+    ParameterError
+        When a node is not there.
+    """
+    for name in left_out:
+        if name not in launch.nodes:
+            raise ParameterError(f"{launch.scenario}.nodes: no node {name!r}; there is: {', '.join(launch.nodes)}")
+    return msgspec.structs.replace(
+        launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out}
+    )
+
+
 def _watched(node: str, spec: NodeSpec, where: str) -> dict[str, Any]:
     if not Path(spec.watch).is_file():
         raise ParameterError(f"{where}.watch: {spec.watch}: no such file; write one with haptic param dump {node}")

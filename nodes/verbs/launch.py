@@ -34,6 +34,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument("--list", action="store_true", help="list the scenarios")
     parser.add_argument("--show-args", action="store_true", help="show the arguments of a scenario")
+    parser.add_argument("--without", action="append", default=[], metavar="NODE", help="leave a node out, e.g. logger")
     parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
     parser.set_defaults(run=run)
@@ -219,7 +220,7 @@ def run(arguments: argparse.Namespace) -> int:
             answer(arguments.json, *_show_args(arguments.scenario))
             return 0
         launch = launchfile.read(arguments.scenario, launchfile.parse_assignments(arguments.assignments))
-        return _launch(launch, arguments)
+        return _launch(launchfile.without(launch, arguments.without), arguments)
     except (ParameterError, RunError) as error:
         raise UsageError(str(error)) from error
 
