@@ -1,64 +1,39 @@
 """The coupling node: renders a force for each proxy with the law that is active now, and swaps laws while the wall is felt.
 
-All laws read one deflection history per axis (nodes/rendering.py). A law is prepared on the control thread (validated,
-compiled, judged for stability, brought up to date) and taken up between two ticks; what is refused leaves the running law
-untouched. A law that raises, returns a force that is not finite or overruns its budget is replaced within the same tick.
+A law is prepared on the control thread (validated, compiled, judged for stability, brought up to date, tried) and taken up
+between two ticks (nodes/swapping.py); what is refused leaves the running law untouched. A law that raises, returns a force
+that is not finite or overruns its budget is replaced within the same tick.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import msgspec
 
 from messages import topics
 from messages.codec import Decoder, encode
 from messages.types import Force, Proxy, Receipt, Vector
-from nodes.base import IDLE_MS, Node, describe
+from nodes.base import IDLE_MS, Node
 from nodes.coupling_parameters import CouplingParameters
 from nodes.follower import Follower
-from nodes.kernels import deflection, one_sided
-from nodes.laws import CompiledLaw
 from nodes.lawbook import LawBook
-from nodes.rendering import Fade, History, LawOnAxis
-from nodes.parameters import convert
+from nodes.parameters import ParameterError, convert
 from nodes.setup import AXIS_INDEX, Setup
+from nodes.swapping import ActiveLaw, Renderer
 from nodes.watch import Budget
 
+Scheduled: TypeAlias = tuple[int, ActiveLaw, int]
+"""Tick, law and ramp [ticks] of a swap to come."""
 
-class ActiveLaw:
-    """A law ready to render on all axes.
+SMOOTHING = 1.0 / 64.0
+"""Part of each tick's delay in the measured one: a mean over some 64 ticks, which one late tick does not throw."""
 
-    Parameters
-    ----------
-    name : str
-        Its name in the parameters.
-    text : str
-        Name and parameters, for receipts.
-    compiled : CompiledLaw
-        What it renders.
-    histories : list of History
-        One per axis.
-    """
 
-    def __init__(self, name: str, text: str, compiled: CompiledLaw, histories: list[History]) -> None:
-        self.name = name
-        self.text = text
-        self.compiled = compiled
-        self.axes = [LawOnAxis(compiled, history) for history in histories]
-
-    def warm_up(self, histories: list[History]) -> None:
-        """Bring recursive sections up to date.
-
-        Parameters
-        ----------
-        histories : list of History
-            The live ones, or snapshots.
-        """
-        for axis, history in zip(self.axes, histories, strict=True):
-            axis.warm_up(history)
+def _least_delay(setup: Setup) -> float:
+    return 1.0 if setup.apply == "next_tick" else 0.0
 
 
 class Coupling(Node):
@@ -70,9 +45,7 @@ class Coupling(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Compile the laws that will render before anything is started, and read the others.
-
-        A law that only waits to be switched to may be one that this rate does not allow; it is refused when it is asked for.
+        """Compile every law before anything is started.
 
         Parameters
         ----------
@@ -85,45 +58,78 @@ class Coupling(Node):
             With path, value, limit and remedy.
         """
         parameters: CouplingParameters = convert(setup.parameters, CouplingParameters, setup.name)
-        book = LawBook(setup.name, setup.period)
-        for name in parameters.laws:
-            book.description(parameters, name)
-        for name in (parameters.law, *(swap.law for swap in parameters.schedule)):
-            book.compile(parameters, name, 0.0, judge=False)
+        LawBook(setup.name, setup.period).check(parameters, _least_delay(setup))
 
     # -- off the hot path --------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
-        """Compile the laws and the schedule."""
+        """Compile the laws and the schedule, and load what later requests will need."""
         parameters: CouplingParameters = self.store.current
-        self._axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
-        self._histories = [History(parameters.memory) for _ in self._axes]
-        self._delay = 0.0
+        self._realtime = self.setup.pace == "realtime"
+        self._delay = _least_delay(self.setup)
         self._revision = 0
-        self._fades: list[Fade] = []
+        self._failed_text = ""
         self._book = LawBook(self.setup.name, self.setup.period)
-        self._settle(parameters)
-        self._fallback = self._make("fallback", parameters.fallback.compile(self.setup.period))
-        self._law = self._prepare_law(parameters, parameters.law)
-        self._schedule = [
-            (round(swap.at / self.setup.period), self._prepare_law(parameters, swap.law), swap.ramp)
-            for swap in sorted(parameters.schedule, key=lambda swap: swap.at)
-        ]
-        self._budget = Budget(parameters.budget * self.setup.period if self.setup.pace == "realtime" else math.inf)
+        self._book.check(parameters, self._delay)
+        self._renderer = Renderer([AXIS_INDEX[axis] for axis in self.setup.axes], parameters.memory)
+        self._settle(parameters, self._make_fallback(parameters))
+        self._renderer.law = self._prepare_law(parameters, parameters.law)
+        self._take_schedule(
+            [
+                (round(swap.at / self.setup.period), self._prepare_law(parameters, swap.law), swap.ramp)
+                for swap in sorted(parameters.schedule, key=lambda swap: swap.at)
+            ]
+        )
+        if parameters.figures or parameters.plant is not None:
+            # Importing numpy takes tens of milliseconds with the interpreter's lock: now, not while the wall is felt.
+            self._book.figures_of(parameters, self._renderer.law.compiled, self._delay)
 
-    def _settle(self, parameters: CouplingParameters) -> None:
-        self._raw = parameters.history == "position"
-        self._clamp = parameters.clamp
+    def _take_schedule(self, schedule: list[Scheduled]) -> None:
+        self._schedule = schedule
+        if self._realtime:
+            # Replaying the history at the swap would take longer than a tick. In lockstep nobody waits, and the
+            # one-process scene replays it too.
+            self._renderer.standby = [law for _, law, _ in schedule if law.compiled.sections]
 
-    def _make(self, name: str, compiled: CompiledLaw) -> ActiveLaw:
-        return ActiveLaw(name, name, compiled, self._histories)
+    def _changed_schedule(self, parameters: CouplingParameters) -> list[Scheduled]:
+        """Compile anew what is scheduled and was changed."""
+        changed = []
+        for tick, law, ramp in list(self._schedule):
+            fresh = law
+            if self._book.text(parameters, law.name) != law.text:
+                fresh = self._prepare_law(parameters, law.name)
+                fresh.warm_up(self._renderer.snapshots())
+            changed.append((tick, fresh, ramp))
+        return changed
+
+    def _settle(self, parameters: CouplingParameters, fallback: ActiveLaw) -> None:
+        self._renderer.raw = parameters.history == "position"
+        self._renderer.clamp = parameters.clamp
+        self._renderer.fallback = fallback
+        self._budget = Budget(parameters.budget * self.setup.period if self._realtime else math.inf)
+
+    def _make_fallback(self, parameters: CouplingParameters) -> ActiveLaw:
+        compiled = parameters.fallback.compile(self.setup.period)
+        text = f'{{"law":"fallback","damping":{parameters.fallback.damping!r}}}'
+        return ActiveLaw("fallback", text, compiled, self._renderer.histories)
 
     def _prepare_law(self, parameters: CouplingParameters, name: str) -> ActiveLaw:
         compiled, told = self._book.compile(parameters, name, self._delay)
         if told:
-            self.tell("stability", told)
-        text = describe({"law": name, **self._book.description(parameters, name)})
-        return ActiveLaw(name, text[:4000], compiled, self._histories)
+            self.announce("stability", told)
+        return ActiveLaw(name, self._book.text(parameters, name), compiled, self._renderer.histories)
+
+    def _bring_up(self, law: ActiveLaw) -> None:
+        """Replay the history into the law's sections, and try its own code, on copies."""
+        snapshots = self._renderer.snapshots()
+        law.warm_up(snapshots)
+        if law.guarded:
+            budget = Budget(self._budget.seconds)
+            budget.start()
+            law.attempt(snapshots)
+            over = budget.overrun()
+            if over:
+                raise ParameterError(f"law {law.name!r}: {over}; raise {self.setup.name}.budget or choose another law")
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare changed parameters: compile the active law anew, refuse what must not change while it runs.
@@ -139,23 +145,31 @@ class Coupling(Node):
             Swaps the law between two ticks and returns the receipt.
         """
         now: CouplingParameters = self.store.current
+        return self._prepare(parameters, "set" if parameters.law == now.law else "switch", parameters.ramp)
+
+    def _prepare(self, parameters: CouplingParameters, action: str, ramp: int) -> Callable[[int], Any]:
+        now: CouplingParameters = self.store.current
         self._book.refuse_fixed(now, parameters)
-        for name in parameters.laws:
-            self._book.description(parameters, name)
-        law = self._ready(self._prepare_law(parameters, parameters.law))
-        fallback = self._make("fallback", parameters.fallback.compile(self.setup.period))
-        action = "set" if parameters.law == now.law else "switch"
+        if parameters.stability == "refuse" and parameters.plant is None:
+            self._book.check(parameters, self._delay)
+        for name, law in parameters.laws.items():
+            if law != now.laws.get(name):
+                self._book.compile(parameters, name, self._delay, judge=False)
+        fallback = self._make_fallback(parameters)
+        law = self._prepare_law(parameters, parameters.law)
+        if action == "set" and law.text == self._failed_text:
+            # What failed does not come back because something else was set; switching to it by name does that.
+            law = fallback
+        self._bring_up(law)
+        schedule = self._changed_schedule(parameters)
 
         def apply(seq: int) -> dict[str, Any]:
-            self._settle(parameters)
-            self._fallback = fallback
-            return self._swap(seq, law, parameters.ramp, action, "asked")
+            receipt = self._swap(seq, law, ramp, action, "asked")
+            self._settle(parameters, fallback)
+            self._take_schedule(schedule)
+            return receipt
 
         return apply
-
-    def _ready(self, law: ActiveLaw) -> ActiveLaw:
-        law.warm_up([history.snapshot() for history in self._histories])
-        return law
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Law operations beside the parameters.
@@ -170,122 +184,108 @@ class Coupling(Node):
     def _list_laws(self) -> dict[str, Any]:
         parameters: CouplingParameters = self.store.current
         laws = {name: self._book.description(parameters, name) for name in self._book.names(parameters)}
-        return {"active": self._law.name, "laws": laws}
+        return {"active": self._renderer.law.name, "laws": laws}
 
     def _show_law(self, law: str = "") -> dict[str, Any]:
         parameters: CouplingParameters = self.store.current
-        name = law or self._law.name
-        return {"law": name, **self._book.figures(parameters, name, self._delay)}
+        if law:
+            described = self._book.description(parameters, law)
+            return {"law": law, **described, **self._book.figures(parameters, law, self._delay)}
+        active = self._renderer.law
+        described = msgspec.json.decode(active.text)
+        return {**described, **self._book.figures_of(parameters, active.compiled, self._delay)}
 
     def _switch_law(self, law: str, ramp: int | None = None) -> dict[str, Any]:
+        usual = self.store.current.ramp
+        wanted = {"law": law} if ramp is None else {"law": law, "ramp": ramp}
+        before = self._renderer.law
+        ramps = []
+
+        def make() -> Any:
+            changed: CouplingParameters = self.store.changed(wanted)
+            ramps.append(changed.ramp)
+            return msgspec.structs.replace(changed, ramp=usual)
+
+        receipt: dict[str, Any] = self.change_parameters(
+            make, lambda parameters: self._prepare(parameters, "switch", ramps[-1])
+        )
         parameters: CouplingParameters = self.store.current
-        before = self._book.figures(parameters, self._law.name, self._delay) if parameters.figures else {}
-        values: dict[str, Any] = {"law": law}
-        if ramp is not None:
-            values["ramp"] = ramp
-        changed = self.store.changed(values)
-        ready = self._ready(self._prepare_law(changed, law))
-        receipt: dict[str, Any] = self.hand_over(lambda seq: self._swap(seq, ready, changed.ramp, "switch", "asked"))
-        self.store.accept(changed if ramp is None else msgspec.structs.replace(changed, ramp=parameters.ramp))
         if parameters.figures:
-            receipt = {**receipt, "was": before, "is": self._book.figures(changed, law, self._delay)}
+            receipt["was"] = self._book.figures_of(parameters, before.compiled, self._delay)
+            receipt["is"] = self._book.figures(parameters, law, self._delay)
         return receipt
 
     # -- between two ticks -------------------------------------------------------------------------------------------
 
     def _swap(self, seq: int, law: ActiveLaw, ramp: int, action: str, reason: str) -> dict[str, Any]:
-        old = self._law
-        steps = []
-        for before, after in zip(old.axes, law.axes, strict=True):
-            after.catch_up()
-            steps.append(after.present() - before.present())
-        force_step = math.hypot(*steps)
-        self._law = law
-        self._fades = [Fade(axis, ramp) for axis in old.axes] if ramp > 0 else []
+        old = self._renderer.law
+        force_step = self._renderer.swap(law, ramp)
+        self._failed_text = self._failed_text if law.name == "fallback" else ""
+        self._file_receipt(seq, action, old, law, reason, force_step, ramp)
+        return {
+            "seq": seq,
+            "action": action,
+            "from": old.name,
+            "to": law.name,
+            "force_step_n": force_step,
+            "ramp": ramp,
+            "revision": self._revision,
+        }
+
+    def _file_receipt(
+        self, seq: int, action: str, old: ActiveLaw, new: ActiveLaw, reason: str, force_step: float = 0.0, ramp: int = 0
+    ) -> None:
         self._revision += 1
         receipt = Receipt(
             seq=seq,
             stamp=self.now(),
             action=action,
             before=old.text,
-            after=law.text,
-            force_step=force_step if math.isfinite(force_step) else 0.0,
+            after=new.text,
+            force_step=force_step,
             ramp=ramp,
-            reason=reason,
-            revision=self._revision,
-        )
-        self.post(topics.RECEIPT, receipt)
-        return {"seq": seq, "from": old.name, "to": law.name, "force_step_n": receipt.force_step, "ramp": ramp}
-
-    def _follow_schedule(self, seq: int) -> None:
-        while self._schedule and self._schedule[0][0] <= seq:
-            _, law, ramp = self._schedule.pop(0)
-            law.warm_up(self._histories)
-            self._swap(seq, law, ramp, "switch", "schedule")
-            self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
-
-    # -- the tick ----------------------------------------------------------------------------------------------------
-
-    def _render(self, proxy: Proxy) -> Vector:
-        force = [0.0, 0.0, 0.0]
-        contact, distance, law = proxy.contact, proxy.distance, self._law
-        for n, i in enumerate(self._axes):
-            normal = proxy.normal[i]
-            self._histories[n].push(deflection(proxy.position[i], proxy.proxy[i], distance, normal, contact, self._raw))
-            value = law.axes[n].force()
-            if self._fades:
-                value = self._fades[n].mix(value)
-            force[i] = one_sided(value, normal, contact, self._raw, self._clamp)
-        if self._fades and self._fades[0].over:
-            self._fades = []
-        return force[0], force[1], force[2]
-
-    def _fall_back(self, proxy: Proxy, reason: str) -> Vector:
-        seq = proxy.seq
-        failed = self._law
-        self._fades = []
-        self._law = self._fallback
-        self._revision += 1
-        force = [0.0, 0.0, 0.0]
-        for n, i in enumerate(self._axes):
-            value = self._fallback.axes[n].force()
-            force[i] = one_sided(value, proxy.normal[i], proxy.contact, self._raw, self._clamp)
-        self.tell("fallback", f"law {failed.name!r} at tick {seq}: {reason}; the fallback renders now")
-        receipt = Receipt(
-            seq=seq,
-            stamp=self.now(),
-            action="fallback",
-            before=failed.text,
-            after=self._fallback.text,
             reason=reason[:4000],
             revision=self._revision,
         )
         self.post(topics.RECEIPT, receipt)
-        return force[0], force[1], force[2]
+
+    def _follow_schedule(self, seq: int) -> None:
+        while self._schedule and self._schedule[0][0] <= seq:
+            _, law, ramp = self._schedule.pop(0)
+            if law in self._renderer.standby:
+                self._renderer.standby.remove(law)
+            else:
+                law.warm_up(self._renderer.histories)
+            try:
+                self._swap(seq, law, ramp, "switch", "schedule")
+            except ParameterError as error:
+                self.announce("refused", f"scheduled swap at tick {seq}: {error}; the running law goes on")
+            else:
+                self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
+
+    # -- the tick ----------------------------------------------------------------------------------------------------
+
+    def _fall_back(self, proxy: Proxy, reason: str, pushes: list[int] | None = None) -> Vector:
+        failed = self._renderer.law
+        if not failed.guarded and pushes is not None:
+            reason = f"a law that was fading out {reason}"
+        force = self._renderer.fall_back(proxy, pushes)
+        self._failed_text = failed.text
+        self._file_receipt(proxy.seq, "fallback", failed, self._renderer.law, reason)
+        self.announce("fallback", f"law {failed.name!r} at tick {proxy.seq}: {reason}; the fallback renders now")
+        return force
 
     def _guarded(self, proxy: Proxy) -> Vector:
         """Render with a law that has code of its own, which may raise or take its time."""
-        pushes = [history.pushes for history in self._histories]
+        pushes = self._renderer.pushes()
+        serving = self.serving
         self._budget.start()
         try:
-            force = self._render(proxy)
+            force = self._renderer.render(proxy)
         except Exception as error:  # noqa: BLE001  # a law from another package may raise anything
-            for n, i in enumerate(self._axes):
-                if self._histories[n].pushes == pushes[n]:
-                    value = deflection(
-                        proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, self._raw
-                    )
-                    self._histories[n].push(value)
-            return self._fall_back(proxy, f"raised {type(error).__name__}: {error}")
-        over = self._budget.overrun()
+            return self._fall_back(proxy, f"raised {type(error).__name__}: {error}", pushes)
+        over = self._budget.overrun(excused=self.serving != serving or serving % 2 == 1)
         return self._fall_back(proxy, over) if over else force
-
-    def _bridge(self, proxy: Proxy, missing: int) -> None:
-        for n, i in enumerate(self._axes):
-            value = deflection(
-                proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, self._raw
-            )
-            self._histories[n].bridge(value, missing)
 
     def loop(self) -> None:
         """Answer until stopped."""
@@ -293,7 +293,7 @@ class Coupling(Node):
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         follower = Follower(self, self.inbox, Decoder(Proxy), topics.PROXY)
         topic = topics.FORCE.encode()
-        send, take = self.publisher.send, follower.take
+        send, take, renderer = self.publisher.send, follower.take, self._renderer
         last = -1
         payload = b""
         while not self.stopping:
@@ -302,17 +302,17 @@ class Coupling(Node):
                 seq = proxy.seq
                 # A repeated tick (lockstep, after a lost answer) gets the same answer; the history must not see it twice.
                 if seq != last:
+                    if 0 <= last < seq - 1:
+                        renderer.bridge(proxy, seq - last - 1)
                     if self._schedule:
                         self._follow_schedule(seq)
-                    if 0 <= last < seq - 1:
-                        self._bridge(proxy, seq - last - 1)
                     last = seq
-                    self._delay = max(proxy.delay, self._delay * 0.999)
-                    force = self._render(proxy) if self._law.compiled.evaluate is None else self._guarded(proxy)
+                    self._delay += (proxy.delay - self._delay) * SMOOTHING
+                    force = self._guarded(proxy) if renderer.guarded else renderer.render(proxy)
                     if not math.isfinite(force[0] + force[1] + force[2]):
                         force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
                     payload = encode(
-                        Force(seq=seq, stamp=self.now(), force=force, law=self._law.name, revision=self._revision)
+                        Force(seq=seq, stamp=self.now(), force=force, law=renderer.law.name, revision=self._revision)
                     )
                 send(topic, payload)
                 self.sent += 1

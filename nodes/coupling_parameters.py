@@ -10,6 +10,8 @@ from nodes.laws import CompiledLaw
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+LawName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
+"""A law's name is part of paths (laws.NAME.stiffness) and travels with every force."""
 
 
 class Swap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -86,7 +88,8 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     law : str
         Name of the active law: one of `laws`, or a preset.
     laws : dict of str to dict
-        Named laws, each with its ``kind`` and parameters: see nodes/laws/.
+        Named laws, each with its ``kind`` and parameters (see nodes/laws/), or the bare name of a preset. A name is letters,
+        digits, _ and -, at most 64.
     history : str
         What feeds the laws outside contact: ``penetration`` (zero) or ``position`` (the raw distance).
     clamp : bool
@@ -110,7 +113,7 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     """
 
     law: str
-    laws: dict[str, dict[str, Any]] = {}
+    laws: dict[LawName, Any] = {}
     history: Literal["penetration", "position"] = "penetration"
     clamp: bool = True
     memory: Annotated[int, msgspec.Meta(ge=2, le=1_000_000)] = 2048

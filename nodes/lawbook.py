@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from nodes.base import describe
 from nodes.coupling_parameters import CouplingParameters
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
@@ -12,6 +13,9 @@ from nodes.parameters import ParameterError
 
 FIXED = ("memory", "schedule")
 """Parameters that cannot change while the node runs."""
+
+MAX_TEXT = 4000
+"""Longest description of a law in a receipt [characters]."""
 
 
 class LawBook:
@@ -61,7 +65,31 @@ class LawBook:
         """
         return law_to_dict(parse_law(self._find(parameters, name), f"{self._node}.laws.{name}"))
 
-    def _find(self, parameters: CouplingParameters, name: str) -> dict[str, Any]:
+    def text(self, parameters: CouplingParameters, name: str) -> str:
+        """Describe a law in one line, for receipts.
+
+        Parameters
+        ----------
+        parameters : CouplingParameters
+            Of the node.
+        name : str
+            The law's name.
+
+        Returns
+        -------
+        str
+            JSON, which is YAML flow style too, at most 4000 characters: of longer lists only the length is told.
+        """
+        described = {"law": name, **self.description(parameters, name)}
+        text = describe(described)
+        if len(text) > MAX_TEXT:
+            short = {
+                key: f"{len(value)} values" if isinstance(value, list) else value for key, value in described.items()
+            }
+            text = describe(short)
+        return text[:MAX_TEXT]
+
+    def _find(self, parameters: CouplingParameters, name: str) -> Any:
         if name in parameters.laws:
             return parameters.laws[name]
         if name in PRESETS:
@@ -103,7 +131,8 @@ class LawBook:
                 "shorten the law, or start with a longer memory"
             )
         plant = parameters.plant
-        if not judge or plant is None or parameters.stability == "off":
+        if not judge or plant is None or parameters.stability == "off" or compiled.evaluate is not None:
+            # What a law's own code adds is not linear: no pole tells whether it is stable.
             return compiled, ""
         from nodes.stability import pole_radius
 
@@ -137,6 +166,27 @@ class LawBook:
             Figures with units in the keys.
         """
         compiled, _ = self.compile(parameters, name, measured_delay, judge=False)
+        return self.figures_of(parameters, compiled, measured_delay)
+
+    def figures_of(
+        self, parameters: CouplingParameters, compiled: CompiledLaw, measured_delay: float
+    ) -> dict[str, Any]:
+        """Tell what a compiled law really renders.
+
+        Parameters
+        ----------
+        parameters : CouplingParameters
+            Of the node; its plant is used where it is known.
+        compiled : CompiledLaw
+            The law.
+        measured_delay : float
+            The loop's delay as measured now [ticks].
+
+        Returns
+        -------
+        dict
+            Figures with units in the keys; those of its taps and sections when the law has code of its own beside them.
+        """
         from nodes.stability import law_figures
 
         plant = parameters.plant
@@ -144,6 +194,44 @@ class LawBook:
             return law_figures(compiled, self._period)
         delay = measured_delay if plant.delay is None else plant.delay
         return law_figures(compiled, self._period, plant.mass, plant.damping, delay, plant.stiffness)
+
+    def check(self, parameters: CouplingParameters, delay: float) -> None:
+        """Check what belongs together, and compile every law.
+
+        Parameters
+        ----------
+        parameters : CouplingParameters
+            Of the node.
+        delay : float
+            Least delay of the loop [ticks], for the stability policy.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        if parameters.stability == "refuse" and parameters.plant is None:
+            raise ParameterError(
+                f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
+                "declare its mass and damping, or set stability to warn"
+            )
+        for name in parameters.laws:
+            self.compile(parameters, name, 0.0, judge=False)
+        self.compile(parameters, parameters.law, delay, judge=parameters.stability == "refuse")
+        taken_until = 0
+        for i, swap in sorted(enumerate(parameters.schedule), key=lambda numbered: numbered[1].at):
+            where = f"{self._node}.schedule[{i}]"
+            if swap.law not in parameters.laws and swap.law not in PRESETS:
+                there = ", ".join(self.names(parameters))
+                raise ParameterError(f"{where}.law: no law is named {swap.law!r}; there is: {there}")
+            self.compile(parameters, swap.law, 0.0, judge=False)
+            tick = round(swap.at / self._period)
+            if tick < taken_until:
+                raise ParameterError(
+                    f"{where}.at: {swap.at:g} s is tick {tick}, but the swap before it is over at tick {taken_until} only; "
+                    "schedule it later or shorten that one's ramp"
+                )
+            taken_until = tick + max(swap.ramp, 1)
 
     def refuse_fixed(self, now: CouplingParameters, wanted: CouplingParameters) -> None:
         """Refuse a change of what cannot change while the node runs.

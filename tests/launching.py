@@ -54,7 +54,7 @@ def wait_for(condition: Callable[[], Any], what: str, deadline: float = DEADLINE
         if found:
             return found
         assert time.monotonic() < until, f"{what}: not within {deadline:g} s"
-        time.sleep(0.005)
+        time.sleep(0.02)
 
 
 def processes_of(runtime_dir: Path) -> dict[int, str]:
