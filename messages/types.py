@@ -15,7 +15,10 @@ from typing import Annotated, TypeAlias
 import msgspec
 
 Vector: TypeAlias = tuple[float, float, float]
-Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
+MAX_COUNT = 2**53 - 1
+"""Largest counter: exact as a double, so exact in JSON and in any language."""
+
+Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
 Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=4096)]
 Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=128)]
 
@@ -64,11 +67,14 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
         Energy given out by the virtual side up to this tick, exact under zero-order hold [J].
     delay : float
         Measured delay of the previous tick, from its sample to the force that answered it taking effect [ticks].
+    guard : float
+        Energy that the passivity guard counts as given out: what is negative is in store and may be given back, what is
+        positive is owed [J]; 0 without a guard.
     """
 
     position: Vector
     force: Vector = ZERO
-    force_seq: Annotated[int, msgspec.Meta(ge=-1)] = -1
+    force_seq: Annotated[int, msgspec.Meta(ge=-1, le=MAX_COUNT)] = -1
     age: Count = 0
     response: float = 0.0
     lateness: float = 0.0
@@ -77,6 +83,7 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     safety: Name = "active"
     energy: float = 0.0
     delay: float = 0.0
+    guard: float = 0.0
 
 
 class Proxy(Message, frozen=True, kw_only=True, gc=False):
@@ -143,6 +150,11 @@ class NodeStatus(Message, frozen=True, kw_only=True, gc=False):
         Resident memory [bytes].
     cpu : float
         Processor time used so far [s].
+    denied : int
+        Connections that were not let in: unknown key, no key, or a peer that is not who it should be.
+    clock_offset, clock_error : float
+        What is added to this host's monotonic clock to get the run's time (that of the launcher's host), and how far off
+        that may be [s]; both 0 on the launcher's host itself.
     """
 
     node: Name
@@ -158,6 +170,9 @@ class NodeStatus(Message, frozen=True, kw_only=True, gc=False):
     reason: Text = ""
     memory: float = 0.0
     cpu: float = 0.0
+    denied: Count = 0
+    clock_offset: float = 0.0
+    clock_error: float = 0.0
 
 
 class Receipt(Message, frozen=True, kw_only=True, gc=False):

@@ -23,6 +23,7 @@ from nodes import realtime
 from nodes.base import IDLE_MS, Node
 from nodes.device import Device
 from nodes.parameters import ParameterError, convert
+from nodes.passivity import PassivityGuard, PassivityParameters, observe
 from nodes.safety import Safety, SafetyParameters
 from nodes.setup import AXIS_INDEX, Setup
 from nodes.timing import ResponseTimes
@@ -41,9 +42,12 @@ class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     ----------
     safety : SafetyParameters
         Limits; see nodes/safety.py.
+    passivity : PassivityParameters or None
+        Passivity observer and controller after the law; see nodes/passivity.py. None for none.
     """
 
     safety: SafetyParameters = SafetyParameters()
+    passivity: PassivityParameters | None = None
 
 
 class _Split:
@@ -130,6 +134,9 @@ class Driver(Node):
             self._tell_safety,
             f"{self.setup.name}.safety",
         )
+        passivity = self.store.current.passivity
+        guarded = passivity is not None and passivity.guard == "on"
+        self._guard = PassivityGuard(passivity, self.setup.period, self._axes) if guarded else None
         self._open = False
         self._soft_stop_ticks = 0
         self._position: Vector = ZERO
@@ -141,6 +148,7 @@ class Driver(Node):
         self._responses = ResponseTimes()
         self._recent = array("d", [0.0]) * RECENT
         self._oldest_age = 0
+        self._highest_energy = 0.0
         self._first_stamp = self._last_stamp = 0.0
         self._complete = False
 
@@ -192,6 +200,8 @@ class Driver(Node):
             "response_us": self._responses.summary_us(),
             "age_ticks_max": self._oldest_age,
             "energy_j": self._energy,
+            "energy_max_j": self._highest_energy,
+            "guard": self._guard.summary() if self._guard else None,
             "final": {"position_m": list(self._position), "force_n": list(self._safety.force)},
         }
 
@@ -207,9 +217,14 @@ class Driver(Node):
             position = before
         self._position = position
         force, acting = safety.force, self._acting
+        guard = self._guard
         if self.ticks:
             for i in self._axes:
-                self._energy += acting[i] * (position[i] - before[i])
+                self._energy = observe(self._energy, acting[i], position[i] - before[i])
+            if self._energy > self._highest_energy:
+                self._highest_energy = self._energy
+            if guard is not None:
+                guard.observe(acting, before, position)
         self.seq = seq
         self.publisher.send(
             self._topic,
@@ -228,6 +243,7 @@ class Driver(Node):
                     safety=safety.state,
                     energy=self._energy,
                     delay=self._delay,
+                    guard=guard.energy if guard is not None else 0.0,
                 )
             ),
         )
@@ -265,6 +281,7 @@ class Driver(Node):
         assert inbox is not None  # noqa: S101
         receive, device, safety, period = inbox.receive, self._device, self._safety, self.setup.period
         late = 1 if self.setup.apply == "next_tick" else 0
+        guard = self._guard
         self._first_stamp = time.monotonic()
         seq = 0
         acting = ZERO
@@ -283,7 +300,8 @@ class Driver(Node):
                 force = self.take(self._decoder, frames, self._expected)
                 if force is not None and force.seq == seq and safety.admit(force, seq):
                     self._answered(time.monotonic() - sent)
-                    command = safety.command(force.force, seq, seq)
+                    wanted = force.force if guard is None else guard.control(force.force, acting, float(late))
+                    command = safety.command(wanted, seq, seq)
                     device.write_force(command, seq + late, 0.0)
                     self._acting = list(acting if late else command)
                     acting = command
@@ -314,6 +332,7 @@ class Driver(Node):
         assert inbox is not None  # noqa: S101
         period, device, safety = self.setup.period, self._device, self._safety
         next_tick = self.setup.apply == "next_tick"
+        guard = self._guard
         epoch = self._epoch()
         seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
         acting = ZERO
@@ -350,7 +369,10 @@ class Driver(Node):
                     answered = force.seq == seq
                     self._age = seq - force.seq
                     offset = min(max((arrival - deadline) / period, 0.0), 1.0)
-                    command = safety.command(force.force, force.seq, seq)
+                    wanted = force.force
+                    if guard is not None:
+                        wanted = guard.control(wanted, safety.force, 1.0 if next_tick else offset)
+                    command = safety.command(wanted, force.seq, seq)
                     if next_tick:
                         device.write_force(command, seq + 1, 0.0)
                         self._delay = 1.0 + self._age
@@ -368,7 +390,8 @@ class Driver(Node):
             if not answered:
                 self._missed += 1
                 self._response = 0.0
-                command_now = safety.missed(seq, self._velocity())
+                held = None if guard is None else guard.control(safety.force, safety.force, 1.0)
+                command_now = safety.missed(seq, self._velocity(), held)
                 if command_now is not None:
                     device.write_force(command_now, seq + 1, 0.0)
             self._acting = split.mean()

@@ -134,6 +134,9 @@ def _draw_force(axes: Axes, state: Arrays, force: Arrays | None, axis: int, star
 def _draw_energy(axes: Axes, state: Arrays, start: float) -> None:
     axes.axhline(0.0, color=COLORS["surface"], lw=0.8)
     _line(axes, state["stamp"] - start, state["energy"] * 1e3, COLORS["device"], "given out by the virtual side")
+    if state["guard"].any():
+        guarded = state["guard"] * 1e3
+        _line(axes, state["stamp"] - start, guarded, COLORS["asked"], "passivity guard: owed (+), in store (−)")
     axes.set_ylabel("energy [mJ]")
 
 

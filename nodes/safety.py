@@ -336,7 +336,7 @@ class Safety:
                 self._enter("active", seq, f"ramp of {self._ramp_ticks} ticks done")
         return self._hand_over(wanted, seq)
 
-    def missed(self, seq: int, velocity: Vector) -> Vector | None:
+    def missed(self, seq: int, velocity: Vector, held: Vector | None = None) -> Vector | None:
         """Decide about a tick that closes without the force that answers it.
 
         Parameters
@@ -345,6 +345,8 @@ class Safety:
             The tick that closes.
         velocity : tuple of float, shape (3,)
             The device's own velocity [m/s].
+        held : tuple of float, shape (3,), or None
+            What to hold until the watchdog bites [N]; None for the last force.
 
         Returns
         -------
@@ -357,8 +359,8 @@ class Safety:
             return None
         if self.state in ("active", "ramp"):
             if silent < limits.watchdog:
-                held = self.force
-                return None if self._hand_over(held, seq) == held else self.force
+                last = self.force
+                return None if self._hand_over(last if held is None else held, seq) == last else self.force
             self._enter("damping", seq, f"no fresh force for {silent} ticks, limit {limits.watchdog}")
         if self.state == "damping":
             if silent < limits.watchdog + limits.damping_ticks:

@@ -19,6 +19,7 @@ import numba
 from numba.extending import register_jitable
 
 import nodes.kernels
+import nodes.passivity
 import sim.plant
 
 # numba's settings are made at run time, out of a type checker's sight.
@@ -36,6 +37,9 @@ KERNELS: tuple[Callable[..., Any], ...] = (
     nodes.kernels.sections,
     nodes.kernels.warm_up,
     nodes.kernels.cross_fade,
+    nodes.passivity.observe,
+    nodes.passivity.forget,
+    nodes.passivity.control,
     sim.plant.decay_mean,
     sim.plant.coefficients,
     sim.plant.advance,
@@ -71,7 +75,7 @@ for _kernel in KERNELS:
 def _cache_folder() -> str | None:
     """Folder for compiled code, None where nothing can be written."""
     text = hashlib.sha256()
-    for module in (nodes.kernels, sim.plant):
+    for module in (nodes.kernels, nodes.passivity, sim.plant):
         text.update(Path(str(module.__file__)).read_bytes())
     text.update(Path(__file__).with_name("loop.py").read_bytes())
     base = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"

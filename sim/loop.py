@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import MutableSequence, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_distance, push, sections, warm_up
 from nodes.laws import CompiledLaw
+from nodes.passivity import PassivityParameters, control, forget, observe
 from sim.compiled import compiled, kernel
 from sim.plant import Coefficients, DeviceModel, coefficients, move, quantise, saturate, split_delay
 
@@ -78,6 +79,8 @@ class Scene:
         Driver's limit of the change of force per tick [N].
     next_tick : bool
         Whether forces take effect one tick later (``apply: next_tick``).
+    passivity : PassivityParameters or None
+        The driver's passivity guard; None for none.
     """
 
     device: DeviceModel
@@ -88,6 +91,7 @@ class Scene:
     peak: float | None = None
     slew: float | None = None
     next_tick: bool = False
+    passivity: PassivityParameters | None = None
 
     def __post_init__(self) -> None:
         if not self.period > 0.0:
@@ -268,10 +272,13 @@ def _play(
     swap_ramp: Sequence[int],
     history: MutableSequence[float],
     positions: MutableSequence[float],
-    velocities: MutableSequence[float],
-    measureds: MutableSequence[float],
-    deflections: MutableSequence[float],
-    forces: MutableSequence[float],
+    velocities: MutableSequence[float] | None,
+    measureds: MutableSequence[float] | None,
+    deflections: MutableSequence[float] | None,
+    forces: MutableSequence[float] | None,
+    guard: float | None = None,
+    guard_stiffness: float | None = None,
+    guard_late: float = 0.0,
 ) -> tuple[float, float]:
     length = len(history) // 2
     waiting = len(commands)
@@ -280,6 +287,11 @@ def _play(
     law = 0
     done = 0
     ramp = 0
+    slot = 0
+    energy = 0.0
+    acting = 0.0
+    before = 0.0
+    step = 0.0
     now_taps = taps[taps_from[0] : taps_from[1]]
     now_state = states[states_from[0] : states_from[1]]
     old_taps = now_taps
@@ -306,26 +318,43 @@ def _play(
             force = cross_fade(evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp)
             done += 1
         force = one_sided(force, normal, contact, raw, clamp)
+        if guard is not None:
+            if k > 0:
+                step = measured - before
+                energy = observe(energy, acting, step)
+            energy = forget(energy, force, guard_stiffness)
+            force = control(energy + guard_late * applied * step, force, step, guard)
+            before = measured
+            acting = applied
         applied = limit(force, applied, peak, slew)
+        if guard is not None and guard_late == 0.0:
+            acting = applied
         positions[k] = x
-        velocities[k] = v
-        measureds[k] = measured
-        deflections[k] = newest
-        forces[k] = applied
-        # A ring of the last i + 2 commands: this tick's, and those of tick k−i and k−i−1 that may still be on their
-        # way.
-        commands[k % waiting] = applied
+        if velocities is not None:
+            velocities[k] = v
+        if measureds is not None:
+            measureds[k] = measured
+        if deflections is not None:
+            deflections[k] = newest
+        if forces is not None:
+            forces[k] = applied
+        # A ring of the last i + 2 commands; of those still under way, tick k−i−1's acts first, then tick k−i's.
+        commands[slot] = applied
+        older = slot + 1 if slot + 1 < waiting else 0
+        newer = older + 1 if older + 1 < waiting else 0
+        slot = older
         if loads is not None:
             load = loads[k]
         if early_map is not None:
-            u = saturate(commands[(k + 1) % waiting], motor) + load
+            u = saturate(commands[older], motor) + load
             x, v = move(x, v, u, early, early_map, mass, damping, grip, friction)
-        u = saturate(commands[(k + 2) % waiting], motor) + load
+        u = saturate(commands[newer], motor) + load
         x, v = move(x, v, u, late, late_map, mass, damping, grip, friction)
     return x, v
 
 
-_play_compiled = compiled()(_play)
+play_compiled: Any = compiled()(_play)
+"""The loop, compiled: for other compiled functions that play many scenes."""
 
 
 def run(
@@ -404,10 +433,11 @@ def run(
         "swap_ramp": [swap.ramp for swap in swaps],
     }
     records = {name: [0.0] * ticks for name in ("positions", "velocities", "measureds", "deflections", "forces")}
+    passivity = scene.passivity if scene.passivity is not None and scene.passivity.guard == "on" else None
     call = _play
     lists: dict[str, object] = {**values, **counts, **records}
     if not interpreted:
-        call = _play_compiled
+        call = play_compiled
         for name, numbers in lists.items():
             if numbers is not None:
                 lists[name] = np.array(numbers, dtype=np.int64 if name in counts else np.float64)
@@ -433,6 +463,9 @@ def run(
         clamp=scene.clamp,
         peak=scene.peak,
         slew=scene.slew,
+        guard=None if passivity is None else passivity.damping / scene.period,
+        guard_stiffness=None if passivity is None else passivity.stiffness,
+        guard_late=1.0 if scene.next_tick else 0.0,
         **lists,  # type: ignore[arg-type]
     )
     position, velocity, measured, deflections, force = (np.asarray(lists[name], dtype=np.float64) for name in records)

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from nodes.coupling_parameters import CouplingParameters
+from nodes.device import DeviceLimits
 from nodes.environment import EnvironmentParameters
-from nodes.laws import CompiledLaw
-from nodes.lawbook import LawBook
 from nodes.launchfile import Launch
+from nodes.lawbook import LawBook
+from nodes.laws import CompiledLaw
 from nodes.parameters import ParameterError, convert
+from nodes.safety import lower
 from nodes.setup import AXIS_INDEX
 from nodes.surfaces import Anchor, Free, Plane, parse_surface
 from sim.driver import SimDriverParameters
@@ -69,7 +71,9 @@ class LaunchedScene:
 def _parameters(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
     found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
     if len(found) != 1:
-        raise ParameterError(f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}; one process plays exactly one")
+        raise ParameterError(
+            f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}; one process plays exactly one"
+        )
     name, spec = found[0]
     return name, convert(spec.parameters, target, name)
 
@@ -113,6 +117,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
     environment_name, environment = _parameters(launch, "environment", EnvironmentParameters)
     coupling_name, coupling = _parameters(launch, "coupling", CouplingParameters)
     safety = driver.safety
+    limits = lower(safety, DeviceLimits(), period)
     for name in ("continuous_force", "workspace"):
         if getattr(safety, name) is not None:
             raise ParameterError(f"{driver_name}.safety.{name}: not played in one process; leave it out")
@@ -134,9 +139,10 @@ def from_launch(launch: Launch) -> LaunchedScene:
             period=period,
             raw=coupling.history == "position",
             clamp=coupling.clamp,
-            peak=safety.peak_force,
-            slew=None if safety.slew is None else safety.slew * period,
+            peak=limits.peak,
+            slew=limits.slew,
             next_tick=launch.run.apply == "next_tick",
+            passivity=driver.passivity,
         ),
         law=law(coupling.law),
         swaps=tuple(Swap(round(swap.at / period), law(swap.law), swap.ramp) for swap in swaps),

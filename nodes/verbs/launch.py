@@ -147,6 +147,8 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "response_us": driver.get("response_us", {}),
         "age_ticks_max": driver.get("age_ticks_max", 0),
         "energy_j": driver.get("energy_j", 0.0),
+        "energy_max_j": driver.get("energy_max_j", 0.0),
+        "guard": driver.get("guard"),
         "safety": driver.get("safety", {}),
         "recording": recordings[0] if recordings else None,
         "recordings": recordings,
@@ -184,6 +186,12 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
         lines.append(
             f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
             f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs"
+        )
+    guard = figures["guard"]
+    if guard:
+        lines.append(
+            f"  guard     lowered {guard['lowered']} and raised {guard['raised']} forces; given out beyond what was in store: "
+            f"at most {guard['highest_j'] * 1e3:.4g} mJ"
         )
     lines += _safety_text(figures["safety"])
     final = figures["final"]

@@ -1,0 +1,215 @@
+"""Passivity observer and controller (Hannaford & Ryu 2002; Ryu, Kim & Hannaford 2004): a guard after any law.
+
+Under zero-order hold the energy given out by the virtual side is exact in samples: E_k = E_{k−1} + F_{k−1}·(x_k − x_{k−1}).
+A virtual wall may store what it was given and give that back, no more: E ≤ 0. The controller looks one tick ahead, with the
+displacement of the tick before: on the way out the force is lowered so far that no more leaves than is in store; on the way
+in, while more was given out than was taken, a damper may take the rest back.
+
+With Δ_k = x_k − x_{k−1}, whatever the law asks for and however the device moves, if a force takes effect in its own tick,
+
+    E_{k+1} ≤ max(E_k, 0) + F_k (Δ_{k+1} − Δ_k),
+
+so that one tick gives out no more than force times the *change* of the displacement, T²·|F·acceleration|: what nobody can
+know when the force is chosen. (For a free mass m that is F²T²/m.) The force never changes sign and zero stays zero: free
+space remains free, and a wall never pulls.
+
+Energy that a law has dissipated is not in store, but E does not know that: credit from minutes of damping could feed an
+instability later. So credit is forgotten when there is no force (no contact: nothing can be stored) and, where a stiffness is
+given, whenever it exceeds what a spring of that stiffness holds at the present force, F²/(2k). A debt is never forgotten.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from messages.types import Vector
+
+
+class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the guard.
+
+    Attributes
+    ----------
+    guard : str
+        ``on`` or ``off``.
+    stiffness : float or None
+        Stiffness of the spring that the law stands for [N/m]: no more is kept in store than it holds. None forgets credit in
+        free space only.
+    damping : float
+        Largest damper that takes back what was given out too much [N s/m]; keep it well below m/T of the device, or the
+        guard itself is what shakes. 0 lets the next contact pay.
+    """
+
+    guard: Literal["on", "off"] = "on"
+    stiffness: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+    damping: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+
+
+def observe(energy: float, acting: float, step: float) -> float:
+    """Count the energy of one tick.
+
+    Parameters
+    ----------
+    energy : float
+        Given out before [J].
+    acting : float
+        Force on the device during the tick; its mean where it changed within the tick [N].
+    step : float
+        Displacement during the tick [m].
+
+    Returns
+    -------
+    float
+        Energy given out up to now [J] (theory.md §6).
+    """
+    return energy + acting * step
+
+
+def forget(energy: float, force: float, stiffness: float | None) -> float:
+    """Forget credit that cannot be in store.
+
+    Parameters
+    ----------
+    energy : float
+        Given out up to now [J].
+    force : float
+        Force that the law asks for now [N].
+    stiffness : float or None
+        Of the spring that may be loaded [N/m]; None when it is not known.
+
+    Returns
+    -------
+    float
+        Energy, not below minus what can be in store [J].
+    """
+    if energy >= 0.0:
+        return energy
+    if force == 0.0:
+        return 0.0
+    if stiffness is not None:
+        most = -force * force / (2.0 * stiffness)
+        if energy < most:
+            return most
+    return energy
+
+
+def control(energy: float, force: float, step: float, rate: float) -> float:
+    """Choose the force of the next tick.
+
+    Parameters
+    ----------
+    energy : float
+        Given out up to now, plus what forces on their way will still give [J].
+    force : float
+        Force that the law asks for [N].
+    step : float
+        Displacement of the tick before, expected once more [m].
+    rate : float
+        Largest damper divided by the period [N/m].
+
+    Returns
+    -------
+    float
+        Force of the same sign, or zero [N].
+    """
+    given = force * step
+    if given > 0.0:
+        if energy >= 0.0:
+            return 0.0
+        if energy + given > 0.0:
+            return -energy / step
+    elif given < 0.0 and energy > 0.0:
+        take = energy / step
+        most = rate * step
+        # Both have the sign of the step; the damper's force has the opposite one, which is that of the law's force.
+        if take * step > most * step:
+            take = most
+        return force - take
+    return force
+
+
+class PassivityGuard:
+    """The guard of a driver: one observer and controller per axis.
+
+    Parameters
+    ----------
+    parameters : PassivityParameters
+        Its parameters.
+    period : float
+        Sampling period T [s].
+    axes : list of int
+        Axes that the scene computes.
+    """
+
+    def __init__(self, parameters: PassivityParameters, period: float, axes: list[int]) -> None:
+        self._stiffness = parameters.stiffness
+        self._rate = parameters.damping / period
+        self._axes = axes
+        self._energy = [0.0, 0.0, 0.0]
+        self._step = [0.0, 0.0, 0.0]
+        self.lowered = 0
+        self.raised = 0
+        self.highest = 0.0
+
+    @property
+    def energy(self) -> float:
+        """What the guard counts as given out, credit forgotten: negative is in store, positive is owed [J]."""
+        return sum(self._energy)
+
+    def observe(self, acting: list[float], before: Vector, position: Vector) -> None:
+        """Count the tick that is over.
+
+        Parameters
+        ----------
+        acting : list of float, shape (3,)
+            Mean force since the sample before [N].
+        before, position : tuple of float, shape (3,)
+            The sample before and this one [m].
+        """
+        for i in self._axes:
+            step = position[i] - before[i]
+            self._step[i] = step
+            self._energy[i] = observe(self._energy[i], acting[i], step)
+            if self._energy[i] > self.highest:
+                self.highest = self._energy[i]
+
+    def control(self, force: Vector, pending: Vector, share: float) -> Vector:
+        """Choose the force of the next tick.
+
+        Parameters
+        ----------
+        force : tuple of float, shape (3,)
+            What the law asks for [N].
+        pending : tuple of float, shape (3,)
+            Force that acts until this one takes effect [N].
+        share : float
+            For how long it does [ticks].
+
+        Returns
+        -------
+        tuple of float, shape (3,)
+            What may be handed over [N].
+        """
+        chosen = [0.0, 0.0, 0.0]
+        for i in self._axes:
+            step, wanted = self._step[i], force[i]
+            self._energy[i] = energy = forget(self._energy[i], wanted, self._stiffness)
+            chosen[i] = value = control(energy + share * pending[i] * step, wanted, step, self._rate)
+            if abs(value) < abs(wanted):
+                self.lowered += 1
+            elif value != wanted:
+                self.raised += 1
+        return chosen[0], chosen[1], chosen[2]
+
+    def summary(self) -> dict[str, float]:
+        """Summarise what the guard did.
+
+        Returns
+        -------
+        dict of str to float
+            Forces ``lowered`` and ``raised``, and the ``highest_j`` energy on one axis that was given out beyond what was
+            in store [J].
+        """
+        return {"lowered": self.lowered, "raised": self.raised, "highest_j": self.highest}
