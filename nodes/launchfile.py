@@ -1,7 +1,8 @@
 """Launch files: one YAML per scenario, with arguments, checked completely before anything is started.
 
-A launch file has four parts: ``summary``, ``arguments`` (with default, unit, help, limits), ``run`` (rate, pace, apply,
-duration, axes, scheduling) and ``nodes``. ``$(var NAME)`` stands for an argument, as in ROS 2.
+A launch file has these parts: ``summary``, ``arguments`` (with default, unit, help, limits), ``run`` (rate, pace, apply,
+duration, axes, scheduling), ``nodes``, and where it matters ``model`` (what the scene is for, what it leaves out on
+purpose). ``$(var NAME)`` stands for an argument, as in ROS 2.
 """
 
 from __future__ import annotations
@@ -120,11 +121,48 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     host: str = ""
 
 
+Figure = Literal["settling", "peak_force", "rest_force", "travel", "limit_cycle", "k_max"]
+ModelTerm = Literal[
+    "gravity",
+    "damping",
+    "friction",
+    "resolution",
+    "peak_force",
+    "delay",
+    "hand",
+    "contact",
+    "limit",
+    "slew",
+    "memory",
+]
+
+
+class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a scene is for, and what it leaves out on purpose: the rest is checked by ``haptic study needs``.
+
+    Attributes
+    ----------
+    outcome : list of str
+        Figures that count.
+    leaves_out : list of str
+        Terms of a real device that the scene idealises away.
+    tolerance : float
+        Relative movement of a figure that does not matter.
+    """
+
+    outcome: Annotated[list[Figure], msgspec.Meta(min_length=1)] = msgspec.field(
+        default_factory=lambda: ["settling", "peak_force", "rest_force", "limit_cycle", "k_max"]
+    )
+    leaves_out: list[ModelTerm] = []
+    tolerance: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.02
+
+
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     summary: str
     nodes: dict[str, Any]
     arguments: dict[str, Argument] = {}
     run: dict[str, Any] = {}
+    model: Model = Model()
 
 
 class Launch(msgspec.Struct, frozen=True, kw_only=True):
@@ -144,6 +182,8 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
         How the loop runs.
     nodes : dict of str to NodeSpec
         The nodes by name.
+    model : Model
+        What the scene is for.
     """
 
     scenario: str
@@ -153,6 +193,7 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
     arguments: dict[str, Any]
     run: RunSpec
     nodes: dict[str, NodeSpec]
+    model: Model = Model()
 
 
 def launch_dirs() -> list[Path]:
@@ -352,6 +393,7 @@ def read(name: str, given: Mapping[str, Any]) -> Launch:
         arguments=values,
         run=run,
         nodes=nodes,
+        model=file.model,
     )
 
 

@@ -18,6 +18,7 @@ STUDIES: dict[str, str] = {
     "fig2": "sim.verbs.study_fig2",
     "fig3": "sim.verbs.study_fig3",
     "fig4": "sim.verbs.study_fig4",
+    "needs": "sim.verbs.study_needs",
     "kmax": "sim.verbs.study_kmax",
     "optimise": "sim.verbs.study_optimise",
 }
