@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from nodes.recording import Recording
 from sim.loop import Scene, Surface, Trace, run
 from sim.plant import DeviceModel
 from sim.scene import from_launch
-from tests.launching import launch_json
+from tests.launching import haptic, launch_json
 
 T = 0.002
 ON = PassivityParameters()
@@ -235,3 +236,20 @@ def test_lockstep_equals_one_process_and_publishes_its_energy(tmp_path: Path, ap
     assert figures["guard"]["lowered"] > 0
     assert state["guard"].any()
     assert np.all(state["guard"] >= state["energy"] - 1e-15)
+
+
+def test_study_guard_answers_with_what_it_costs(tmp_path: Path) -> None:
+    words = "--json --points 2 --low 1000 --high 8000 --duration 2 --out ."
+    done = haptic(tmp_path, "study", "guard", *words.split())
+    figures = json.loads(done.stdout.splitlines()[-1])
+    soft, soft_guarded, stiff, stiff_guarded = figures["drops"]
+    # Below K_max the guard changes nothing but the way to rest; both walls are felt as K.
+    assert soft["felt_n_per_m"] == pytest.approx(1000.0, rel=1e-6)
+    assert soft_guarded["felt_n_per_m"] == pytest.approx(1000.0, rel=1e-6)
+    # Above it the mass never lies still without the guard; with it, it falls no deeper than g T² between two pushes.
+    assert stiff["felt_n_per_m"] is None
+    assert stiff["energy_max_j"] > 0.05
+    assert stiff_guarded["energy_max_j"] < 2e-3
+    assert stiff_guarded["unrest_m"] <= 1.1 * 9.81 * T**2
+    assert 0.5 < stiff_guarded["felt_n_per_m"] / 8000.0 < 0.6
+    assert (tmp_path / "guard.png").stat().st_size > 10_000

@@ -19,6 +19,7 @@ STUDIES: dict[str, str] = {
     "fig3": "sim.verbs.study_fig3",
     "fig4": "sim.verbs.study_fig4",
     "needs": "sim.verbs.study_needs",
+    "guard": "sim.verbs.study_guard",
     "kmax": "sim.verbs.study_kmax",
     "optimise": "sim.verbs.study_optimise",
 }
