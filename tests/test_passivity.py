@@ -239,7 +239,7 @@ def test_lockstep_equals_one_process_and_publishes_its_energy(tmp_path: Path, ap
 
 
 def test_study_guard_answers_with_what_it_costs(tmp_path: Path) -> None:
-    words = "--json --points 2 --low 1000 --high 8000 --duration 2 --out ."
+    words = "--json --points 2 --low 1000 --high 8000 --duration 6 --out ."
     done = haptic(tmp_path, "study", "guard", *words.split())
     figures = json.loads(done.stdout.splitlines()[-1])
     soft, soft_guarded, stiff, stiff_guarded = figures["drops"]

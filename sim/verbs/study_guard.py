@@ -1,4 +1,4 @@
-"""What the passivity guard makes safe and what it costs in rendered stiffness: drops on ever stiffer walls, with and without."""
+"""What the passivity guard makes safe and what it costs in rendered stiffness: drops on ever stiffer walls."""
 
 from __future__ import annotations
 
