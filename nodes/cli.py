@@ -21,6 +21,10 @@ class UsageError(Exception):
     """What the user asked for cannot be done as asked; the text says why and what to do. Exit code 2."""
 
 
+class RefusedError(Exception):
+    """What was asked is sensible, but was refused or did not succeed; the text says why. Exit code 1."""
+
+
 def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> None:
     """Print a verb's answer: for people, or with --json one JSON object as the last line.
 
@@ -89,6 +93,11 @@ def main(argv: list[str] | None = None) -> int:
     except UsageError as error:
         print(f"haptic: {error}", file=sys.stderr)
         return 2
+    except RefusedError as error:
+        if getattr(arguments, "json", False):
+            print(json.dumps({"error": str(error)}), flush=True)
+        print(f"haptic: {error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:

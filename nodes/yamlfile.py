@@ -45,12 +45,16 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # PyYAML's own way of declaring them
     depth = 0
 
+    def _mark(self) -> str:
+        event: yaml.events.Event = self.peek_event()  # type: ignore[no-untyped-call]
+        return str(event.start_mark)
+
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.events.AliasEvent):
-            raise yaml.YAMLError(f"aliases are not accepted; write the value out{self.peek_event().start_mark}")
+            raise yaml.YAMLError(f"aliases are not accepted; write the value out{self._mark()}")
         self.depth += 1
         if self.depth > MAX_DEPTH:
-            raise yaml.YAMLError(f"nested deeper than {MAX_DEPTH}{self.peek_event().start_mark}")
+            raise yaml.YAMLError(f"nested deeper than {MAX_DEPTH}{self._mark()}")
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -122,20 +126,22 @@ def parse_yaml(text: str, source: str) -> Any:
         raise ParameterError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
 
 
-def write_yaml(data: Any) -> str:
+def write_yaml(data: Any, width: int = 120) -> str:
     """Write builtins as YAML that `parse_yaml` reads back unchanged.
 
     Parameters
     ----------
     data : object
         Mappings with text keys, lists, text, numbers, truth values, None.
+    width : int
+        Where lines are broken [characters].
 
     Returns
     -------
     str
         The document; innermost lists and mappings on one line.
     """
-    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=width)
     return text
 
 

@@ -1,0 +1,82 @@
+"""List the nodes of a running launch and tell what each one does."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from nodes.asking import add_run, ask, chosen_run, node_name
+from nodes.cli import RefusedError, answer
+from nodes.runs import RunInfo
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb ``node``.
+    """
+    sub = parser.add_subparsers(dest="chosen", metavar="list|info", required=True)
+    text = "List the nodes with kind, state and process number."
+    listing = sub.add_parser("list", help=text, description=text)
+    listing.set_defaults(run=_list)
+    add_run(listing)
+    text = "Tell a node's state, counters, topics and operations."
+    info = sub.add_parser("info", help=text, description=text)
+    info.set_defaults(run=_info)
+    info.add_argument("node")
+    add_run(info)
+
+
+def _state(run: RunInfo, name: str) -> dict[str, Any]:
+    try:
+        found: dict[str, Any] = ask(run, name, "status")
+    except RefusedError as error:
+        # A node that is down or being started again must not hide the others.
+        return {"kind": run.nodes[name].kind, "state": "unreachable", "pid": 0, "error": str(error)}
+    return {key: found[key] for key in ("kind", "state", "pid", "ticks")}
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    found = {name: _state(run, name) for name in run.nodes}
+    width = max(map(len, found))
+    lines = [f"/{name:{width}}  {told['kind']:12} {told['state']:12} {told['pid']}" for name, told in found.items()]
+    answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
+    return 0
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    name = node_name(run, arguments.node)
+    info = ask(run, name, "info")
+    status = info["status"]
+    setup = run.nodes[name]
+    figures = {
+        "run": run.run,
+        "node": name,
+        "pace": setup.pace,
+        "rate_hz": 1.0 / setup.period,
+        "cpus": setup.scheduling.cpus,
+        "fifo": setup.scheduling.fifo,
+        "control": setup.control,
+        **info,
+    }
+    counters = ("ticks", "sent", "received", "refused", "skipped", "gaps")
+    lines = [
+        f"/{name}: {status['kind']}, {status['state']}, process {status['pid']}",
+        f"  {setup.pace} at {1.0 / setup.period:g} Hz, processors {setup.scheduling.cpus or 'any'}, "
+        f"FIFO {setup.scheduling.fifo or 'no'}",
+        "  " + ", ".join(f"{key} {status[key]}" for key in counters),
+        f"  memory {status['memory'] / 1e6:.1f} MB, processor time {status['cpu']:.2f} s",
+        "  publishes:",
+        *(f"    {topic}" for topic in info["publishes"]),
+        "  listens to:",
+        *(f"    {topic}" for topic in info["listens_to"] or ["(nothing)"]),
+        "  operations:",
+        *(f"    {operation}" for operation in info["operations"]),
+    ]
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0
