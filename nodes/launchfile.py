@@ -133,6 +133,7 @@ ModelTerm = Literal[
     "contact",
     "limit",
     "slew",
+    "guard",
     "memory",
 ]
 

@@ -67,7 +67,7 @@ class Launched:
     delay: float
 
 
-def launch(rate: float, apply: str, stiffness: float) -> Launched:
+def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime") -> Launched:
     """Drop the device through the real processes.
 
     Parameters
@@ -78,6 +78,8 @@ def launch(rate: float, apply: str, stiffness: float) -> Launched:
         ``on_arrival`` or ``next_tick``.
     stiffness : float
         K of the floor [N/m].
+    pace : str, optional
+        ``realtime``, or ``lockstep`` for a run without jitter.
 
     Returns
     -------
@@ -92,7 +94,7 @@ def launch(rate: float, apply: str, stiffness: float) -> Launched:
     values = {
         "rate": rate,
         "apply": apply,
-        "pace": "realtime",
+        "pace": pace,
         "duration": _SECONDS,
         "stiffness": stiffness,
         "damping": GAIN,

@@ -112,6 +112,11 @@ TERMS: tuple[Term, ...] = (
     ),
     Term("limit", lambda scene: scene.scene.peak is not None, _driver(peak=None)),
     Term("slew", lambda scene: scene.scene.slew is not None, _driver(slew=None)),
+    Term(
+        "guard",
+        lambda scene: scene.scene.passivity is not None and scene.scene.passivity.guard == "on",
+        _driver(passivity=None),
+    ),
     Term("memory", lambda scene: _longest(scene) > _SHORTEST, _shortened),
 )
 """All terms; ``memory`` stands for the older half of the longest law's taps."""
