@@ -14,7 +14,7 @@ import msgspec
 
 from messages.schema import schema
 from messages.types import Message
-from nodes.record import Output, RecordError
+from nodes.record import RecordError, save
 from nodes.recording import Recording
 
 _UNIT = re.compile(r"\[([^\]]+)\]")
@@ -153,9 +153,5 @@ def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False
             raise RecordError(f"{recording.path}: {name} holds numbers beyond 64 bits, which NPZ cannot; export CSV")
     buffer = BytesIO()
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # the stub takes a keyword of numpy's for any name
-    output = Output(Path(out), overwrite)
-    try:
-        output.write(buffer.getvalue())
-    finally:
-        output.close()
+    save(Path(out), buffer.getvalue(), overwrite)
     return Path(out)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import FrameType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 import msgspec
 
@@ -212,19 +212,32 @@ class Logger(Node):
         self.state = "running"
         recorder = self._recorder
         assert recorder is not None  # noqa: S101  # connect() came first
-        while not self.stopping:
-            recorder.take(50)
+        try:
+            while not self.stopping:
+                recorder.take(50)
+                self.received = self.ticks = recorder.recorded
+                self.refused = recorder.refused
+                self.between_ticks(0)
+            recorder.drain()
+        except RecordError as error:
+            self._give_up(error)
+        finally:
             self.received = self.ticks = recorder.recorded
-            self.refused = recorder.refused
-            self.between_ticks(0)
-        recorder.drain()
-        self.received = self.ticks = recorder.recorded
+
+    def _give_up(self, error: RecordError) -> NoReturn:
+        """End with an event and exit code 1: a full disk is no bug, so no traceback either."""
+        self.tell("recording", str(error))
+        self.stop(str(error))
+        raise SystemExit(1) from error
 
     def finish(self) -> None:
         """Close the file, so that it is complete."""
         if self._recorder is not None:
             self._listening.close()
-        self._writer.close()
+        try:
+            self._writer.close()
+        except RecordError as error:
+            self._give_up(error)
 
 
 def record(run: RunInfo, path: str, topics: list[str], duration: float, overwrite: bool = False) -> int:

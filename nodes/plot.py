@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
-from nodes.record import Output, RecordError
+from nodes.record import RecordError, save
 from nodes.recording import Recording
 from nodes.summary import Summary, summarise
 
@@ -306,10 +306,5 @@ def plot(recording: Recording, out: str | Path, *, overwrite: bool = False) -> P
     RecordError
         When there is nothing to draw, the file exists already or cannot be written.
     """
-    picture = draw(recording)
-    output = Output(Path(out), overwrite)
-    try:
-        output.write(picture)
-    finally:
-        output.close()
+    save(Path(out), draw(recording), overwrite)
     return Path(out)

@@ -1,8 +1,7 @@
 """Write a recording: MCAP with one JSON channel per topic, readable up to the last flush whatever ends the writer.
 
 Every finished chunk goes straight to the operating system in one piece, so a killed writer leaves whole chunks and at
-most one cut record at the end, and a full disk leaves whole chunks only. Opens in Foxglove, Lichtblick and PlotJuggler.
-No numpy here: a logger has to stay small.
+most one cut record at the end, and a full disk leaves whole chunks only. No numpy here: a logger has to stay small.
 """
 
 from __future__ import annotations
@@ -24,9 +23,6 @@ from messages.types import Message
 
 CHUNK_SIZE = 65536
 """Uncompressed size at which a chunk is finished [bytes]."""
-
-PROFILE = "haptic-nodes"
-"""The profile named in the file's header."""
 
 MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = "manifest", "launch_file", "parameters", "versions"
 """Names of the metadata records."""
@@ -122,8 +118,7 @@ class Output:
             with contextlib.suppress(OSError):
                 os.ftruncate(self.descriptor, self.size)
             raise RecordError(
-                f"{self.path}: {error.strerror} after {self.size} bytes ({left} of the next {len(data)} could not be"
-                f" written); what was written before is kept, and completed by: haptic bag recover {self.path}"
+                f"{self.path}: {error.strerror} after {self.size} bytes ({left} of the next {len(data)} not written)"
             ) from error
         self.size += len(data)
         return len(data)
@@ -142,7 +137,7 @@ class Output:
         """Do nothing: nothing is held back."""
 
     def close(self) -> None:
-        """Close the file.
+        """Close the file; harmless when repeated.
 
         Raises
         ------
@@ -155,6 +150,45 @@ class Output:
                 os.close(descriptor)
             except OSError as error:
                 raise RecordError(f"{self.path}: {error.strerror} on closing, after {self.size} bytes") from error
+
+
+def discard(path: Path) -> None:
+    """Remove a file that could not be finished; devices, pipes and links to them stay.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+    if path.is_file() and not path.is_symlink():
+        path.unlink()
+
+
+def save(path: Path, data: bytes, overwrite: bool) -> None:
+    """Write a file whole, or leave none.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    data : bytes
+        Its content.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    RecordError
+        When it cannot be created, exists already, or the disk is full.
+    """
+    output = Output(path, overwrite)
+    try:
+        output.write(data)
+    except RecordError:
+        discard(path)
+        raise
+    finally:
+        output.close()
 
 
 def mcap_writer(output: Output, library: str) -> Any:
@@ -180,7 +214,7 @@ def mcap_writer(output: Output, library: str) -> Any:
     writer: Any = Writer(
         cast("IO[Any]", output), chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
     )
-    writer.start(profile=PROFILE, library=library)
+    writer.start(profile="haptic-nodes", library=library)
     return writer
 
 
@@ -252,6 +286,12 @@ class RecordWriter:
         self.counts[topic] = 0
         return self._channels[topic]
 
+    def _failure(self, error: RecordError) -> RecordError:
+        self._failed = True
+        return RecordError(
+            f"{error}; what was recorded before is kept, and completed by: haptic bag recover {self.path}"
+        )
+
     def _usable(self) -> None:
         if self._failed:
             raise RecordError(f"{self.path}: writing failed before; nothing more can be recorded in this file")
@@ -289,9 +329,8 @@ class RecordWriter:
                 round(min(max(message.stamp, 0.0), _LATEST) * 1e9),
                 message.seq & 0xFFFFFFFF,
             )
-        except RecordError:
-            self._failed = True
-            raise
+        except RecordError as error:
+            raise self._failure(error) from error
         self.counts[topic] += 1
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -312,9 +351,8 @@ class RecordWriter:
         self._usable()
         try:
             self._writer.add_metadata(name, dict(values))
-        except RecordError:
-            self._failed = True
-            raise
+        except RecordError as error:
+            raise self._failure(error) from error
 
     def flush(self) -> None:
         """Finish the chunk and hand it to the operating system: a kill of this process loses nothing written before.
@@ -329,9 +367,8 @@ class RecordWriter:
         self._usable()
         try:
             self._writer.flush()
-        except RecordError:
-            self._failed = True
-            raise
+        except RecordError as error:
+            raise self._failure(error) from error
 
     def close(self) -> None:
         """Write the summary and close the file. Harmless when repeated; after a failed write it only closes.
@@ -347,9 +384,8 @@ class RecordWriter:
         try:
             if not self._failed:
                 self._writer.finish()
-        except RecordError:
-            self._failed = True
-            raise
+        except RecordError as error:
+            raise self._failure(error) from error
         finally:
             self._output.close()
 

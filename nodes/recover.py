@@ -18,7 +18,7 @@ import msgspec
 
 from nodes import mcapfile
 from nodes.mcapfile import FRAME, Channel, RawMessage, Record, Schema
-from nodes.record import Output, RecordError, mcap_writer, versions
+from nodes.record import Output, RecordError, discard, mcap_writer, versions
 from nodes.recording import RECOVERY
 
 T = TypeVar("T")
@@ -206,7 +206,7 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
         copy.writer.finish()
     except RecordError:
         # A copy that does not hold everything must not be taken for the whole.
-        out.unlink(missing_ok=True)
+        discard(out)
         raise
     finally:
         output.close()

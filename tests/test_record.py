@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from messages.schema import schema, schema_json
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState, Force, Message
-from nodes.record import CHUNK_SIZE, RecordError, RecordWriter
+from nodes.record import CHUNK_SIZE, RecordError, RecordWriter, save
 from nodes.recording import Recording
 from tests.recorded import drop
 from tests.strategies import TYPES, messages
@@ -234,6 +234,7 @@ def check_full(process: subprocess.CompletedProcess[str], expected: str, path: s
     assert process.returncode == 0, process.stderr
     first, second, third, last = process.stdout.splitlines()
     assert first.startswith(f"{path}: {expected} after ")
+    assert first.endswith(f"completed by: haptic bag recover {path}")
     assert second == third == f"{path}: writing failed before; nothing more can be recorded in this file"
     messages_kept, written, gaps, cut = last.split(" ", 3)
     # All but the chunk that did not fit is kept: over 64 KiB of messages of at least 150 bytes.
@@ -263,6 +264,44 @@ def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path) -> None:
         [*mount, sys.executable, "-c", textwrap.dedent(FILL), path, ""], capture_output=True, text=True, check=False
     )
     check_full(process, "No space left on device", path)
+
+
+def test_save_leaves_a_whole_file_or_none(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    save(path, b"first", overwrite=False)
+    with pytest.raises(RecordError, match="exists already"):
+        save(path, b"second", overwrite=False)
+    assert path.read_bytes() == b"first"
+    save(path, b"second", overwrite=True)
+    assert path.read_bytes() == b"second"
+    # What is no file of ours is never removed, whoever runs this.
+    link = tmp_path / "link"
+    link.symlink_to("/dev/full")
+    for place in (Path("/dev/full"), link):
+        with pytest.raises(RecordError, match="No space left on device after 0 bytes"):
+            save(place, b"data", overwrite=True)
+        assert place.is_char_device()
+
+
+LIMITED = """
+    import resource, sys
+    from pathlib import Path
+    from nodes.record import RecordError, save
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+    try:
+        save(Path(sys.argv[1]), bytes(2000), overwrite=False)
+    except RecordError as error:
+        print(error)
+"""
+
+
+def test_save_removes_what_could_not_be_finished(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(LIMITED), str(path)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == f"{path}: File too large after 0 bytes (1000 of the next 2000 not written)\n"
+    assert not path.exists()
 
 
 def test_refusals(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import statistics
 import subprocess
@@ -257,3 +258,29 @@ def test_a_killed_recorder_loses_at_most_half_a_second(launch: RunningLaunch) ->
     assert whole.complete
     assert {topic: figures.messages for topic, figures in whole.topics.items()} == saved["messages"]
     assert saved["messages"][DEVICE_STATE] == cut.topics[DEVICE_STATE].messages
+
+
+def test_a_full_disk_ends_the_logger_and_not_the_loop(tmp_path: Path) -> None:
+    mount = ["unshare", "--mount", "sh", "-c", 'mount -t tmpfs -o size=64k tmpfs "$0" && exec "$@"', str(tmp_path)]
+    if subprocess.run([*mount, "true"], capture_output=True, check=False).returncode != 0:
+        pytest.skip("mounting a small tmpfs in a private namespace needs root")
+    script = """
+        cd "$0"
+        "$@" launch floor_drop pace:=lockstep duration:=6 --no-plot --json | tail -1
+        "$@" bag info --json recordings/*.mcap | tail -1
+    """
+    with private_runtime_dir() as runtime_dir:
+        done = subprocess.run(
+            [*mount, "sh", "-c", script, str(tmp_path), *HAPTIC],
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    assert "Traceback" not in done.stderr
+    assert re.search(r"\[logger\] recording: .*: No space left on device after \d+ bytes", done.stderr)
+    figures, info = map(json.loads, done.stdout.splitlines())
+    assert figures["ticks"] == 3000
+    assert info["recovered"] is True
+    assert 0 < info["topics"][DEVICE_STATE]["messages"] < 3000
+    assert info["topics"][DEVICE_STATE]["gaps"] == 0

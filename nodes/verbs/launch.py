@@ -256,11 +256,15 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     figures = summarise(launch, supervisor)
     if figures["recording"] and not arguments.no_plot and figures["ticks"]:
         from nodes.plot import plot
+        from nodes.record import RecordError
         from nodes.recording import Recording
 
         picture = Path(figures["recording"]).with_suffix(".png")
-        plot(Recording(figures["recording"]), picture, overwrite=True)
-        figures["plot"] = str(picture)
+        try:
+            plot(Recording(figures["recording"]), picture, overwrite=True)
+            figures["plot"] = str(picture)
+        except RecordError as error:
+            say(f"no plot: {error}")
     answer(arguments.json, figures, _text(launch, figures))
     if supervisor.failed:
         return 1
