@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import struct
 import zlib
 from pathlib import Path
@@ -29,7 +30,12 @@ from nodes.summary import quantile, summarise
 from tests.recorded import PERIOD, drop
 
 MAGIC = b"\x89MCAP0\r\n"
-FUZZ = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+# HAPTIC_FUZZ=50 makes a long run of it.
+FUZZ = settings(
+    max_examples=60 * int(os.environ.get("HAPTIC_FUZZ", "1")),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 
 
 def write(path: Path, sent: list[tuple[str, Message]], flush_every: int = 120) -> None:

@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from nodes.cli import UsageError, answer
 
 if TYPE_CHECKING:
+    from nodes.accounts import Account
     from nodes.recording import Recording
 
 PLAY_ENDPOINT = "tcp://127.0.0.1:9872"
@@ -122,9 +123,7 @@ def _record(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _info_text(recording: Recording) -> str:
-    from nodes.accounts import accounts, overruns
-
+def _info_text(recording: Recording, nodes: Mapping[str, Account], left_out: int) -> str:
     lines = [str(recording.path)]
     facts = dict(recording.manifest)
     with contextlib.suppress(KeyError, ValueError, OverflowError):
@@ -139,10 +138,9 @@ def _info_text(recording: Recording) -> str:
     lines.append(f"  {'topic':{width}} {'messages':>9} {'rate [Hz]':>10} {'gaps':>6} {'repeats':>8}")
     for topic, figures in recording.topics.items():
         lines.append(f"  {topic:{width}} {figures.messages:9} {figures.rate:10.6g} {figures.gaps:6} {figures.back:8}")
-    left_out = overruns(recording)
     if left_out:
         lines.append(f"  ticks left out by the driver, late by a whole period: {left_out} (gaps everywhere, no losses)")
-    for node, account in accounts(recording).items():
+    for node, account in nodes.items():
         told = "all there" if not account.lost else f"{account.lost} lost"
         late = f", recorded from seq {account.since} on" if account.since else ""
         lines.append(f"  {node}: sent {account.sent}, recorded {account.recorded}: {told}{late}")
@@ -154,6 +152,7 @@ def _info(arguments: argparse.Namespace) -> int:
     from nodes.recording import Recording
 
     recording = Recording(arguments.file)
+    nodes, left_out = accounts(recording), overruns(recording)
     figures = {
         "file": str(recording.path),
         "duration_s": recording.duration,
@@ -171,15 +170,15 @@ def _info(arguments: argparse.Namespace) -> int:
         },
         "nodes": {
             node: {"sent": account.sent, "recorded": account.recorded, "lost": account.lost}
-            for node, account in accounts(recording).items()
+            for node, account in nodes.items()
         },
-        "overruns": overruns(recording),
+        "overruns": left_out,
         "recovered": recording.recovered,
         "complete": recording.complete,
         "cut": recording.cut,
         "manifest": recording.manifest,
     }
-    answer(arguments.json, figures, _info_text(recording))
+    answer(arguments.json, figures, _info_text(recording, nodes, left_out))
     return 0
 
 
