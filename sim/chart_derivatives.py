@@ -29,7 +29,7 @@ PERIOD = 0.002
 MASS, DAMPING, DELAY = 0.1, 1.0, 1.0
 GAIN, STIFFNESS = 3.0, 200.0
 _TICKS = 200
-_ROUNDS = 15
+_ROUNDS, _QUICK_ROUNDS, _QUICK_TAPS = 15, 3, 64
 _FINITE = (4, 16, 64, 256, 1000)
 _RECURSIVE = (4, 6, 9, 13)
 _LENGTHS: dict[str, tuple[int, ...]] = {
@@ -60,13 +60,15 @@ def _render(
 _render_compiled = compiled()(_render)
 
 
-def candidates(order: float) -> Iterator[tuple[str, int, CompiledLaw]]:
+def candidates(order: float, quick: bool = False) -> Iterator[tuple[str, int, CompiledLaw]]:
     """Go through all installed realisations at the lengths they take.
 
     Parameters
     ----------
     order : float
         α.
+    quick : bool, optional
+        Only lengths up to 64.
 
     Yields
     ------
@@ -74,7 +76,10 @@ def candidates(order: float) -> Iterator[tuple[str, int, CompiledLaw]]:
         Kind, length n + 1 and the realisation with unit gain.
     """
     for kind in derivative_kinds():
-        for taps in _LENGTHS.get(kind, _FINITE):
+        lengths = _LENGTHS.get(kind, _FINITE)
+        for taps in lengths:
+            if quick and taps > max(_QUICK_TAPS, lengths[0]):
+                continue
             try:
                 yield kind, taps, realise(kind, order, taps, PERIOD)
             except ValueError:
@@ -139,13 +144,15 @@ def largest_stable(radius: Callable[[float], float], low: float, high: float, pr
     return before
 
 
-def derivative_groups(step: Callable[[str], None]) -> list[Group]:
+def derivative_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
     """Measure all realisations.
 
     Parameters
     ----------
     step : callable
         Told after every piece of work; `derivative_steps` times in all.
+    quick : bool, optional
+        Fewer lengths and rounds.
 
     Returns
     -------
@@ -153,13 +160,14 @@ def derivative_groups(step: Callable[[str], None]) -> list[Group]:
         Three groups for each order: time, multiplies, stiffness.
     """
     groups = []
+    rounds = _QUICK_ROUNDS if quick else _ROUNDS
     for order in ORDERS:
-        found = list(candidates(order))
+        found = list(candidates(order, quick))
         jobs: dict[str, tuple[Callable[[], object], int]] = {}
         for kind, taps, law in found:
             jobs[f"{kind} {taps}|node"] = (_in_node(law), _TICKS)
             jobs[f"{kind} {taps}|compiled"] = (_when_compiled(law), 20 * _TICKS)
-        timings = interleaved(jobs, _ROUNDS, step)
+        timings = interleaved(jobs, rounds, step)
         timed, counted, stiff = [], [], []
         for kind, taps, law in found:
             name = f"{kind} {taps}"
@@ -194,9 +202,7 @@ def derivative_groups(step: Callable[[str], None]) -> list[Group]:
         stiff = [Point(p.name, p.cost, 1.0 - p.error / best, p.family, p.detail) for p in stiff]
         error = "error against (jω)^α, best delay removed, 0.001 to 0.5 of Nyquist (rms)"
         loss = f"stiffness lost against the best, {best:.0f} N/m"
-        note = (
-            f"T = {1e3 * PERIOD:g} ms; times by the coupling's own rendering, median of {_ROUNDS} interleaved rounds."
-        )
+        note = f"T = {1e3 * PERIOD:g} ms; times by the coupling's own rendering, median of {rounds} interleaved rounds."
         groups += [
             Group(
                 f"derivative_time_{order:g}",
@@ -227,15 +233,21 @@ def derivative_groups(step: Callable[[str], None]) -> list[Group]:
     return groups
 
 
-def derivative_steps() -> int:
+def derivative_steps(quick: bool = False) -> int:
     """Count the pieces of work of `derivative_groups`.
+
+    Parameters
+    ----------
+    quick : bool, optional
+        As there.
 
     Returns
     -------
     int
         How often it reports.
     """
-    return sum(_ROUNDS + sum(1 for _ in candidates(order)) for order in ORDERS)
+    rounds = _QUICK_ROUNDS if quick else _ROUNDS
+    return sum(rounds + sum(1 for _ in candidates(order, quick)) for order in ORDERS)
 
 
 def _limits(law: CompiledLaw, order: float) -> tuple[float, float]:

@@ -23,7 +23,7 @@ PERIOD, MASS, DAMPING, GRAVITY = 0.002, 0.1, 1.0, 9.81
 _LAW = PD(stiffness=400.0, damping=1.0)
 _HEIGHT = 0.005
 _TICKS = 250
-_ROUNDS = 9
+_ROUNDS, _QUICK_ROUNDS = 9, 2
 
 Step = Callable[[float, float, float], tuple[float, float]]
 
@@ -123,13 +123,15 @@ def spring_limit(step: Step) -> float:
     return largest_stable(radius, 1.0, 2e5, precision=1e-9)
 
 
-def integrator_groups(step: Callable[[str], None]) -> list[Group]:
+def integrator_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
     """Measure all integrators.
 
     Parameters
     ----------
     step : callable
         Told after every piece of work, `integrator_steps` times in all.
+    quick : bool, optional
+        Fewer rounds.
 
     Returns
     -------
@@ -141,7 +143,7 @@ def integrator_groups(step: Callable[[str], None]) -> list[Group]:
         name: ((lambda f=f: drop(f)), _TICKS)  # type: ignore[misc]
         for name, f in found.items()
     }
-    timings = interleaved(jobs, _ROUNDS, step)
+    timings = interleaved(jobs, _QUICK_ROUNDS if quick else _ROUNDS, step)
     exact = reference()
     path, limit = drop(exact), spring_limit(exact)
     depth = -float(path.min())
@@ -184,15 +186,20 @@ def integrator_groups(step: Callable[[str], None]) -> list[Group]:
     ]
 
 
-def integrator_steps() -> int:
+def integrator_steps(quick: bool = False) -> int:
     """Count the pieces of work of `integrator_groups`.
+
+    Parameters
+    ----------
+    quick : bool, optional
+        As there.
 
     Returns
     -------
     int
         How often it reports.
     """
-    return _ROUNDS + len(integrators())
+    return (_QUICK_ROUNDS if quick else _ROUNDS) + len(integrators())
 
 
 def _exact() -> Step:

@@ -22,7 +22,7 @@ from sim.plant import DeviceModel
 from sim.stopwatch import interleaved
 
 PERIOD, MASS, DAMPING, GAIN = 0.002, 0.1, 0.1, 3.0
-_ROUNDS = 5
+_ROUNDS, _QUICK_ROUNDS = 5, 2
 _HEIGHT = 0.005
 _GRAVITY = 9.81
 _PRECISION = 1e-3
@@ -171,13 +171,15 @@ def ways(delay: float) -> dict[str, Way]:
     return found
 
 
-def kmax_groups(step: Callable[[str], None]) -> list[Group]:
+def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
     """Measure all ways to find K_max, without delay and with one tick.
 
     Parameters
     ----------
     step : callable
         Told after every piece of work, `kmax_steps` times in all.
+    quick : bool, optional
+        Fewer rounds.
 
     Returns
     -------
@@ -185,9 +187,10 @@ def kmax_groups(step: Callable[[str], None]) -> list[Group]:
         One for each delay.
     """
     groups = []
+    rounds = _QUICK_ROUNDS if quick else _ROUNDS
     for delay in (0.0, 1.0):
         found = ways(delay)
-        timings = interleaved({name: (way, 1) for name, way in found.items()}, _ROUNDS, step)
+        timings = interleaved({name: (way, 1) for name, way in found.items()}, rounds, step)
         exact = poles(delay, 1e-12)
         points = []
         for name, way in found.items():
@@ -216,12 +219,18 @@ def kmax_groups(step: Callable[[str], None]) -> list[Group]:
     return groups
 
 
-def kmax_steps() -> int:
+def kmax_steps(quick: bool = False) -> int:
     """Count the pieces of work of `kmax_groups`.
+
+    Parameters
+    ----------
+    quick : bool, optional
+        As there.
 
     Returns
     -------
     int
         How often it reports.
     """
-    return sum(_ROUNDS + len(ways(delay)) for delay in (0.0, 1.0))
+    rounds = _QUICK_ROUNDS if quick else _ROUNDS
+    return sum(rounds + len(ways(delay)) for delay in (0.0, 1.0))

@@ -30,6 +30,7 @@ from sim.loop import Scene, Surface, run
 from sim.plant import DeviceModel
 
 RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
+_QUICK_RATES = (500.0, 1000.0)
 APPLY = ("on_arrival", "next_tick")
 MASS, DAMPING, HEIGHT, GRAVITY = 0.1, 1.0, 0.01, 9.81
 STIFFNESS, GAIN = 400.0, 3.0
@@ -197,13 +198,15 @@ def settles(height: NDArray[np.float64]) -> bool:
     return bool(np.isfinite(end).all() and np.ptp(end) < 0.1 * HEIGHT)
 
 
-def rate_groups(step: Callable[[str], None]) -> list[Group]:
+def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
     """Measure all rates and delays.
 
     Parameters
     ----------
     step : callable
         Told after every piece of work, `rate_steps` times in all.
+    quick : bool, optional
+        Only 500 and 1000 Hz.
 
     Returns
     -------
@@ -213,7 +216,7 @@ def rate_groups(step: Callable[[str], None]) -> list[Group]:
     time, wanted = continuous(STIFFNESS)
     points: list[tuple[str, float, float, str, dict[str, Detail]]] = []
     for apply in APPLY:
-        for rate in RATES:
+        for rate in _QUICK_RATES if quick else RATES:
             name = f"{rate:g} Hz {apply}"
             first = launch(rate, apply, STIFFNESS)
             period = 1.0 / rate
@@ -263,12 +266,17 @@ def rate_groups(step: Callable[[str], None]) -> list[Group]:
     ]
 
 
-def rate_steps() -> int:
+def rate_steps(quick: bool = False) -> int:
     """Count the pieces of work of `rate_groups`.
+
+    Parameters
+    ----------
+    quick : bool, optional
+        As there.
 
     Returns
     -------
     int
         How often it reports.
     """
-    return len(RATES) * len(APPLY)
+    return len(_QUICK_RATES if quick else RATES) * len(APPLY)

@@ -30,6 +30,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=",".join(PARTS),
         help="which comparisons, separated by commas (default: %(default)s); rates starts real processes",
     )
+    parser.add_argument("--quick", action="store_true", help="fewer lengths, rates and rounds: a first look")
     add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -64,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.chart_rates import LaunchFailedError, rate_groups, rate_steps
     from sim.stopwatch import Progress, machine
 
-    makers: dict[str, tuple[Callable[[Callable[[str], None]], list[Group]], Callable[[], int], int]] = {
+    makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {
         # The weight is about how many tenths of a second one step takes, so that the bar moves evenly.
         "derivatives": (derivative_groups, derivative_steps, 1),
         "integrators": (integrator_groups, integrator_steps, 1),
@@ -72,14 +73,14 @@ def run(arguments: argparse.Namespace) -> int:
         "rates": (rate_groups, rate_steps, 100),
     }
     start = time.monotonic()
-    progress = Progress(sum(makers[part][1]() * makers[part][2] for part in parts))
+    progress = Progress(sum(makers[part][1](arguments.quick) * makers[part][2] for part in parts))
     groups: list[Group] = []
     failures: list[str] = []
     for part in parts:
         make, _, weight = makers[part]
         step = partial(_advance, progress, weight)
         try:
-            groups += [with_front(group) for group in make(step)]
+            groups += [with_front(group) for group in make(step, arguments.quick)]
         except LaunchFailedError as error:
             # The other parts are worth keeping; the exit code tells that one is missing.
             failures.append(f"{part}: {error}")

@@ -1,0 +1,1 @@
+"""Benchmarks of kernels, run once by default; with ``pytest tests/benchmarks --benchmark-enable`` they are timed."""
