@@ -198,21 +198,24 @@ def _draw_receipts(panels: list[Axes], recording: Recording, force: Arrays | Non
 def _title(
     recording: Recording, summary: Summary, state: Arrays, proxy: Arrays | None, force: Arrays | None
 ) -> tuple[str, str]:
-    """Name the scenario, and tell the run in one line."""
+    """Name the scenario, and tell the run in two lines."""
     pace = recording.manifest.get("pace", "")
     share = 100.0 * summary.missed / summary.ticks if summary.ticks else 0.0
     axis = main_axis(proxy, state["position"])
-    gaps = sum(figures.gaps for figures in recording.topics.values())
+    # Ticks that the driver left out are gaps, but no losses.
+    lost = sum(max(figures.gaps - summary.overruns, 0) for figures in recording.topics.values())
     laws = [] if force is None else [name for name in dict.fromkeys(force["law"].tolist()) if name]
-    whole = "complete" if recording.complete else "cut"
-    parts = [
-        f"{summary.ticks} ticks at {summary.rate_hz:.6g} Hz" + (f", {pace}" if pace else ""),
-        *(["law " + ", ".join(laws[:4])] if laws else []),
-        f"missed {summary.missed} ({share:.2g} %)",
-        f"ends at {summary.position_m[axis] * 1e3:.4g} mm, {summary.force_n[axis]:.4g} N".replace("-", "−"),
-        f"recording {whole}, " + (f"{gaps} gaps" if gaps else "no gap"),
+    how_it_went = [
+        f"{summary.ticks} ticks at {summary.rate_hz:.6g} Hz" + (f", {pace[:20]}" if pace else ""),
+        f"missed {summary.missed} ({share:.2g} %)" + (f", left out {summary.overruns}" if summary.overruns else ""),
+        f"recording {'complete' if recording.complete else 'cut'}, {lost} messages lost",
     ]
-    return recording.manifest.get("scenario", recording.path.stem), "  ·  ".join(parts)
+    what_came_of_it = [
+        *(["law " + ", ".join(laws)[:70]] if laws else []),
+        f"ends at {summary.position_m[axis] * 1e3:.3f} mm, {summary.force_n[axis]:.3f} N".replace("-", "−"),
+    ]
+    lines = "\n".join("  ·  ".join(parts) for parts in (how_it_went, what_came_of_it))
+    return recording.manifest.get("scenario", recording.path.stem)[:70], lines
 
 
 def draw(recording: Recording) -> bytes:
@@ -266,16 +269,17 @@ def draw(recording: Recording) -> bytes:
         axes.margins(x=0.01)
     panels[-1].set_xlabel("time [s]" if realtime else "simulated time [s]")
     figure.align_ylabels(panels)
-    scenario, line = _title(recording, summary, state, proxy, force)
+    scenario, lines = _title(recording, summary, state, proxy, force)
     # Texts of a file are texts: a $ in a scenario's name is no formula.
-    panels[0].set_title(scenario, fontsize=14, fontweight="bold", loc="left", pad=36, parse_math=False)
+    panels[0].set_title(scenario, fontsize=14, fontweight="bold", loc="left", pad=48, parse_math=False)
     panels[0].annotate(
-        line,
+        lines,
         (0.0, 1.0),
         xycoords="axes fraction",
         xytext=(0, 20),
         textcoords="offset points",
-        fontsize=9.5,
+        fontsize=9,
+        linespacing=1.35,
         color="#444a52",
         parse_math=False,
     )
