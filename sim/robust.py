@@ -182,10 +182,10 @@ def verified_cases(demand: Demand) -> Vector:
     -------
     ndarray, shape (c, 3)
         Mass [kg], delay [ticks], stiffness of the hand [N/m]: 801 masses evenly spaced in the logarithm, or 101 masses with
-        21 delays and hands where those are ranges too; all ends are among them.
+        11 delays and hands where those are ranges too; all ends are among them.
     """
     wide = demand.delay[0] < demand.delay[1] or demand.stiffness[0] < demand.stiffness[1]
-    return _cases(demand, 101 if wide else _VERIFIED, 21)
+    return _cases(demand, 101 if wide else _VERIFIED, 11)
 
 
 def _cases(demand: Demand, masses: int, others: int) -> Vector:
@@ -254,7 +254,7 @@ def _global(demand: Demand, basis: Vector, cases: Vector, free: bool, seed: int,
             score,
             Bounds([-span if free else 0.0] * p, [span] * p),
             maxiter=(40 + 40 * p) * effort,
-            popsize=max(8, 48 // p),
+            popsize=12,
             rng=seed + i,
             tol=1e-8,
             polish=False,

@@ -191,7 +191,7 @@ def test_kmax_says_when_nothing_is_stable(capsys: pytest.CaptureFixture[str]) ->
     [
         ("study kmax --law pdq", "law.kind: 'pdq'"),
         ("study kmax --law pd --gain 3 --delay 1 --method closed_form", "closed_form needs"),
-        ("study analyse {kind:", "not a YAML mapping"),
+        ("study analyse {kind:", "law: not valid YAML"),
         ("study analyse {kind: pd, stiffness: -1}", r"law.stiffness"),
     ],
 )

@@ -7,12 +7,12 @@ import math
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from nodes.cli import UsageError
 from nodes.laws import Law, law_kinds
 from nodes.laws.parse import LawRefusedError, parse_law
 from nodes.laws.presets import PRESETS
+from nodes.parameters import ParameterError
+from nodes.yamlfile import parse_yaml
 from sim.boundary import Device
 
 
@@ -186,9 +186,9 @@ def law(arguments: argparse.Namespace, name: str, gain: float | None = None) -> 
     data: Any = {"kind": name}
     if name.lstrip().startswith("{"):
         try:
-            data = yaml.safe_load(name)
-        except yaml.YAMLError as error:
-            raise UsageError(f"law: not a YAML mapping: {name}") from error
+            data = parse_yaml(name, "law")
+        except ParameterError as error:
+            raise UsageError(str(error)) from error
     given = {
         "stiffness": arguments.stiffness,
         "damping": gain,

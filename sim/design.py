@@ -1,0 +1,319 @@
+"""Laws designed for the device and the loop one really has, and what they gain over the best-tuned known ones.
+
+The comparison is at equal demand: same range of mass, same delay, same pole radius, same bound on H(−1), same search. PD,
+every PDα and the seed's optimum are then just narrower families than free taps of the same length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from messages.topics import DEVICE_STATE
+from nodes.laws import CompiledLaw
+from nodes.laws.parse import parse_law
+from nodes.laws.presets import PRESETS
+from nodes.recording import Recording
+from nodes.summary import quantile
+from nodes.yamlfile import parse_yaml, write_yaml
+from sim.boundary import Device, tolerance
+from sim.robust import Demand, Robust, stiffest
+
+Vector = NDArray[np.float64]
+
+ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))
+"""Orders at which PDα is tuned before the best is refined."""
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The stiffest member of a family at one demand.
+
+    Attributes
+    ----------
+    family : str
+        ``pd``, ``pd_alpha``, ``paper_optimum`` or ``designed``.
+    law : dict or None
+        Its description, as `nodes.laws.parse.parse_law` reads it; None when no member keeps the demand.
+    found : Robust or None
+        Its figures.
+    """
+
+    family: str
+    law: dict[str, Any] | None
+    found: Robust | None
+
+
+def designed(demand: Demand, taps: int, effort: int = 1) -> Tuned:
+    """Design the taps themselves.
+
+    Parameters
+    ----------
+    demand : Demand
+        What to keep.
+    taps : int
+        n + 1.
+    effort : int
+        Multiplies the global search.
+
+    Returns
+    -------
+    Tuned
+        With a law of kind ``fir``, tied to its sampling period.
+    """
+    found = stiffest(demand, np.eye(taps), effort=effort)
+    law = None if found is None else fir(found.taps, demand.period)
+    return Tuned("designed", law, found)
+
+
+def fir(taps: Vector, period: float) -> dict[str, Any]:
+    """Describe raw taps as a law.
+
+    Parameters
+    ----------
+    taps : ndarray, shape (n + 1,)
+        h_0 ... h_n [N/m].
+    period : float
+        Sampling period that they were made for [s].
+
+    Returns
+    -------
+    dict
+        A law of kind ``fir``.
+    """
+    return {"kind": "fir", "taps": [float(tap) for tap in taps], "period": period}
+
+
+def best_pd(demand: Demand) -> Tuned:
+    """Tune stiffness and damping of PD.
+
+    Parameters
+    ----------
+    demand : Demand
+        What to keep.
+
+    Returns
+    -------
+    Tuned
+        The stiffest.
+    """
+    return _best("pd", {"kind": "pd"}, demand)
+
+
+def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = None) -> Tuned:
+    """Tune stiffness and damping of PDα at every order, then refine the best order.
+
+    Parameters
+    ----------
+    demand : Demand
+        What to keep.
+    taps : int
+        n + 1 of the derivative.
+    orders : tuple of float or None
+        Orders to begin with; None for `ORDERS`.
+
+    Returns
+    -------
+    Tuned
+        The stiffest of all orders.
+    """
+
+    def at(order: float) -> Tuned:
+        shape = {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "normalised"}
+        return _best("pd_alpha", shape, demand)
+
+    best = max((at(order) for order in (ORDERS if orders is None else orders)), key=_stiffness)
+    step = 0.1
+    while step >= 0.0125 and best.law is not None:
+        order = float(best.law["order"])
+        beside = [at(other) for other in (order - step, order + step) if 0.0 < other < 4.0]
+        best = max([best, *beside], key=_stiffness)
+        step *= 0.5
+    return best
+
+
+def best_paper_optimum(demand: Demand) -> Tuned:
+    """Tune stiffness and damping of the seed's optimum; its gains and orders stay.
+
+    Parameters
+    ----------
+    demand : Demand
+        What to keep.
+
+    Returns
+    -------
+    Tuned
+        The stiffest.
+    """
+    return _best("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, demand)
+
+
+def compare(demand: Demand, taps: int, say: Callable[[str], None]) -> Iterator[Tuned]:
+    """Tune every family to the same demand.
+
+    Parameters
+    ----------
+    demand : Demand
+        What all of them must keep.
+    taps : int
+        n + 1 of PDα and of the designed law.
+    say : callable
+        Told what is being tuned, for a progress line.
+
+    Yields
+    ------
+    Tuned
+        PD, PDα, the seed's optimum, and the designed law.
+    """
+    say("PD")
+    yield best_pd(demand)
+    say(f"PDα, {len(ORDERS)} orders")
+    yield best_pd_alpha(demand, taps)
+    say("the seed's optimum")
+    yield best_paper_optimum(demand)
+    say(f"{taps} free taps")
+    yield designed(demand, taps)
+
+
+def _stiffness(tuned: Tuned) -> float:
+    return 0.0 if tuned.found is None else tuned.found.h1_n_per_m
+
+
+def _best(family: str, shape: dict[str, Any], demand: Demand) -> Tuned:
+    """Tune K and B of a law that is linear in both: its taps at (K, B) = (1, 0) and what one B adds."""
+    spring = np.array(parse_law({**shape, "stiffness": 1.0, "damping": 0.0}).compile(demand.period).taps)
+    both = np.array(parse_law({**shape, "stiffness": 1.0, "damping": 1.0}).compile(demand.period).taps)
+    found = stiffest(demand, np.array([spring, both - spring]), free=False)
+    if found is None or not found.parameters[0] > 0.0:
+        return Tuned(family, None, None)
+    law = {**shape, "stiffness": float(found.parameters[0]), "damping": float(found.parameters[1])}
+    return Tuned(family, law, found)
+
+
+def latest_delay(tuned: Tuned, demand: Demand) -> float | None:
+    """Find the delay up to which a law stays stable at every mass of the range: what the demand did not ask for.
+
+    Parameters
+    ----------
+    tuned : Tuned
+        The law.
+    demand : Demand
+        What it was tuned to.
+
+    Returns
+    -------
+    float or None
+        Delay [ticks], at five masses of the range; None when there is no law or no limit.
+    """
+    if tuned.found is None:
+        return None
+    compiled = CompiledLaw(tuple(tuned.found.taps.tolist()))
+    known = []
+    for mass in np.geomspace(*demand.mass, 5).tolist():
+        device = Device(mass, demand.damping, demand.delay[1], demand.stiffness[0])
+        limits = tolerance(compiled, demand.period, device)
+        if limits is not None and limits.delay_max_ticks is not None:
+            known.append(limits.delay_max_ticks)
+    return min(known) if known else None
+
+
+def to_yaml(law: dict[str, Any], name: str = "designed", node: str = "coupling", comment: str = "") -> str:
+    """Write a law so that ``haptic param load`` takes it at once: defined under its name, and switched to.
+
+    Parameters
+    ----------
+    law : dict
+        Its description.
+    name : str
+        Name that it gets.
+    node : str
+        Name of the coupling node.
+    comment : str
+        Lines to put above.
+
+    Returns
+    -------
+    str
+        YAML.
+    """
+    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    return head + write_yaml({node: {"law": name, "laws": {name: law}}})
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a recorded run tells about its loop.
+
+    Attributes
+    ----------
+    period : float
+        Sampling period T [s].
+    delay : tuple of float, shape (2,)
+        Delay that all but one tick in a thousand stayed within, at either end [ticks].
+    median : float
+        Median delay [ticks].
+    jitter : float
+        Its spread, 99.9 % quantile minus 0.1 % quantile [ticks].
+    delays : tuple of float
+        Delay of each tick, in order [ticks].
+    mass, damping : float or None
+        What the virtual device was given, None for another device [kg], [N s/m].
+    """
+
+    period: float
+    delay: tuple[float, float]
+    median: float
+    jitter: float
+    delays: tuple[float, ...]
+    mass: float | None
+    damping: float | None
+
+
+def measure(path: Path) -> Measured:
+    """Read period, delay and jitter from a recording.
+
+    Parameters
+    ----------
+    path : Path
+        Recording of a launch.
+
+    Returns
+    -------
+    Measured
+        The delay of the loop as the driver measured it tick by tick, and the virtual device's own on top.
+
+    Raises
+    ------
+    ValueError
+        When the recording holds fewer than 100 ticks or tells no rate.
+    RecordError
+        When it cannot be read.
+    """
+    recording = Recording(path)
+    states = recording.messages(DEVICE_STATE)
+    if len(states) < 100:
+        raise ValueError(f"{path}: {len(states)} ticks recorded, at least 100 are needed to tell delay and jitter")
+    rate = float(recording.manifest.get("rate_hz", 0.0))
+    if not rate > 0.0:
+        raise ValueError(f"{path}: its manifest tells no rate_hz")
+    device = _virtual_device(recording)
+    own = float(device.get("delay", 0.0))
+    # The first state tells of no tick before it, and a loop without forces yet has no delay.
+    delays = tuple(state.delay + own for state in states[1:] if state.force_seq >= 0)
+    if len(delays) < 100:
+        raise ValueError(f"{path}: {len(delays)} ticks were answered by a force, at least 100 are needed")
+    low, middle, high = (quantile(sorted(delays), fraction) for fraction in (0.001, 0.5, 0.999))
+    return Measured(1.0 / rate, (low, high), middle, high - low, delays, device.get("mass"), device.get("damping"))
+
+
+def _virtual_device(recording: Recording) -> dict[str, Any]:
+    for text in recording.metadata.get("parameters", {}).values():
+        node = parse_yaml(text, "parameters")
+        if isinstance(node, dict) and isinstance(node.get("device"), dict):
+            return dict(node["device"])
+    return {}

@@ -1,0 +1,190 @@
+"""The stiffest passive law for the delay one really has: passive whatever mass, hand or grip, and by a verified margin.
+
+Colgate's condition at a whole delay is linear in the taps at each frequency, and at a fractional one it is the eigenvalue
+of a matrix that is linear in them: convex and homogeneous either way. So the stiffest law is found by cutting planes: a
+linear programme over the cuts so far, new cuts at the frequencies where its solution needs most damping. What comes out is
+scaled by the damping that it really needs, bounded between the sampled frequencies too, so that it is passive for
+certain and not only at sampled frequencies. For d = 1 it must find 2/(1 + 1/cos(π/(n+3))) (theory.md §2).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.laws import CompiledLaw
+
+Vector = NDArray[np.float64]
+
+_GRID = 1024
+_CUTS = 60
+
+
+@dataclass(frozen=True)
+class Passive:
+    """A passive law and the proof of it.
+
+    Attributes
+    ----------
+    taps : ndarray, shape (n + 1,)
+        h_0 ... h_n [N/m].
+    h1_n_per_m : float
+        H(1) [N/m].
+    h_nyquist_n_per_m : float
+        H(−1) [N/m].
+    damping_needed_n_s_per_m : float
+        Certain upper bound of the damping it needs, not above the device's [N s/m].
+    ratio : float
+        H(1)·T/b: 2/(1+2d) for the spring, 2/(1+d) at best (theory.md §2).
+    bound_n_per_m : float
+        What the last programme, which knows fewer frequencies, would have allowed: no passive law of this length and bound
+        on H(−1) is stiffer [N/m].
+    """
+
+    taps: Vector
+    h1_n_per_m: float
+    h_nyquist_n_per_m: float
+    damping_needed_n_s_per_m: float
+    ratio: float
+    bound_n_per_m: float
+
+
+def stiffest_passive(
+    taps: int,
+    period: float,
+    damping: float,
+    delay: tuple[float, float],
+    nyquist: float = math.inf,
+    tolerance: float = 1e-7,
+) -> Passive:
+    """Find the taps with the largest H(1) that are passive on a device with this damping at any delay of a range.
+
+    Parameters
+    ----------
+    taps : int
+        n + 1.
+    period : float
+        Sampling period T [s].
+    damping : float
+        Viscous damping b > 0 of the device [N s/m].
+    delay : tuple of float, shape (2,)
+        Shortest and longest delay [ticks]. Within a range, the certain bound holds at 33 delays.
+    nyquist : float
+        Largest |H(−1)| allowed [N/m].
+    tolerance : float
+        Stop when the law is within this of the bound, relative.
+
+    Returns
+    -------
+    Passive
+        The law, its certain margin, and the bound.
+
+    Raises
+    ------
+    ValueError
+        When there is no damping to be passive with, or the programme fails.
+    """
+    from scipy.optimize import linprog
+
+    if not damping > 0.0:
+        raise ValueError(f"damping = {damping!r} N s/m: a device without damping is passive with no stiffness at all")
+    theta = np.linspace(0.0, np.pi, _GRID * max(1, taps // 8) + 1)
+    wide = delay[0] < delay[1]
+    delays = np.linspace(*delay, 5).tolist() if wide else [delay[0]]
+    bases = [_bases(theta, taps, at) for at in delays]
+    signs = np.where(np.arange(taps) % 2, -1.0, 1.0)
+    # In units of b/T. A spring's own limit bounds the search from the start: |h_m| of a passive law stays below some b/T.
+    top = nyquist * period / damping
+    rows, limits = [np.ones(taps)], [2.0 / (1.0 + delay[0]) + 1.0]
+    if math.isfinite(top):
+        rows, limits = [*rows, signs, -signs], [*limits, top, top]
+    best, bound = np.zeros(taps), math.inf
+    for _ in range(_CUTS):
+        solution = linprog(-np.ones(taps), A_ub=np.array(rows), b_ub=np.array(limits), bounds=[(-1e3, 1e3)] * taps)
+        if not solution.success or solution.x is None:
+            raise ValueError(f"taps = {taps}: the linear programme ended with: {solution.message}")
+        h = np.asarray(solution.x, dtype=np.float64)
+        bound = min(bound, float(h.sum()))
+        every = [_needed(h, *basis) for basis in bases]
+        scaled = h / max(1.0, *(float(needed.max()) for needed, _ in every))
+        if scaled.sum() > best.sum():
+            best = scaled
+        if best.sum() >= bound * (1.0 - tolerance):
+            break
+        for needed, slopes in every:
+            padded = np.concatenate([[-math.inf], needed, [-math.inf]])
+            peaks = np.flatnonzero((needed >= padded[:-2]) & (needed >= padded[2:]) & (needed > 1.0 + 1e-12))
+            rows += list(slopes[peaks])
+            limits += [1.0] * peaks.size
+    checked = np.linspace(*delay, 33).tolist() if wide else [delay[0]]
+    certain = max(certain_damping(best * damping / period, period, at) for at in checked)
+    final = best * damping / period * min(1.0, damping / certain)
+    law = CompiledLaw(tuple(final.tolist()))
+    return Passive(
+        taps=final,
+        h1_n_per_m=law.h1,
+        h_nyquist_n_per_m=law.h_nyquist,
+        damping_needed_n_s_per_m=min(certain, damping),
+        ratio=law.h1 * period / damping,
+        bound_n_per_m=bound * damping / period,
+    )
+
+
+def certain_damping(h: Vector, period: float, delay: float) -> float:
+    """Bound the damping a law needs from above, for certain: the largest of many samples plus what may hide between them.
+
+    A trigonometric polynomial of degree N with M > 2N equidistant samples exceeds its largest sample in modulus by at most
+    1/cos(πN/M) (Ehlich and Zeller 1964). The damping needed at a fractional delay is a maximum of such polynomials.
+
+    Parameters
+    ----------
+    h : ndarray, shape (n + 1,)
+        Taps [N/m].
+    period : float
+        Sampling period T [s].
+    delay : float
+        Whole or fractional delay [ticks].
+
+    Returns
+    -------
+    float
+        Damping [N s/m]; above the true one by at most 3e-7 of the largest |Re T z^−d H/(1−z)|.
+    """
+    degree = len(h) + math.ceil(delay) + 1
+    largest, modulus = 0.0, 0.0
+    for part in np.array_split(np.linspace(0.0, np.pi, 2048 * degree + 1), degree):
+        real, cosine, sine, spread = _bases(part, len(h), delay)
+        s, c, d = real @ h, cosine @ h, sine @ h
+        root = np.sqrt(s * s + spread * (c * c + d * d))
+        largest = max(largest, float(0.5 * (s + root).max()))
+        modulus = max(modulus, float(0.5 * (np.abs(s) + root).max()))
+    return period * (largest + modulus * (1.0 / math.cos(math.pi / 4096.0) - 1.0))
+
+
+def _bases(theta: Vector, taps: int, delay: float) -> tuple[Vector, Vector, Vector, float]:
+    """Per tap and frequency: Re s, Re and Im of z^−m, and φ(1−φ); all in units in which T = 1 (see damping_needed)."""
+    whole = math.floor(delay)
+    fraction = delay - whole
+    m = np.arange(taps)
+    # Re{z^−k/(1−z)} = ½ + cos θ + … + cos kθ.
+    sums = 0.5 + np.concatenate(
+        [np.zeros((1, theta.size)), np.cumsum(np.cos(np.outer(np.arange(1, taps + whole + 1), theta)), axis=0)]
+    )
+    real = (1.0 - fraction) * sums[m + whole] + fraction * sums[m + whole + 1]
+    angles = np.outer(m, theta)
+    return real.T, np.cos(angles).T, -np.sin(angles).T, fraction * (1.0 - fraction)
+
+
+def _needed(h: Vector, real: Vector, cosine: Vector, sine: Vector, spread: float) -> tuple[Vector, Vector]:
+    """Damping needed at each frequency, and its slope along the taps."""
+    s = real @ h
+    if spread == 0.0:
+        return s, real
+    c, d = cosine @ h, sine @ h
+    root = np.sqrt(s * s + spread * (c * c + d * d))
+    safe = np.maximum(root, 1e-300)[:, None]
+    slope = 0.5 * (real + (s[:, None] * real + spread * (c[:, None] * cosine + d[:, None] * sine)) / safe)
+    return 0.5 * (s + root), slope
