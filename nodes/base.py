@@ -481,6 +481,7 @@ class Node:
 
         signal.signal(signal.SIGINT, self._on_signal)
         signal.signal(signal.SIGTERM, self._on_signal)
+        signal.signal(signal.SIGHUP, self._on_signal)
         # Sent when somebody opens a watched file that is being read under a lease; its default is to end the process.
         signal.signal(signal.SIGIO, signal.SIG_IGN)
         refused = realtime.apply(self.setup.scheduling)

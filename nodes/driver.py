@@ -143,6 +143,7 @@ class Driver(Node):
         self._before: Vector = ZERO
         # Mean force since the sample before: what acted, exact under zero-order hold.
         self._acting: list[float] = [0.0, 0.0, 0.0]
+        self._held = 1
         self._response = self._lateness = self._delay = self._energy = 0.0
         self._age = self._missed = self._overruns = 0
         self._responses = ResponseTimes()

@@ -1,8 +1,9 @@
 """The guard: what is left to do when the launcher itself is killed.
 
-A small process of its own session. The launcher tells it each node's number over a pipe; when the pipe closes without a
-``done``, the launcher is dead: the guard stops the nodes (SIGTERM, then SIGKILL, which also ends a stopped one) and removes
-the run's directory. It imports nothing but the standard library, so that it is small and cannot fail with the rest.
+A small process of its own session, holding the other end of a pipe. When the pipe closes without a ``done``, the launcher is
+dead: the guard stops the nodes of the run (SIGTERM, then SIGKILL) and removes its directory. It finds them by their command
+line, so that one that was just being started is not forgotten. It imports nothing but the standard library, so that it is
+small and cannot fail with the rest. A launcher whose guard was killed starts another.
 """
 
 from __future__ import annotations
@@ -19,35 +20,52 @@ GRACE = 2.0
 """How long nodes have to stop by themselves [s]."""
 
 
-def _is_ours(pid: int, run_dir: str) -> bool:
-    try:
-        if os.fsencode(run_dir) not in Path(f"/proc/{pid}/cmdline").read_bytes():
-            return False
-        state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return state.rsplit(")", 1)[1].split()[0] not in "ZX"
+def nodes_of(run_dir: str) -> list[int]:
+    """Find the live nodes of a run.
+
+    Parameters
+    ----------
+    run_dir : str
+        Directory of the run; each node's command line names a file in it.
+
+    Returns
+    -------
+    list of int
+        Their process numbers, zombies left out.
+    """
+    wanted = os.fsencode(run_dir) + b"/"
+    found = []
+    for entry in os.listdir("/proc"):
+        if not entry.isdigit() or int(entry) == os.getpid():
+            continue
+        try:
+            words = Path(f"/proc/{entry}/cmdline").read_bytes().split(b"\0")
+            state = Path(f"/proc/{entry}/stat").read_text(encoding="ascii", errors="replace")
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        ours = b"nodes.start" in words and any(word.startswith(wanted) for word in words)
+        if ours and state.rsplit(")", 1)[1].split()[0] not in "ZX":
+            found.append(int(entry))
+    return found
 
 
-def end(pids: set[int], run_dir: str) -> None:
+def end(run_dir: str) -> None:
     """Stop the nodes of a run and remove its directory.
 
     Parameters
     ----------
-    pids : set of int
-        Process numbers that the launcher started.
     run_dir : str
         Directory of the run.
     """
-    deadline = time.monotonic() + GRACE
     for number in (signal.SIGTERM, signal.SIGKILL):
-        for pid in pids:
-            if _is_ours(pid, run_dir):
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, number)
-        while any(_is_ours(pid, run_dir) for pid in pids) and time.monotonic() < deadline:
-            time.sleep(0.02)
         deadline = time.monotonic() + GRACE
+        for pid in nodes_of(run_dir):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, number)
+                # A stopped node must wake up to bring its force to zero or to close its file.
+                os.kill(pid, signal.SIGCONT)
+        while nodes_of(run_dir) and time.monotonic() < deadline:
+            time.sleep(0.02)
     shutil.rmtree(run_dir, ignore_errors=True)
 
 
@@ -66,16 +84,10 @@ def main(arguments: list[str]) -> int:
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    pids: set[int] = set()
     for line in sys.stdin:
-        word = line.strip()
-        if word == "done":
+        if line.strip() == "done":
             return 0
-        if word.startswith("+"):
-            pids.add(int(word[1:]))
-        elif word.startswith("-"):
-            pids.discard(int(word[1:]))
-    end(pids, arguments[0])
+    end(arguments[0])
     return 0
 
 

@@ -1,11 +1,14 @@
 """Supervision of one run in ROS 2's manner: start, respawn, required nodes, and an end that leaves nothing behind.
 
 An end goes in order: first the driver (which brings the force to zero), then the rest of the chain, last the loggers, so that
-every message is recorded. Each node is asked with SIGINT, then SIGTERM, then SIGKILL.
+every message is recorded. Each node is asked with SIGINT, then SIGTERM, then SIGKILL; a stopped one is woken up first. Who
+asks a second time (Ctrl-C) waits less for all but the driver, which needs its time to bring the force down.
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
 import shutil
 import signal
@@ -29,6 +32,8 @@ from nodes.wiring import manifest_of, wire
 START_TIMEOUT = 30.0
 INT_TIMEOUT = 3.0
 TERM_TIMEOUT = 2.0
+HURRY_TIMEOUT = 0.3
+_INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
 class LaunchFailedError(RuntimeError):
@@ -58,6 +63,8 @@ class Child:
         self.restarts = 0
         self.process: subprocess.Popen[bytes] | None = None
         self.again_at: float | None = None
+        self.to_start = False
+        self.ready = False
         self.over = False
 
     @property
@@ -96,15 +103,17 @@ class Supervisor:
         self.failed = False
         self.startup_s = 0.0
         self._stop_asked = ""
+        self._hurry = False
 
     def stop(self, reason: str) -> None:
-        """Ask for the end; safe in a signal handler.
+        """Ask for the end; asked twice, for a quick one. Safe in a signal handler.
 
         Parameters
         ----------
         reason : str
             Why.
         """
+        self._hurry = bool(self._stop_asked)
         self._stop_asked = self._stop_asked or reason
 
     def supervise(self, progress: Callable[[Supervisor], None] | None = None) -> None:
@@ -156,8 +165,7 @@ class Supervisor:
                 self.context.term()
             shutil.rmtree(run_dir, ignore_errors=True)
             if hasattr(self, "_guard"):
-                self._tell_guard("done")
-                self._guard.wait(timeout=5.0)
+                self._dismiss_guard()
 
     # -- processes ---------------------------------------------------------------------------------------------------
 
@@ -169,17 +177,23 @@ class Supervisor:
             start_new_session=True,
         )
 
-    def _tell_guard(self, word: str) -> None:
+    def _dismiss_guard(self) -> None:
         pipe: IO[bytes] | None = self._guard.stdin
-        if pipe is None or pipe.closed:
-            return
-        try:
-            pipe.write(f"{word}\n".encode())
+        assert pipe is not None  # noqa: S101
+        # It may have been killed this moment; then nothing is left for it to do.
+        with contextlib.suppress(BrokenPipeError):
+            pipe.write(b"done\n")
             pipe.flush()
-            if word == "done":
-                pipe.close()
-        except BrokenPipeError:
-            self._say("the guard is gone: a killed launcher would leave its nodes to the kernel's parent-death signal")
+        with contextlib.suppress(BrokenPipeError):
+            pipe.close()
+        self._guard.wait()
+
+    def _keep_guard(self) -> None:
+        if self._guard.poll() is not None:
+            self._say(f"the guard ended with {_describe(self._guard.returncode)}; starting another")
+            if self._guard.stdin is not None:
+                self._guard.stdin.close()
+            self._guard = self._start_guard(self.run_dir)
 
     def _spawn(self, child: Child) -> None:
         path = self.run_dir / f"{child.setup.name}.json"
@@ -192,20 +206,22 @@ class Supervisor:
             process_group=0,
         )
         child.again_at = None
-        self._tell_guard(f"+{child.process.pid}")
 
     def _await_ready(self) -> None:
         assert self.context is not None  # noqa: S101
         deadline = time.monotonic() + START_TIMEOUT
         for name, child in self.children.items():
             while not self._stop_asked:
-                if not child.running:
-                    raise LaunchFailedError(f"{name}: ended during start with exit code {self._code(child)}")
+                # The others too: one that is gone may be what this one waits for.
+                for other, there in self.children.items():
+                    if not there.running:
+                        raise LaunchFailedError(f"{other}: ended during start with exit code {self._code(there)}")
                 try:
                     status = call(self.context, child.setup.control, "status", timeout=0.25)
                 except ControlError:
                     status = {"state": "starting"}
                 if status["state"] in ("ready", "running"):
+                    child.ready = True
                     break
                 if time.monotonic() > deadline:
                     raise LaunchFailedError(f"{name}: still {status['state']} after {START_TIMEOUT:g} s")
@@ -225,6 +241,7 @@ class Supervisor:
     def _watch(self, progress: Callable[[Supervisor], None] | None) -> None:
         next_progress = 0.0
         while not self._stop_asked:
+            self._keep_guard()
             for name, child in self.children.items():
                 self._look_after(name, child)
             if progress is not None and time.monotonic() >= next_progress:
@@ -234,6 +251,8 @@ class Supervisor:
         self.exit_reason = self.exit_reason or self._stop_asked
 
     def _look_after(self, name: str, child: Child) -> None:
+        if child.to_start and child.running:
+            self._restart_driver(child)
         if child.over or child.running:
             return
         if child.again_at is not None:
@@ -241,11 +260,9 @@ class Supervisor:
                 child.restarts += 1
                 self._say(f"{name}: started again ({child.restarts})")
                 self._spawn(child)
-                if child.drives:
-                    self._restart_driver(child)
+                child.to_start = child.drives
             return
         code = self._code(child)
-        self._tell_guard(f"-{child.process.pid if child.process else 0}")
         if code == 0 and child.drives:
             child.over = True
             self.exit_reason = self._read_report(name).get("status", {}).get("reason", "") or "done"
@@ -264,10 +281,11 @@ class Supervisor:
 
     def _restart_driver(self, child: Child) -> None:
         assert self.context is not None  # noqa: S101
-        try:
-            call(self.context, child.setup.control, "start", timeout=10.0)
-        except ControlError as error:
-            self._say(f"{child.setup.name}: {error}")
+        # It is not there yet at the first tries; the other nodes are looked after in between.
+        with contextlib.suppress(ControlError):
+            if call(self.context, child.setup.control, "status", timeout=0.05)["state"] == "ready":
+                call(self.context, child.setup.control, "start", timeout=0.5)
+                child.to_start = False
 
     # -- the end -----------------------------------------------------------------------------------------------------
 
@@ -286,16 +304,21 @@ class Supervisor:
         for number, patience in (
             (signal.SIGINT, INT_TIMEOUT),
             (signal.SIGTERM, TERM_TIMEOUT),
-            (signal.SIGKILL, TERM_TIMEOUT),
+            (signal.SIGKILL, math.inf),
         ):
             left = [child for child in group if child.running]
             for child in left:
                 if number != signal.SIGINT:
                     self._say(f"{child.setup.name}: does not end; {number.name}")
                 assert child.process is not None  # noqa: S101
-                child.process.send_signal(number)
-            deadline = time.monotonic() + patience
-            while any(child.running for child in left) and time.monotonic() < deadline:
+                # While its interpreter is being set up, a process answers SIGINT with a traceback, SIGTERM with silence.
+                child.process.send_signal(number if child.ready else max(number, signal.SIGTERM, key=_INSISTENCE.index))
+                child.process.send_signal(signal.SIGCONT)
+            begun = time.monotonic()
+            while any(child.running for child in left):
+                hurry = self._hurry and number != signal.SIGKILL and not any(child.drives for child in left)
+                if time.monotonic() - begun > (HURRY_TIMEOUT if hurry else patience):
+                    break
                 time.sleep(0.005)
 
     def _read_report(self, name: str) -> dict[str, Any]:

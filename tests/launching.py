@@ -141,6 +141,8 @@ class RunningLaunch:
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
+                # Its own group, so that a test can send what Ctrl-C on a terminal sends.
+                process_group=0,
             )
 
     @property

@@ -1,0 +1,291 @@
+"""Supervision with real processes: whatever ends a launch, in whatever order, no process and no file stays behind.
+
+That nothing is left is asserted by `running` at the end of each block.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from messages.control import ControlError
+from nodes.recording import Recording
+from nodes.runs import alive
+from nodes.supervisor import INT_TIMEOUT
+from tests.launching import RunningLaunch, haptic, processes_of, running, wait_for
+
+PACKAGE = '''
+import os, signal, time
+from typing import ClassVar
+import msgspec
+from nodes.base import IDLE_MS, Node
+
+class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    after: int = 0
+    diary: str = ""
+
+class Crasher(Node):
+    """Ends with exit code 7 after some states."""
+    Parameters = Parameters
+    listens_to = ("/device/state",)
+    def loop(self):
+        self.state = "running"
+        with open(self.store.current.diary, "a") as diary:
+            diary.write(f"{time.monotonic()}\\n")
+        for _ in range(self.store.current.after):
+            while self.inbox.receive(IDLE_MS) is None and not self.stopping:
+                pass
+        if not self.stopping:
+            with open(self.store.current.diary, "a") as diary:
+                diary.write(f"{time.monotonic()}\\n")
+                diary.flush()
+                os._exit(7)
+
+class Stubborn(Node):
+    """Hears no signal."""
+    listens_to = ("/device/state",)
+    def loop(self):
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+        self.state = "running"
+        while True:
+            time.sleep(1.0)
+
+class Broken(Node):
+    """Cannot be configured."""
+    listens_to = ("/device/state",)
+    def configure(self):
+        raise ValueError("the sensor is not there; plug it in")
+'''
+
+DIST_INFO = {
+    "METADATA": "Metadata-Version: 2.1\nName: odd-nodes\nVersion: 0\n",
+    "entry_points.txt": "[haptic.nodes]\n"
+    + "".join(f"{kind.lower()} = odd_nodes:{kind}\n" for kind in ("Crasher", "Stubborn", "Broken")),
+}
+
+
+@pytest.fixture
+def odd_nodes(tmp_path: Path) -> dict[str, str]:
+    """Install nodes that behave badly by PYTHONPATH; give the variables for a launch."""
+    folder = tmp_path / "site"
+    info = folder / "odd_nodes-0.dist-info"
+    info.mkdir(parents=True)
+    (folder / "odd_nodes.py").write_text(PACKAGE)
+    for name, text in DIST_INFO.items():
+        (info / name).write_text(text)
+    return {"PYTHONPATH": f"{folder}:{os.environ.get('PYTHONPATH', '')}"}
+
+
+def scenario(folder: Path, duration: float = 0.0, loop: dict[str, Any] | None = None, **more: Any) -> str:
+    """Write a launch file: a mass in free fall onto a floor, a logger, and more nodes; `loop` is added to the chain."""
+    chain = loop or {}
+    content = {
+        "summary": "for a test",
+        "run": {"duration": duration},
+        "nodes": {
+            "driver": {
+                "kind": "sim_driver",
+                "parameters": {"device": {"mass": 0.1, "damping": 1.0, "gravity": 9.81, "position": 0.001}},
+                **chain,
+            },
+            "environment": {"kind": "environment", "parameters": {"surface": {"kind": "plane", "axis": "z"}}, **chain},
+            "coupling": {
+                "kind": "coupling",
+                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}},
+                **chain,
+            },
+            "logger": {"kind": "logger", "required": False, "parameters": {"path": "run.mcap"}},
+            **more,
+        },
+    }
+    path = folder / "odd.yaml"
+    path.write_bytes(msgspec.json.encode(content))  # JSON is YAML
+    return str(path)
+
+
+def pid(launch: RunningLaunch, node: str) -> int:
+    return int(launch.call(node, "status")["pid"])
+
+
+def guard(launch: RunningLaunch) -> int:
+    found = [number for number, line in processes_of(launch.runtime_dir).items() if "guard.py" in line]
+    assert len(found) == 1
+    return found[0]
+
+
+# -- every end leaves nothing behind ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("number", "to_group", "code"),
+    [
+        (signal.SIGINT, False, 130),
+        (signal.SIGINT, True, 130),
+        (signal.SIGTERM, False, 143),
+        (signal.SIGHUP, True, 129),
+    ],
+)
+def test_signals_end_a_launch_in_order(tmp_path: Path, number: signal.Signals, to_group: bool, code: int) -> None:
+    with running(tmp_path, scenario(tmp_path, duration=600.0)) as launch:
+        if to_group:
+            os.killpg(launch.process.pid, number)
+        figures = launch.finish(None if to_group else number, code=code)
+        assert figures["exit_reason"] == number.name
+        assert {status["state"] for status in figures["nodes"].values()} == {"finished"}
+        assert set(figures["nodes"]) == {"driver", "environment", "coupling", "logger"}
+    recording = Recording(tmp_path / "run.mcap")
+    assert recording.complete
+    assert recording.topics["/device/state"].messages == figures["ticks"] + 1
+
+
+def test_an_interrupt_during_the_start_ends_it_without_a_traceback(tmp_path: Path) -> None:
+    with running(tmp_path, scenario(tmp_path, duration=600.0), ready=False) as launch:
+        wait_for(lambda: len(processes_of(launch.runtime_dir)) >= 3, "a node is being started")
+        launch.finish(signal.SIGINT, code=130)
+        assert "Traceback" not in launch.errors
+
+
+@pytest.mark.parametrize("victims", [("launcher",), ("guard", "launcher"), ("launcher", "logger")])
+def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
+    with running(tmp_path, scenario(tmp_path)) as launch:
+        if "guard" in victims:
+            first = guard(launch)
+            os.kill(first, signal.SIGKILL)
+            # A launcher that has lost its guard starts another.
+            wait_for(lambda: not alive(first), "the first guard ends")
+            wait_for(lambda: "starting another" in launch.errors, "the launcher notices")
+            assert guard(launch) != first
+        if "logger" in victims:
+            # A stopped node cannot end by itself.
+            os.kill(pid(launch, "logger"), signal.SIGSTOP)
+        launch.process.kill()
+        launch.process.wait()
+
+
+def test_guard_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_launch(tmp_path: Path) -> None:
+    with running(tmp_path, scenario(tmp_path)) as launch:
+        stale = launch.run_dir
+        os.kill(guard(launch), signal.SIGKILL)
+        launch.process.kill()
+        launch.process.wait()
+        wait_for(lambda: not processes_of(launch.runtime_dir), "the parent-death signal ends the nodes")
+        assert stale.exists()
+        # The next launch sweeps up what is older than a minute: here it is made to look so.
+        os.utime(stale, (time.time() - 61.0, time.time() - 61.0))
+        haptic(tmp_path, "launch", "free_space", "duration:=0.01", "--no-plot", environment=launch.environment)
+        assert not stale.exists()
+
+
+@pytest.mark.parametrize("node", ["environment", "logger"])
+def test_a_stopped_node_is_woken_up_to_end(tmp_path: Path, node: str) -> None:
+    with running(tmp_path, scenario(tmp_path)) as launch:
+        os.kill(pid(launch, node), signal.SIGSTOP)
+        figures = launch.finish(signal.SIGINT)
+        assert figures["nodes"][node]["state"] == "finished"
+        assert "does not end" not in launch.errors
+    # Even the stopped logger closed its file.
+    assert Recording(tmp_path / "run.mcap").complete
+
+
+def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(tmp_path: Path, odd_nodes: dict[str, str]) -> None:
+    path = scenario(tmp_path, deaf={"kind": "stubborn"})
+    with running(tmp_path, path, environment=odd_nodes) as launch:
+        begun = time.monotonic()
+        launch.process.send_signal(signal.SIGINT)
+        wait_for(lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends")
+        figures = launch.finish(signal.SIGINT)
+        # Asked once, the launcher would wait INT_TIMEOUT before it presses at all, and TERM_TIMEOUT before it kills.
+        assert time.monotonic() - begun < INT_TIMEOUT
+        assert launch.errors.index("deaf: does not end; SIGTERM") < launch.errors.index("deaf: does not end; SIGKILL")
+        assert figures["nodes"]["driver"]["state"] == "finished"
+
+
+# -- failures at the start --------------------------------------------------------------------------------------------
+
+
+def test_a_node_that_cannot_start_fails_the_launch_with_its_reason(tmp_path: Path, odd_nodes: dict[str, str]) -> None:
+    path = scenario(tmp_path, sensor={"kind": "broken"})
+    with running(tmp_path, path, environment=odd_nodes, ready=False) as launch:
+        figures = launch.finish(code=1)
+        assert "[sensor] cannot start: the sensor is not there; plug it in" in launch.errors
+        assert figures["exit_reason"] == "sensor: ended during start with exit code 1"
+        assert figures["ticks"] == 0
+
+
+# -- respawn ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("required", [True, False])
+def test_respawn_keeps_delay_and_maximum(tmp_path: Path, odd_nodes: dict[str, str], required: bool) -> None:
+    diary = tmp_path / "diary"
+    crasher = {
+        "kind": "crasher",
+        "respawn": True,
+        "respawn_delay": 0.2,
+        "respawn_max": 2,
+        "required": required,
+        "parameters": {"after": 3, "diary": str(diary)},
+    }
+    with running(tmp_path, scenario(tmp_path, crasher=crasher), environment=odd_nodes, ready=False) as launch:
+        if required:
+            figures = launch.finish(code=1)
+            assert figures["exit_reason"] == "crasher: ended with exit code 7"
+        else:
+            wait_for(lambda: "[launch] crasher: ended with exit code 7\n" in launch.errors, "the last crash")
+            launch.wait_ticks(10)  # the others go on
+            launch.finish(signal.SIGINT)
+        assert launch.errors.count("starting it again in 0.2 s") == 2
+    begun, ended = (list(map(float, diary.read_text().split()))[i::2] for i in (0, 1))
+    assert len(begun) == len(ended) == 3
+    assert all(again - end >= 0.2 for end, again in zip(ended, begun[1:], strict=False))
+
+
+@pytest.mark.parametrize("node", ["environment", "coupling", "driver"])
+def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(tmp_path: Path, node: str) -> None:
+    with running(tmp_path, scenario(tmp_path, loop={"respawn": True, "respawn_delay": 0.05})) as launch:
+        before = pid(launch, node)
+        ticks = launch.wait_ticks(20)
+        os.kill(before, signal.SIGKILL)
+
+        def resumed() -> bool:
+            with contextlib.suppress(ControlError):
+                progress = launch.call("driver", "progress", timeout=0.5)
+                other = launch.call(node, "status", timeout=0.5)["pid"] != before
+                return bool(
+                    other and progress["safety"] == "active" and progress["answered"] > ticks * (node != "driver")
+                )
+            return False
+
+        wait_for(resumed, f"{node} is back and forces flow")
+        figures = launch.finish(signal.SIGINT)
+        assert figures["nodes"][node]["state"] == "finished"
+        reasons = " ".join(figures["safety"]["reasons"])
+        assert node == "driver" or "active → damping" in reasons
+    states = Recording(tmp_path / "run.mcap").messages("/device/state")
+    # Ticks go on counting, whoever was killed.
+    assert all(later.seq > earlier.seq for earlier, later in pairwise(states))
+    assert states[-1].safety == "active"
+
+
+def test_a_required_node_that_is_killed_ends_the_launch(tmp_path: Path) -> None:
+    with running(tmp_path, scenario(tmp_path)) as launch:
+        os.kill(pid(launch, "coupling"), signal.SIGKILL)
+        figures = launch.finish(code=1)
+        assert figures["exit_reason"] == "coupling: ended with SIGKILL"
+        assert figures["nodes"]["driver"]["state"] == "finished"
+        assert figures["safety"]["soft_stop_ticks"] >= 1
+
+
+def test_a_logger_that_is_not_required_may_be_killed(tmp_path: Path) -> None:
+    with running(tmp_path, scenario(tmp_path, duration=1.0)) as launch:
+        os.kill(pid(launch, "logger"), signal.SIGKILL)
+        figures = launch.finish()
+        assert figures["exit_reason"] == "done"
