@@ -211,3 +211,14 @@ def test_analyse_agrees_with_what_it_is_made_of(tmp_path: Path, capsys: pytest.C
     assert figures["k_max_n_per_m"] == k_max(OPTIMUM, T, Device(0.1, 1.0, 1.0)).k_max_n_per_m
     assert figures["tolerance"]["delay_max_ticks"] > 1.0
     assert Path(figures["plot"]).is_file()
+
+
+def test_simulated_drop_reads_below_the_linear_limit(capsys: pytest.CaptureFixture[str]) -> None:
+    """70 to 99 % of it (theory.md §4): near the limit the decay is too slow for any horizon."""
+    words = "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --method simulation --json"
+    assert main(words.split()) == 0
+    figures = json.loads(capsys.readouterr().out.splitlines()[-1])
+    limit = k_max(PD, T, Device(0.1, 1.0)).k_max_n_per_m
+    assert limit is not None
+    assert figures["method"] == "simulation"
+    assert 0.7 * limit < figures["k_max_n_per_m"] < 0.99 * limit

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from nodes.cli import UsageError, answer
-from sim.boundary import Device, KMax, k_max, without_spring
+from nodes.laws import CompiledLaw
+from sim.boundary import Device, KMax, k_max, with_spring, without_spring
+from sim.plant import DeviceModel, Hand
 from sim.verbs import arguments as shared
 
 
@@ -24,8 +26,20 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gain", type=shared.interval, help="damping gain of the law; LOW..HIGH draws the boundary")
     parser.add_argument("--points", type=int, default=41, help="points of a range of gains (default: %(default)s)")
     parser.add_argument(
-        "--method", choices=("closed_form", "pole_radius"), help="default: the closed form where there is one"
+        "--method",
+        choices=("closed_form", "pole_radius", "simulation"),
+        help="default: the closed form where there is one, else the pole radius",
     )
+    parser.add_argument(
+        "--scene", choices=("drop", "free"), default="drop", help="what a simulation plays (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--history",
+        choices=("penetration", "position"),
+        default="penetration",
+        help="what feeds the law outside contact in a simulated drop (default: %(default)s)",
+    )
+    parser.add_argument("--horizon", type=int, default=2500, help="ticks of a simulated run (default: %(default)s)")
     shared.add_law(parser)
     shared.add_device(parser)
     shared.add_answer(parser)
@@ -75,9 +89,27 @@ def run(arguments: argparse.Namespace) -> int:
 def _k_max(arguments: argparse.Namespace, gain: float | None, device: Device, period: float) -> KMax:
     law = shared.law(arguments, arguments.law, gain)
     try:
-        return k_max(without_spring(law, period), period, device, arguments.method)
+        derivative = without_spring(law, period)
+        if arguments.method == "simulation":
+            return _simulated(arguments, derivative, device, period)
+        return k_max(derivative, period, device, arguments.method)
     except ValueError as error:
         raise UsageError(str(error)) from error
+
+
+def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Device, period: float) -> KMax:
+    """Raise K until the drop no longer settles; a grip is held where the floor is."""
+    from sim.drop import Criterion, drop_scene, free_scene, simulated_k_max
+
+    hand = Hand(stiffness=device.stiffness, path=[(0.0, 0.0)]) if device.stiffness > 0.0 else None
+    model = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay, hand=hand)
+    if arguments.scene == "free":
+        scene = free_scene(model, period)
+    else:
+        scene = drop_scene(model, period, raw=arguments.history == "position", clamp=True)
+    found = simulated_k_max(lambda k: with_spring(derivative, k), scene, Criterion(ticks=arguments.horizon))
+    top = found.k_max_n_per_m
+    return KMax(top, found.h1_max_n_per_m, "simulation", ())
 
 
 def _figures(found: KMax) -> dict[str, Any]:
