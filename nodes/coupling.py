@@ -45,7 +45,7 @@ class Coupling(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Compile every law before anything is started.
+        """Read every law, and compile those that will render, before anything is started.
 
         Parameters
         ----------
@@ -72,6 +72,8 @@ class Coupling(Node):
         self._book = LawBook(self.setup.name, self.setup.period)
         self._book.check(parameters, self._delay)
         self._renderer = Renderer([AXIS_INDEX[axis] for axis in self.setup.axes], parameters.memory)
+        for reason in self._book.unfit(parameters):
+            self.announce("law", f"{reason}; it cannot be switched to")
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
         self._take_schedule(

@@ -195,8 +195,29 @@ class LawBook:
         delay = measured_delay if plant.delay is None else plant.delay
         return law_figures(compiled, self._period, plant.mass, plant.damping, delay, plant.stiffness)
 
+    def unfit(self, parameters: CouplingParameters) -> list[str]:
+        """List the laws that cannot be rendered as they are: nothing to refuse until one is switched to.
+
+        Parameters
+        ----------
+        parameters : CouplingParameters
+            Of the node, checked.
+
+        Returns
+        -------
+        list of str
+            Why, one sentence per law; e.g. the seed's optimum above 2.4 kHz, where its H(1) is negative.
+        """
+        reasons = []
+        for name in parameters.laws:
+            try:
+                self.compile(parameters, name, 0.0, judge=False)
+            except ParameterError as error:
+                reasons.append(str(error))
+        return reasons
+
     def check(self, parameters: CouplingParameters, delay: float) -> None:
-        """Check what belongs together, and compile every law.
+        """Check what belongs together, and compile the laws that will render.
 
         Parameters
         ----------
@@ -215,8 +236,8 @@ class LawBook:
                 f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
                 "declare its mass and damping, or set stability to warn"
             )
-        for name in parameters.laws:
-            self.compile(parameters, name, 0.0, judge=False)
+        for name, law in parameters.laws.items():
+            parse_law(law, f"{self._node}.laws.{name}")
         self.compile(parameters, parameters.law, delay, judge=parameters.stability == "refuse")
         taken_until = 0
         for i, swap in sorted(enumerate(parameters.schedule), key=lambda numbered: numbered[1].at):
