@@ -51,6 +51,18 @@ def apply(scheduling: Scheduling) -> list[str]:
     return refused
 
 
+def step_aside() -> None:
+    """Take the calling thread off the chain's core and below its priority, but not below the rest of the machine.
+
+    For the control thread: were it a normal one, anything could hold it up while it holds the interpreter's lock, and the
+    loop would wait for both.
+    """
+    if os.sched_getscheduler(0) == os.SCHED_FIFO:
+        priority = max(1, os.sched_getparam(0).sched_priority - 10)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))
+
+
 def quiet_interpreter() -> None:
     """Keep the interpreter's own work out of the ticks: collect and freeze the garbage, switch threads quickly."""
     gc.collect()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from messages import topics
 from nodes.base import Node, load
 from nodes.launchfile import Launch, node_kinds
 from nodes.parameters import ParameterError, convert
@@ -16,7 +17,7 @@ FIFO = 50
 """Priority of the chain in real time: above what a desktop runs, below the kernel's own threads."""
 
 
-def _scheduling(launch: Launch, chain: bool) -> Scheduling:
+def _scheduling(launch: Launch, kind: type[Node]) -> Scheduling:
     available = sorted(os.sched_getaffinity(0))
     run = launch.run
     if run.cpu == "any" or (run.cpu == "auto" and len(available) < 2):
@@ -27,11 +28,15 @@ def _scheduling(launch: Launch, chain: bool) -> Scheduling:
         core = run.cpu
     else:
         raise ParameterError(f"{launch.scenario}.run.cpu: {run.cpu}, available: {', '.join(map(str, available))}")
-    # In saturated lockstep the kernel throttles FIFO tasks, which shows as gaps of 50 ms.
-    fifo = (FIFO if launch.run.pace == "realtime" else 0) if run.fifo == "auto" else run.fifo
-    if chain:
-        return Scheduling(cpus=[] if core is None else [core], fifo=fifo)
-    return Scheduling(cpus=[] if core is None else [cpu for cpu in available if cpu != core] or [core])
+    others = [cpu for cpu in available if cpu != core] or available
+    hops = [hop for hop, topic in enumerate(topics.LOOP) if topic in kind.publishes]
+    if not hops:
+        return Scheduling(cpus=others)
+    # In saturated lockstep the kernel throttles FIFO tasks, which shows as gaps of 50 ms; without pinning they gain nothing.
+    automatic = FIFO if launch.run.pace == "realtime" and run.cpu != "any" else 0
+    fifo = automatic if run.fifo == "auto" else run.fifo
+    # Each hop runs above the one before it: who has sent does not hold up who has received.
+    return Scheduling(cpus=[] if core is None else [core], fifo=fifo + hops[0] if fifo else 0)
 
 
 def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str]]:
@@ -114,7 +119,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             control=f"ipc://{run_dir}/{name}.ctl",
             sources=sources,
             listeners=listeners,
-            scheduling=_scheduling(launch, chain=not everything),
+            scheduling=_scheduling(launch, kind),
             parameters=spec.parameters,
             watch=os.path.abspath(spec.watch) if spec.watch else "",
             manifest=manifest if everything else {},
