@@ -200,9 +200,12 @@ def derivative_groups(step: Callable[[str], None], quick: bool = False) -> list[
             step(f"D^{order:g} {name}")
         best = max(point.error for point in stiff)
         stiff = [Point(p.name, p.cost, 1.0 - p.error / best, p.family, p.detail) for p in stiff]
-        error = "error against (jω)^α, best delay removed, 0.001 to 0.5 of Nyquist (rms)"
+        error = "relative error, best delay removed (rms)"
         loss = f"stiffness lost against the best, {best:.0f} N/m"
-        note = f"T = {1e3 * PERIOD:g} ms; times by the coupling's own rendering, median of {rounds} interleaved rounds."
+        note = (
+            f"Error against (jω)^α, 0.001 to 0.5 of Nyquist. T = {1e3 * PERIOD:g} ms; times by the "
+            f"coupling's own rendering, median of {rounds} interleaved rounds."
+        )
         groups += [
             Group(
                 f"derivative_time_{order:g}",

@@ -65,6 +65,9 @@ def draw(group: Group, folder: Path) -> list[Path]:
     best = [p for p in shown if p.on_front]
     axes.step([p.cost for p in best], [max(p.error, floor) for p in best], where="post", color=_FRONT, lw=1, alpha=0.6)
     _name(axes, best, floor)
+    _name_beaten(axes, shown, floor)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(_minor(min(p.cost for p in shown), max(p.cost for p in shown)))
     axes.grid(alpha=0.25, which="both")
     axes.legend(fontsize=8)
     folder.mkdir(parents=True, exist_ok=True)
@@ -74,6 +77,11 @@ def draw(group: Group, folder: Path) -> list[Path]:
     return paths
 
 
+def _minor(low: float, high: float) -> str:
+    # Less than a decade and a half has too few major ticks to be read.
+    return "{x:g}" if high < 30.0 * low else ""
+
+
 def _name(axes: Axes, points: Sequence[Point], floor: float) -> None:
     for i, point in enumerate(points):
         text = point.name if point.error > 0.0 else f"{point.name} (0)"
@@ -81,8 +89,27 @@ def _name(axes: Axes, points: Sequence[Point], floor: float) -> None:
             text,
             (point.cost, max(point.error, floor)),
             textcoords="offset points",
-            xytext=(5, 5 if i % 2 == 0 else -11),
+            xytext=(6, 5 if i % 2 == 0 else -11),
             fontsize=7,
+            color=_FRONT,
+        )
+
+
+def _name_beaten(axes: Axes, points: Sequence[Point], floor: float) -> None:
+    """Name the best member of every family that has none on the front."""
+    ahead = {p.family for p in points if p.on_front}
+    best: dict[str, Point] = {}
+    for point in points:
+        if point.family not in ahead and (point.family not in best or point.error < best[point.family].error):
+            best[point.family] = point
+    for point in best.values():
+        axes.annotate(
+            point.name,
+            (point.cost, max(point.error, floor)),
+            textcoords="offset points",
+            xytext=(5, -2),
+            fontsize=6,
+            color="#6b7178",
         )
 
 

@@ -9,6 +9,7 @@ as stable when the dropped device comes to rest; it is looked for downwards from
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 import tempfile
@@ -58,7 +59,7 @@ class Launched:
     height : ndarray, shape (n,)
         Measured height at the ticks [m].
     delay : float
-        Median delay between a sample and the effect of its force [ticks].
+        Median delay between a sample and the effect of its force [ticks]; infinite when no force came in time.
     """
 
     figures: dict[str, Any]
@@ -127,7 +128,7 @@ def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime") ->
         onset=np.asarray((answered[fresh] + late) * period, dtype=np.float64),
         force=np.asarray(states["force"][fresh, 2], dtype=np.float64),
         height=np.asarray(states["position"][np.argsort(seq), 2], dtype=np.float64),
-        delay=float(np.median(late)),
+        delay=float(np.median(late)) if len(late) else math.inf,
     )
 
 
@@ -173,8 +174,10 @@ def force_error(
     Returns
     -------
     float
-        Root mean square of the difference over that of the reference.
+        Root mean square of the difference over that of the reference; 1 when there was no force at all.
     """
+    if len(onset) == 0:
+        return 1.0
     order = np.argsort(onset, kind="stable")
     index = np.searchsorted(onset[order], time, side="right") - 1
     held = np.where(index >= 0, force[order][np.maximum(index, 0)], 0.0)
@@ -221,16 +224,18 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
             first = launch(rate, apply, STIFFNESS)
             period = 1.0 / rate
             law = without_spring(PD(stiffness=1.0, damping=GAIN), period)
-            limit = k_max(law, period, Device(MASS, DAMPING, first.delay)).k_max_n_per_m or 0.0
+            limit = 0.0
+            if math.isfinite(first.delay):
+                limit = k_max(law, period, Device(MASS, DAMPING, first.delay)).k_max_n_per_m or 0.0
             stable = next(
-                (f * limit for f in _TRIES if settles(launch(rate, apply, f * limit).height)),
+                (f * limit for f in _TRIES if limit > 0.0 and settles(launch(rate, apply, f * limit).height)),
                 0.0,
             )
             cpu = sum(first.figures["nodes"][node]["cpu"] for node in ("driver", "environment", "coupling"))
             detail: dict[str, Detail] = {
                 "rate_hz": rate,
-                "delay_ticks": first.delay,
-                "delay_us": 1e6 * first.delay * period,
+                "delay_ticks": first.delay if math.isfinite(first.delay) else None,
+                "delay_us": 1e6 * first.delay * period if math.isfinite(first.delay) else None,
                 "missed": int(first.figures["missed"]),
                 "ticks": int(first.figures["ticks"]),
                 "response_us_p99": float(first.figures["response_us"]["p99"]),
