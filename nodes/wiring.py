@@ -91,8 +91,8 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
         convert(spec.parameters, kind.Parameters, name)
         if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not kind.listens_to == ("*",):
             raise ParameterError(
-                f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a lockstep run would no longer "
-                "be deterministic; use pace realtime"
+                f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a lockstep run would no "
+                "longer be deterministic; use pace realtime"
             )
         everything = kind.listens_to == ("*",)
         if everything:
