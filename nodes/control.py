@@ -19,6 +19,7 @@ from messages import topics
 from messages.codec import MessageRefusedError
 from messages.control import Reply, decode_request
 from messages.sockets import remove_ipc
+from nodes import realtime
 from nodes.parameters import ParameterError
 from nodes.yamlfile import WatchedFile
 
@@ -115,6 +116,7 @@ class ControlServer(threading.Thread):
 
     def run(self) -> None:
         """Serve until stopped."""
+        realtime.step_aside()
         next_status = next_watch = 0.0
         while not self._ending.is_set():
             self._serve()
