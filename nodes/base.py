@@ -119,6 +119,7 @@ class Node:
     Parameters: ClassVar[type[msgspec.Struct]] = msgspec.Struct
     publishes: ClassVar[tuple[str, ...]] = ()
     listens_to: ClassVar[tuple[str, ...]] = ()
+    relays: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup

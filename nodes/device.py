@@ -30,6 +30,9 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
         Fastest change of force on any axis [N/s].
     silence : float
         Longest time without a fresh force, and oldest force: bounds the driver's watchdog [s].
+    hold : float
+        How long the device itself holds a force when no other comes, before it lets go [s]: its own last line, for a driver
+        that hangs. Every driver of hardware should have one.
     workspace : tuple of tuple of float, shape (3, 2)
         Smallest and largest coordinate of each axis [m].
     """
@@ -38,6 +41,7 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
     continuous_force: float = math.inf
     slew: float = math.inf
     silence: float = math.inf
+    hold: float = math.inf
     workspace: Workspace = (
         (-math.inf, math.inf),
         (-math.inf, math.inf),

@@ -208,8 +208,8 @@ class Driver(Node):
 
     # -- one tick ----------------------------------------------------------------------------------------------------
 
-    def _sample(self, seq: int, stamp: float) -> None:
-        """Sample the device and publish its state, with the report of the tick before."""
+    def _sample(self, seq: int, stamp: float) -> float:
+        """Sample the device and publish its state, with the report of the tick before; when it was published [s]."""
         position = self._device.read_position(seq)
         safety = self._safety
         self._held = 1
@@ -227,28 +227,29 @@ class Driver(Node):
             if guard is not None:
                 guard.observe(acting, before, position)
         self.seq = seq
-        self.publisher.send(
-            self._topic,
-            encode(
-                DeviceState(
-                    seq=seq,
-                    stamp=stamp,
-                    position=position,
-                    force=force,
-                    force_seq=safety.force_seq,
-                    age=self._age,
-                    response=self._response,
-                    lateness=self._lateness,
-                    missed=self._missed,
-                    overruns=self._overruns,
-                    safety=safety.state,
-                    energy=self._energy,
-                    delay=self._delay,
-                    guard=guard.energy if guard is not None else 0.0,
-                )
-            ),
+        payload = encode(
+            DeviceState(
+                seq=seq,
+                stamp=stamp,
+                position=position,
+                force=force,
+                force_seq=safety.force_seq,
+                age=self._age,
+                response=self._response,
+                lateness=self._lateness,
+                missed=self._missed,
+                overruns=self._overruns,
+                safety=safety.state,
+                energy=self._energy,
+                delay=self._delay,
+                guard=guard.energy if guard is not None else 0.0,
+            )
         )
         self.sent += 1
+        # Taken before sending: under FIFO the whole chain may run before the call returns.
+        published = time.monotonic()
+        self.publisher.send(self._topic, payload)
+        return published
 
     def _answered(self, response: float) -> None:
         self._response = response
@@ -287,8 +288,7 @@ class Driver(Node):
         seq = 0
         acting = ZERO
         while seq < end and not self.stopping:
-            self._sample(seq, seq * period)
-            sent = asked = time.monotonic()
+            sent = asked = self._sample(seq, seq * period)
             while not self.stopping:
                 frames = receive(IDLE_MS)
                 if frames is None:
@@ -350,10 +350,9 @@ class Driver(Node):
                 self._lateness = late
                 continue
             self._lateness = late
-            self._sample(seq, now)
+            sent = self._sample(seq, now)
             if not self.ticks:
                 self._first_stamp = now
-            sent = time.monotonic()
             following = deadline + period
             self._age = seq - safety.force_seq if safety.force_seq >= 0 else 0
             answered = False
@@ -400,10 +399,8 @@ class Driver(Node):
             self.ticks += 1
             seq += 1
             self.between_ticks(seq)
-        if seq >= end:
-            realtime.sleep_until(epoch + seq * period)
-        self._last_stamp = epoch + seq * period + (self._first_stamp - epoch - self._first_seq * period)
-        self._sample(seq, time.monotonic())
+        self._last_stamp = realtime.sleep_until(epoch + seq * period)
+        self._sample(seq, self._last_stamp)
 
     def _velocity(self) -> Vector:
         period, now, before = self.setup.period, self._position, self._before
@@ -414,11 +411,16 @@ class Driver(Node):
         )
 
     def _hold(self, lost: int) -> None:
-        """Take into the mean force that the last one was held during ticks that were left out."""
+        """Take into the mean force what acted during ticks that were left out, until the device itself let go."""
         held, already = self._safety.force, self._held
+        bears = self._device.limits.hold / self.setup.period
+        acted = min(float(lost), bears)
         for i in self._axes:
-            self._acting[i] = (self._acting[i] * already + held[i] * lost) / (already + lost)
+            self._acting[i] = (self._acting[i] * already + held[i] * acted) / (already + lost)
         self._held += lost
+        if lost >= bears and held != ZERO:
+            self._safety.let_go()
+            self.tell("device", f"the driver hung for {lost} ticks; the device let go after {bears:.0f}")
 
     def finish(self) -> None:
         """Bring the force down to zero and close the device, on every way out."""

@@ -369,6 +369,10 @@ class Safety:
             self._enter("zero", seq, f"no fresh force for {silent} ticks")
         return self._hand_over(ZERO, seq)
 
+    def let_go(self) -> None:
+        """Note that the device has let go of the force by itself, because the driver hung."""
+        self.force = ZERO
+
     def watch_position(self, position: Vector, seq: int) -> bool:
         """Look whether the device is inside its workspace; outside there is no force.
 

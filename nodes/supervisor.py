@@ -24,7 +24,9 @@ import zmq
 
 from messages.control import ControlError, call
 from messages.sockets import new_context
+from messages.topics import DEVICE_STATE
 from nodes import guard, runs
+from nodes.base import load
 from nodes.launchfile import Launch
 from nodes.setup import Setup
 from nodes.wiring import manifest_of, wire
@@ -74,8 +76,8 @@ class Child:
 
     @property
     def drives(self) -> bool:
-        """Whether it is the driver: it listens to forces."""
-        return "/coupling/force" in self.setup.sources
+        """Whether it is the driver: it publishes the device's state."""
+        return DEVICE_STATE in load(self.setup.factory).publishes
 
     @property
     def listens(self) -> bool:

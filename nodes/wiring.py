@@ -39,8 +39,8 @@ def _scheduling(launch: Launch, kind: type[Node]) -> Scheduling:
     return Scheduling(cpus=[] if core is None else [core], fifo=fifo + hops[0] if fifo else 0)
 
 
-def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str]]:
-    """Classes by node, and the publishing node of each loop topic."""
+def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str], dict[str, str]]:
+    """Classes by node, and by loop topic the node that publishes it and the one that relays it, if any."""
     factories = node_kinds()
     classes = {name: load(factories[spec.kind]) for name, spec in launch.nodes.items()}
     publisher: dict[str, str] = {}
@@ -55,7 +55,19 @@ def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str]]:
         for topic in kind.listens_to:
             if topic != "*" and topic not in publisher:
                 raise ParameterError(f"{launch.scenario}.nodes.{name}: listens to {topic}, which no node publishes")
-    return classes, publisher
+    relays: dict[str, str] = {}
+    for name, kind in classes.items():
+        for topic in kind.relays:
+            if topic in relays:
+                raise ParameterError(f"{launch.scenario}.nodes.{name}: {topic} is already relayed by {relays[topic]}")
+            relays[topic] = name
+    return classes, publisher, relays
+
+
+def _source(name: str, topic: str, publisher: dict[str, str], relays: dict[str, str]) -> str:
+    """Name the node from which another one gets a topic: a relay stands between the publisher and everybody else."""
+    relay = relays.get(topic, name)
+    return publisher[topic] if relay == name else relay
 
 
 def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
@@ -82,7 +94,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
     ParameterError
         When nodes do not fit together or a parameter is refused.
     """
-    classes, publisher = _roles(launch)
+    classes, publisher, relays = _roles(launch)
     factories = node_kinds()
     publish = {name: f"ipc://{run_dir}/{name}.pub" for name in launch.nodes}
     setups = {}
@@ -98,10 +110,17 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
         if everything:
             sources = {other: endpoint for other, endpoint in publish.items() if other != name}
         else:
-            sources = {topic: publish[publisher[topic]] for topic in kind.listens_to}
+            sources = {topic: publish[_source(name, topic, publisher, relays)] for topic in kind.listens_to}
         listeners = sum(
             other != name
-            and ("*" in classes[other].listens_to or bool(set(kind.publishes) & set(classes[other].listens_to)))
+            and (
+                "*" in classes[other].listens_to
+                or any(
+                    _source(other, topic, publisher, relays) == name
+                    for topic in classes[other].listens_to
+                    if topic in publisher
+                )
+            )
             for other in launch.nodes
         )
         setups[name] = Setup(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from typing import Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, cast
 
 import msgspec
 
@@ -22,9 +23,13 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
     ----------
     device : DeviceModel
         The virtual device; see sim/plant.py.
+    hold : float or None
+        The device's own deadline, as a servo thread has one: without a new force for so long it lets go [s]. Real time
+        only; None holds for ever.
     """
 
     device: DeviceModel
+    hold: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
 
 
 class TimedDevice:
@@ -36,9 +41,12 @@ class TimedDevice:
         The device.
     setup : Setup
         Pace, period and axis of the run.
+    hold : float or None
+        The device's own deadline [s].
     """
 
-    def __init__(self, model: DeviceModel, setup: Setup) -> None:
+    def __init__(self, model: DeviceModel, setup: Setup, hold: float | None = None) -> None:
+        self._hold = math.inf if hold is None else hold
         self._axis = AXIS_INDEX[setup.axes[0]]
         self._period = setup.period
         self._lockstep = setup.pace == "lockstep"
@@ -46,13 +54,14 @@ class TimedDevice:
         self._device = VirtualDevice(model, setup.period, self._lockstep and setup.apply == "next_tick")
         self._tick = -1
         self._acting = 0.0
+        self._commanded = 0.0
         # Commanded forces that have not taken effect: when, in ticks since tick 0, and what.
         self._pending: deque[tuple[float, float]] = deque()
 
     @property
     def limits(self) -> DeviceLimits:
         """A virtual device bears everything; what its motor cannot give, the model saturates."""
-        return DeviceLimits()
+        return DeviceLimits(hold=self._hold)
 
     def open(self) -> None:
         """Nothing to connect."""
@@ -82,8 +91,11 @@ class TimedDevice:
 
     def _pass_tick(self) -> None:
         start, now = float(self._tick), 0.0
+        if (start - self._commanded) * self._period >= self._hold:
+            self._acting = 0.0
         while self._pending and self._pending[0][0] < start + 1.0:
             when, force = self._pending.popleft()
+            self._commanded = when
             offset = max(when - start, now)
             self._device.pass_time(self._acting, (offset - now) * self._period)
             self._acting, now = force, offset
@@ -128,4 +140,4 @@ class SimDriver(Driver):
             In the driver's time.
         """
         parameters: Any = self.store.current
-        return TimedDevice(parameters.device, self.setup)
+        return TimedDevice(parameters.device, self.setup, parameters.hold)
