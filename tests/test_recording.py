@@ -23,7 +23,7 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY, event, status
 from messages.types import DeviceState, Event, Message, NodeStatus
 from nodes import mcapfile
 from nodes.accounts import accounts, overruns
-from nodes.record import RecordError, RecordWriter
+from nodes.record import Output, RecordError, RecordWriter, mcap_writer
 from nodes.recording import RECOVERY, Recording
 from nodes.recover import recover
 from nodes.summary import quantile, summarise
@@ -265,6 +265,31 @@ def test_a_sound_file_is_copied_and_nothing_is_reported(whole: Whole, tmp_path: 
     assert read(out) == whole.sent
     with pytest.raises(RecordError, match="exists already"):
         recover(path, out)
+
+
+def test_recordings_of_other_versions_and_of_others(tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+    output = Output(path, overwrite=False)
+    writer = mcap_writer(output, "another version")
+    older = writer.register_schema("haptic.DeviceState", "jsonschema", b"{}")
+    other = writer.register_schema("somebody.Else", "jsonschema", b"{}")
+    for topic, number, text in (
+        (DEVICE_STATE, older, b'{"seq": 1, "stamp": 2.0, "position": [0, 0, 3e-3]}'),
+        ("/renamed", older, b'{"seq": 1, "stamp": 2.0, "position": [0, 0, 3e-3], "added_later": [1]}'),
+        ("/other", other, b"{}"),
+        (FORCE, 0, b'{"seq": 1, "stamp": 2.0, "force": [0, 0, "much"]}'),
+    ):
+        writer.add_message(writer.register_channel(topic, "json", number), 0, text, 0, 1)
+    writer.finish()
+    output.close()
+    recording = Recording(path)
+    assert list(recording.topics) == [DEVICE_STATE, "/renamed", "/other", FORCE]
+    expected = DeviceState(seq=1, stamp=2.0, position=(0.0, 0.0, 3e-3))
+    assert recording.messages(DEVICE_STATE) == recording.messages("/renamed") == [expected]
+    with pytest.raises(RecordError, match="the type of /other is not known here"):
+        recording.messages("/other")
+    with pytest.raises(RecordError, match=r"/coupling/force seq 1 .*Expected `float`, got `str` - at `\$\.force\[2\]`"):
+        recording.messages(FORCE)
 
 
 # -- figures ---------------------------------------------------------------------------------------------------------
