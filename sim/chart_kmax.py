@@ -208,7 +208,7 @@ def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
         groups.append(
             Group(
                 f"k_max_delay_{delay:g}",
-                f"Ways to K_max, {delay:g} ticks of delay",
+                f"Ways to K_max, {'no delay' if delay == 0.0 else 'one tick of delay'}",
                 "time for one K_max [ms]",
                 "relative error of K_max",
                 tuple(points),

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sim.chart import Group, Point
+from sim.chart_derivatives import GAIN, PERIOD, STIFFNESS
+from sim.realisations import lengths_taken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,18 +98,26 @@ def _name(axes: Axes, points: Sequence[Point], floor: float) -> None:
 
 
 def _name_beaten(axes: Axes, points: Sequence[Point], floor: float) -> None:
-    """Name the best member of every family that has none on the front."""
+    """Name the best member of every family that has none on the front, where there is room for its name."""
     ahead = {p.family for p in points if p.on_front}
     best: dict[str, Point] = {}
     for point in points:
         if point.family not in ahead and (point.family not in best or point.error < best[point.family].error):
             best[point.family] = point
+    places = [axes.transData.transform((p.cost, max(p.error, floor))) for p in points if p.on_front]
     for point in best.values():
+        at = (point.cost, max(point.error, floor))
+        place = axes.transData.transform(at)
+        if any(abs(place[0] - x) < 90.0 and abs(place[1] - y) < 9.0 for x, y in places):
+            continue
+        places.append(place)
+        right = axes.transAxes.inverted().transform(place)[0] > 0.8
         axes.annotate(
             point.name,
-            (point.cost, max(point.error, floor)),
+            at,
             textcoords="offset points",
-            xytext=(5, -2),
+            xytext=(-5 if right else 5, -2),
+            ha="right" if right else "left",
             fontsize=6,
             color="#6b7178",
         )
@@ -219,6 +229,45 @@ def _rates(force: Group, stiffness: Group) -> str:
     return text + "."
 
 
+def _realisations(groups: Sequence[Group]) -> list[str]:
+    """Table of the best member of every family of realisations: what it costs, gets wrong, and where it breaks."""
+    text: list[str] = []
+    for group in groups:
+        if not group.name.startswith("derivative_time_"):
+            continue
+        order = float(group.name.rpartition("_")[2])
+        best: dict[str, Point] = {}
+        for point in group.points:
+            if point.family not in best or point.error < best[point.family].error:
+                best[point.family] = point
+        text += [
+            "",
+            f"## Every realisation of D^{order:g}, at its best",
+            "",
+            "| realisation | multiplies | states | error raw | delay removed | delay [ticks] | leak D(1)·T^α | "
+            "gain at Nyquist (GL: 1) | largest pole | H(1) max [N/m] | gain max [N s/m] | lengths taken |",
+            "| --- " * 12 + "|",
+        ]
+        for family, p in sorted(best.items()):
+            lengths = lengths_taken(family, order, PERIOD)
+            span = (
+                "none"
+                if lengths is None
+                else f"{lengths[0]} to {lengths[1]}{' and more' if lengths[1] == 2000 else ''}"
+            )
+            d = {key: _number(p, key) for key in p.detail}
+            text.append(
+                f"| {p.name} | {d['multiplies']:.0f} | {d['states']:.0f} | {d['error_raw']:.2g} | {p.error:.2g} | "
+                f"{d['delay_ticks']:.3f} | {d['leak']:.2g} | {d['nyquist_gain']:.3g} | {d['largest_pole']:.6g} | "
+                f"{d['h1_max_n_per_m']:.0f} | {d['gain_max_n_s_per_m']:.3g} | {span} |"
+            )
+        text += [
+            "",
+            f"The last columns: stiffness left at the common gain {GAIN:g} N s/m, gain left at {STIFFNESS:g} N/m.",
+        ]
+    return text
+
+
 def page(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> str:
     """Write the page that reads the chart.
 
@@ -250,6 +299,7 @@ def page(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> st
         f"numpy {machine['numpy']}, numba {machine['numba']}, load {machine['load_1min']}) in {seconds:.0f} s. Times are "
         "medians of interleaved rounds; the quartiles are in `chart.csv`.",
     ]
+    text += _realisations(groups)
     for group in groups:
         text += ["", f"## {group.title}", "", f"![{group.title}](chart_{group.name}.png)", "", group.note, ""]
         text += [f"| on the front | {group.cost_label} | {group.error_label} |", "| --- | --- | --- |"]

@@ -215,6 +215,45 @@ def best_delay(relative: ComplexArray, angles: Array) -> float:
     return delay
 
 
+def lengths_taken(kind: str, order: float, period: float, upto: int = 2000) -> tuple[int, int] | None:
+    """Find the lengths at which a realisation can be had, by asking it.
+
+    Parameters
+    ----------
+    kind : str
+        Registered name.
+    order : float
+        α, in (0, 4).
+    period : float
+        Sampling period T [s].
+    upto : int, optional
+        How far to look.
+
+    Returns
+    -------
+    tuple of int, or None
+        Shortest and longest length that is not refused, the longest no more than ``upto``; None when all are refused.
+    """
+
+    def taken(taps: int) -> bool:
+        try:
+            realise(kind, order, taps, period)
+        except ValueError:
+            return False
+        return True
+
+    first = next((n for n in range(2, 64) if taken(n)), None)
+    if first is None:
+        return None
+    if taken(upto):
+        return first, upto
+    low, high = first, upto
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if taken(middle) else (low, middle)
+    return first, low
+
+
 def analyse(kind: str, order: float, taps: int, period: float) -> Analysis:
     """Measure one realisation.
 

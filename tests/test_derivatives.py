@@ -26,7 +26,7 @@ from nodes.derivatives.gl import coefficients
 from nodes.derivatives.log_binned import bins
 from nodes.kernels import fir, push, sections
 from nodes.laws import CompiledLaw
-from sim.realisations import analyse, apply, best_delay, largest_pole, response
+from sim.realisations import analyse, apply, best_delay, largest_pole, lengths_taken, response
 
 T = 0.002
 EPS = 2.0**-52
@@ -611,3 +611,10 @@ def test_recursion_does_not_overflow_where_the_gamma_ratio_does() -> None:
     assert series[2000] == pytest.approx(float(exact), rel=2000 * EPS)
     with pytest.raises(OverflowError):
         math.gamma(172.0)
+
+
+def test_lengths_taken_are_found_by_asking() -> None:
+    assert lengths_taken("l1", 3.47, T) == (5, 2000)
+    assert lengths_taken("tustin_cfe", 0.5, T) == (2, 201)
+    assert lengths_taken("least_squares", 0.5, T) == (4, 15)
+    assert lengths_taken("log_binned", 2.5, T) is None
