@@ -10,7 +10,7 @@ import fcntl
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
@@ -40,9 +40,13 @@ _RESOLVED = (
 
 
 class _Loader(yaml.SafeLoader):
-    """Builds builtins only."""
+    """Builds mappings, lists, text, numbers, truth values and None, whatever tag is written."""
 
-    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # PyYAML's own way of declaring them
+    yaml_constructors: ClassVar[dict[str | None, Any]] = {
+        f"tag:yaml.org,2002:{name}": yaml.SafeLoader.yaml_constructors[f"tag:yaml.org,2002:{name}"]
+        for name in ("map", "seq", "str", "bool", "null", "float")
+    }
+    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
     depth = 0
 
     def _mark(self) -> str:
@@ -84,7 +88,7 @@ class _Loader(yaml.SafeLoader):
 class _Dumper(yaml.SafeDumper):
     """Quotes what `_Loader` would not read as text."""
 
-    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # PyYAML's own way of declaring them
+    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
 
     def ignore_aliases(self, data: Any) -> bool:
         del data
@@ -95,6 +99,7 @@ for _name, _pattern, _first in _RESOLVED:
     for _class in (_Loader, _Dumper):
         _class.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", _pattern, list(_first))
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_int)
+_Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
 
 
 def parse_yaml(text: str, source: str) -> Any:
@@ -141,7 +146,9 @@ def write_yaml(data: Any, width: int = 120) -> str:
     str
         The document; innermost lists and mappings on one line.
     """
-    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=width)
+    text: str = yaml.dump(
+        data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=width
+    )
     return text
 
 
