@@ -6,12 +6,14 @@ between sample and force.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import zmq
 
 from messages.codec import MAX_PAYLOAD, MessageRefusedError
+from messages.endpoints import connect
 from messages.types import Name, Text
 
 
@@ -52,17 +54,22 @@ class ControlError(RuntimeError):
     """A node refused a request, or did not answer."""
 
 
+T = TypeVar("T")
+
 _request = msgspec.msgpack.Decoder(Request)
 _reply = msgspec.msgpack.Decoder(Reply)
 
+MAX_REPLY = 16 * MAX_PAYLOAD
+"""Longest reply that is looked at [bytes]."""
 
-def decode_request(payload: bytes) -> Request:
+
+def decode_request(frames: Sequence[bytes]) -> Request:
     """Decode a request.
 
     Parameters
     ----------
-    payload : bytes
-        One frame.
+    frames : sequence of bytes
+        As received; a request is one frame.
 
     Returns
     -------
@@ -72,14 +79,41 @@ def decode_request(payload: bytes) -> Request:
     Raises
     ------
     MessageRefusedError
-        When it is malformed or longer than MAX_PAYLOAD.
+        When it is not one frame, malformed or longer than MAX_PAYLOAD.
     """
-    if len(payload) > MAX_PAYLOAD:
-        raise MessageRefusedError(f"Request: {len(payload)} bytes, limit {MAX_PAYLOAD}")
+    return _decode("Request", _request, frames, MAX_PAYLOAD)
+
+
+def decode_reply(frames: Sequence[bytes]) -> Reply:
+    """Decode a reply.
+
+    Parameters
+    ----------
+    frames : sequence of bytes
+        As received; a reply is one frame.
+
+    Returns
+    -------
+    Reply
+        The typed reply.
+
+    Raises
+    ------
+    MessageRefusedError
+        When it is not one frame, malformed or longer than MAX_REPLY.
+    """
+    return _decode("Reply", _reply, frames, MAX_REPLY)
+
+
+def _decode(name: str, decoder: msgspec.msgpack.Decoder[T], frames: Sequence[bytes], limit: int) -> T:
+    if len(frames) != 1:
+        raise MessageRefusedError(f"{name}: {len(frames)} frames, expected 1")
+    if len(frames[0]) > limit:
+        raise MessageRefusedError(f"{name}: {len(frames[0])} bytes, limit {limit}")
     try:
-        return _request.decode(payload)
+        return decoder.decode(frames[0])
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        raise MessageRefusedError(f"Request: {error}") from error
+        raise MessageRefusedError(f"{name}: {error}") from error
 
 
 def call(context: zmq.Context[zmq.Socket[bytes]], endpoint: str, op: str, timeout: float = 2.0, **args: object) -> Any:
@@ -107,21 +141,22 @@ def call(context: zmq.Context[zmq.Socket[bytes]], endpoint: str, op: str, timeou
     ------
     ControlError
         When the node refuses, answers nonsense, or does not answer in time.
+    EndpointRefusedError, KeyRefusedError
+        When the endpoint or this machine's keys cannot be used.
     """
     with context.socket(zmq.REQ) as socket:
         socket.linger = 0
         socket.rcvtimeo = socket.sndtimeo = int(timeout * 1000)
-        socket.setsockopt(zmq.RECONNECT_IVL, 20)
-        socket.connect(endpoint)
+        connect(socket, endpoint)
         try:
             socket.send(msgspec.msgpack.encode(Request(op, args)))
-            payload = socket.recv()
+            frames = socket.recv_multipart()
         except zmq.Again as error:
             raise ControlError(f"{endpoint}: no answer to {op} within {timeout:g} s; is the node running?") from error
     try:
-        reply = _reply.decode(payload)
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise ControlError(f"{endpoint}: not a control reply: {error}") from error
+        reply = decode_reply(frames)
+    except MessageRefusedError as error:
+        raise ControlError(f"{endpoint}: {error}") from error
     if not reply.ok:
         raise ControlError(reply.error)
     return reply.result

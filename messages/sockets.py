@@ -7,7 +7,6 @@ everybody listens instead of after a sleep.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
 import time
@@ -16,23 +15,29 @@ from typing import TYPE_CHECKING
 
 import zmq
 
-from messages.codec import MAX_PAYLOAD
+from messages.endpoints import bind, connect, remove_ipc
 
 if TYPE_CHECKING:
+    from messages.gate import Gate
+
     Context = zmq.Context[zmq.Socket[bytes]]
     Socket = zmq.Socket[bytes]
 
 SEND_QUEUE = 4096
 """Messages queued for one stalled listener before its newest ones are dropped: 8 s at 500 Hz, about 1 MB."""
 
-RECONNECT_MS = 20
-"""How soon a listener tries again to reach a publisher that is not there yet or was respawned [ms]."""
+# pyzmq's attributes of the same names cost three times as much.
+_MORE = int(zmq.RCVMORE)
+_EVENTS = int(zmq.EVENTS)
+
+IO_ABOVE = 5
+"""By how much an I/O thread's SCHED_FIFO priority is above its node's: what is sent leaves before the sender goes on."""
 
 
 def new_context() -> Context:
     """Make a context whose sockets never delay its end.
 
-    Affinity and scheduling of the I/O thread are inherited: set them on the calling thread first.
+    The I/O thread inherits the affinity of the calling thread, and under SCHED_FIFO runs above it: set both first.
 
     Returns
     -------
@@ -41,6 +46,9 @@ def new_context() -> Context:
     """
     context: Context = zmq.Context(io_threads=1)
     context.linger = 0
+    if os.sched_getscheduler(0) == os.SCHED_FIFO:
+        context.set(zmq.THREAD_SCHED_POLICY, os.SCHED_FIFO)
+        context.set(zmq.THREAD_PRIORITY, os.sched_getparam(0).sched_priority + IO_ABOVE)
     return context
 
 
@@ -52,18 +60,27 @@ class Publisher:
     context : zmq.Context
         Context of the process.
     endpoint : str
-        Where to bind, ``ipc://...`` or ``tcp://...``.
+        Where to bind, see messages/endpoints.py.
+    more : iterable of str
+        Further endpoints, encrypted ones last.
+
+    Raises
+    ------
+    EndpointRefusedError, KeyRefusedError
+        When an endpoint or this machine's keys cannot be used.
     """
 
-    def __init__(self, context: Context, endpoint: str) -> None:
+    def __init__(self, context: Context, endpoint: str, more: Iterable[str] = ()) -> None:
         self._socket = context.socket(zmq.XPUB)
         self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)
         self._socket.sndhwm = SEND_QUEUE
-        if endpoint.startswith("ipc://"):
-            # A respawned node finds the socket file of its killed predecessor.
-            with contextlib.suppress(FileNotFoundError):
-                os.unlink(endpoint.removeprefix("ipc://"))
-        self._socket.bind(endpoint)
+        self._endpoints = (endpoint, *more)
+        try:
+            for place in self._endpoints:
+                bind(self._socket, place)
+        except ValueError:
+            self._socket.close(linger=0)
+            raise
         self._send = self._socket.send
         self._peers: dict[bytes, int] = {}
         self.endpoint = endpoint
@@ -95,8 +112,23 @@ class Publisher:
                 frame = self._socket.recv(zmq.NOBLOCK)
             except zmq.Again:
                 return sum(self._peers.values())
-            topic = frame[1:]
-            self._peers[topic] = self._peers.get(topic, 0) + (1 if frame[:1] == b"\x01" else -1)
+            # Anything else than a subscription or its end is a peer's attempt to talk back; nobody listens.
+            if frame[:1] in (b"\x00", b"\x01"):
+                topic = frame[1:]
+                count = self._peers.get(topic, 0) + (1 if frame[:1] == b"\x01" else -1)
+                self._peers[topic] = count
+                if not count:
+                    del self._peers[topic]
+
+    def watched_by(self, gate: Gate) -> None:
+        """Let a gate watch who tries to connect.
+
+        Parameters
+        ----------
+        gate : Gate
+            The gate of the process, not yet started.
+        """
+        gate.watch(self._socket, "server")
 
     def close(self, linger_ms: int = 500) -> None:
         """Close the socket and remove its file.
@@ -107,7 +139,8 @@ class Publisher:
             How long queued messages may take to leave [ms].
         """
         self._socket.close(linger=linger_ms)
-        remove_ipc(self.endpoint)
+        for place in self._endpoints:
+            remove_ipc(place)
 
 
 class Subscription:
@@ -118,36 +151,37 @@ class Subscription:
     context : zmq.Context
         Context of the process.
     endpoints : iterable of str
-        Publishers to connect to.
+        Publishers to connect to, see messages/endpoints.py.
     topics : iterable of str
         Topics to take; ``""`` takes all.
     queue : int
         High-water mark; the default serves the loop, a logger takes more.
+
+    Raises
+    ------
+    EndpointRefusedError, KeyRefusedError
+        When an endpoint or this machine's keys cannot be used.
     """
 
     def __init__(self, context: Context, endpoints: Iterable[str], topics: Iterable[str], queue: int = 1000) -> None:
         self._socket = context.socket(zmq.SUB)
         self._socket.rcvhwm = queue
-        self._socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, 16 * MAX_PAYLOAD)
         self._timeout_ms = -1
         self._recv = self._socket.recv
+        self._get = self._socket.get
         self._fd = self._socket.FD
-        for endpoint in endpoints:
-            self._socket.connect(endpoint)
+        try:
+            for endpoint in endpoints:
+                connect(self._socket, endpoint)
+        except ValueError:
+            self._socket.close(linger=0)
+            raise
         for topic in topics:
             self._socket.subscribe(topic)
 
-    def _rest(self, topic: bytes) -> tuple[bytes, bytes] | None:
-        """Take the frames after the first; None when there are not exactly two, the whole message consumed."""
-        if not self._socket.rcvmore:
-            return None
-        payload = self._recv(zmq.NOBLOCK)
-        if not self._socket.rcvmore:
-            return topic, payload
-        while self._socket.rcvmore:
-            self._recv(zmq.NOBLOCK)
-        return None
+    def _rest(self, topic: bytes) -> tuple[bytes, bytes]:
+        """Take the second frame. A message of one frame has none; a third frame is met as the next message's first."""
+        return (topic, self._recv()) if self._get(_MORE) else (b"", b"")
 
     def receive(self, timeout_ms: int) -> tuple[bytes, bytes] | None:
         """Wait for the next message with blocking receive (one wake-up, no poller).
@@ -160,7 +194,7 @@ class Subscription:
         Returns
         -------
         tuple of bytes or None
-            Topic and payload; None when the time was over, ``(b"", b"")`` for a message that was not of two frames.
+            Topic and payload; None when the time was over, ``(b"", b"")`` for a message of one frame.
         """
         if timeout_ms != self._timeout_ms:
             self._socket.rcvtimeo = timeout_ms
@@ -169,13 +203,13 @@ class Subscription:
             topic = self._recv()
         except zmq.Again:
             return None
-        return self._rest(topic) or (b"", b"")
+        return self._rest(topic)
 
     def receive_until(self, deadline: float) -> tuple[bytes, bytes] | None:
         """Wait for the next message until an absolute time, to the microsecond.
 
         ZeroMQ's own time-outs are whole milliseconds, too coarse above 500 Hz, so the wait is a select on the socket's
-        descriptor. That is edge-triggered: a receive must come back empty before each wait.
+        descriptor. That is edge-triggered: the socket must have said that it has nothing before each wait.
 
         Parameters
         ----------
@@ -187,30 +221,23 @@ class Subscription:
         tuple of bytes or None
             As `receive`.
         """
-        while True:
-            try:
-                topic = self._recv(zmq.NOBLOCK)
-            except zmq.Again:
-                remaining = deadline - time.monotonic()
-                if remaining <= 0.0:
-                    return None
-                select.select((self._fd,), (), (), remaining)
-                continue
-            return self._rest(topic) or (b"", b"")
+        while not int(self._get(_EVENTS)) & zmq.POLLIN:
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0:
+                return None
+            select.select((self._fd,), (), (), remaining)
+        return self._rest(self._recv())
+
+    def watched_by(self, gate: Gate) -> None:
+        """Let a gate watch who answers where this connects.
+
+        Parameters
+        ----------
+        gate : Gate
+            The gate of the process, not yet started.
+        """
+        gate.watch(self._socket, "client")
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close(linger=0)
-
-
-def remove_ipc(endpoint: str) -> None:
-    """Remove the file of an ipc endpoint, if it has one.
-
-    Parameters
-    ----------
-    endpoint : str
-        Any endpoint.
-    """
-    if endpoint.startswith("ipc://"):
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(endpoint.removeprefix("ipc://"))

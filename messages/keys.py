@@ -1,0 +1,248 @@
+"""Keys of machines: who this one is and which others are let in, in files that nobody else can read or change.
+
+One CURVE key pair per user and machine, kept below ``$HAPTIC_KEYS`` (or ``~/.config/haptic/keys``)::
+
+    identity.key      secret and public key of this machine, mode 0600
+    allowed/NAME.key  public key of another machine, mode 0600
+
+A key is written as 64 hexadecimal digits, which every shell leaves alone. A machine that is allowed may listen, publish in
+its place and send control requests; there is no half of it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from pathlib import Path
+
+import msgspec
+import zmq
+from zmq.utils import z85
+
+_NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]{0,62}$")
+_KEY = re.compile(r"^[0-9a-f]{64}$")
+
+
+class KeyRefusedError(ValueError):
+    """A key or a key file that cannot be used; the text says why and what to do."""
+
+
+class Identity(msgspec.Struct, frozen=True):
+    """This machine's key pair.
+
+    Attributes
+    ----------
+    public, secret : str
+        Keys, 64 hexadecimal digits each.
+    """
+
+    public: str
+    secret: str
+
+
+def key_dir() -> Path:
+    """Find the directory of the keys.
+
+    Returns
+    -------
+    Path
+        ``$HAPTIC_KEYS``, or ``haptic/keys`` below ``$XDG_CONFIG_HOME`` or ``~/.config``.
+    """
+    if "HAPTIC_KEYS" in os.environ:
+        return Path(os.environ["HAPTIC_KEYS"])
+    return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "haptic" / "keys"
+
+
+def _private_dir(path: Path) -> None:
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = path.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
+        raise KeyRefusedError(f"{path}: must be a directory of user {os.getuid()} with mode 0700; chmod 700 it")
+
+
+def _write(path: Path, text: str, replace: bool = False) -> None:
+    """Write a file that is private from its first byte on; never through a link."""
+    _private_dir(path.parent)
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    try:
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        if replace:
+            os.replace(draft, path)
+        else:
+            os.link(draft, path)
+    except FileExistsError as error:
+        raise KeyRefusedError(f"{path}: exists already; remove it first, or give --replace") from error
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _read(path: Path) -> list[str]:
+    """Words of a key file, which must be private."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError as error:
+        raise KeyRefusedError(f"{path}: {error.strerror}") from error
+    with os.fdopen(descriptor, encoding="ascii", errors="replace") as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
+            raise KeyRefusedError(f"{path}: must be a file of user {os.getuid()} with mode 0600; chmod 600 it")
+        return file.read(4096).split()
+
+
+def parse_key(text: str) -> str:
+    """Read a key as a person or a file gives it.
+
+    Parameters
+    ----------
+    text : str
+        64 hexadecimal digits, or the 40 characters of Z85 that ZeroMQ's own tools print.
+
+    Returns
+    -------
+    str
+        64 lower-case hexadecimal digits.
+
+    Raises
+    ------
+    KeyRefusedError
+        When it is neither.
+    """
+    if len(text) == 40:
+        try:
+            return bytes(z85.decode(text)).hex()
+        except (ValueError, KeyError) as error:
+            raise KeyRefusedError(f"{text!r}: 40 characters that are not Z85") from error
+    key = text.lower()
+    if not _KEY.match(key):
+        raise KeyRefusedError(f"{text!r}: a key is 64 hexadecimal digits (or 40 characters of Z85); got {len(text)}")
+    return key
+
+
+def new_identity(replace: bool = False) -> Identity:
+    """Make this machine's key pair.
+
+    Parameters
+    ----------
+    replace : bool
+        Whether an existing one may be replaced; everyone who allowed it must then allow the new one.
+
+    Returns
+    -------
+    Identity
+        The new pair.
+
+    Raises
+    ------
+    KeyRefusedError
+        When there is one already, or its place is open to others.
+    """
+    public, secret = (bytes(z85.decode(key)).hex() for key in zmq.curve_keypair())
+    _write(key_dir() / "identity.key", f"{public}\n{secret}\n", replace)
+    return Identity(public, secret)
+
+
+def identity() -> Identity:
+    """Read this machine's key pair.
+
+    Returns
+    -------
+    Identity
+        The pair.
+
+    Raises
+    ------
+    KeyRefusedError
+        When there is none, or its file is damaged or open to others.
+    """
+    path = key_dir() / "identity.key"
+    if not path.exists():
+        raise KeyRefusedError(f"{path}: no such file; this machine has no keys yet: haptic keys new")
+    words = _read(path)
+    if len(words) != 2 or not all(_KEY.match(word) for word in words):
+        raise KeyRefusedError(f"{path}: not a public and a secret key; make new ones: haptic keys new --replace")
+    if bytes(z85.decode(zmq.curve_public(z85.encode(bytes.fromhex(words[1]))))).hex() != words[0]:
+        raise KeyRefusedError(f"{path}: public and secret key do not belong together: haptic keys new --replace")
+    return Identity(words[0], words[1])
+
+
+def allow(name: str, key: str, replace: bool = False) -> Path:
+    """Let another machine in.
+
+    Parameters
+    ----------
+    name : str
+        What it is called here, e.g. its address.
+    key : str
+        Its public key, as `parse_key` reads it.
+    replace : bool
+        Whether another key under that name may be replaced.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    KeyRefusedError
+        When name or key is none, or the name is taken.
+    """
+    if not _NAME.match(name):
+        raise KeyRefusedError(f"{name!r}: a name is letters, digits, dots, - and _, at most 63")
+    path = key_dir() / "allowed" / f"{name}.key"
+    _write(path, f"{parse_key(key)}\n", replace)
+    return path
+
+
+def allowed() -> dict[str, str]:
+    """List the machines that are let in.
+
+    Returns
+    -------
+    dict of str to str
+        Name to public key.
+
+    Raises
+    ------
+    KeyRefusedError
+        When a file is damaged or open to others.
+    """
+    found = {}
+    for path in sorted((key_dir() / "allowed").glob("*.key")):
+        words = _read(path)
+        if len(words) != 1:
+            raise KeyRefusedError(f"{path}: not one public key; remove it, and: haptic keys allow {path.stem} KEY")
+        found[path.stem] = parse_key(words[0])
+    return found
+
+
+def key_of(name: str) -> str:
+    """Find the public key of a machine that is let in.
+
+    Parameters
+    ----------
+    name : str
+        What it is called here.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+
+    Raises
+    ------
+    KeyRefusedError
+        When there is none of that name; the text says how to let it in.
+    """
+    there = allowed()
+    if name not in there:
+        raise KeyRefusedError(
+            f"no key of {name!r} is allowed here (there is: {', '.join(there) or 'none'}); on that machine: haptic keys new, "
+            f"then here: haptic keys allow {name} KEY"
+        )
+    return there[name]
