@@ -1,0 +1,104 @@
+"""What is said about the loop, claim by claim, beside what our code finds: holds, holds only if, does not hold."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HOLDS, ONLY_IF, FAILS = "holds", "holds only if", "does not hold"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim and what became of it.
+
+    Attributes
+    ----------
+    source : str
+        Where it stands: a section of the theory, an equation or figure of the seed.
+    claim : str
+        What is claimed.
+    verdict : str
+        ``holds``, ``holds only if`` or ``does not hold``.
+    number : str
+        The figure found, and for ``holds only if`` the condition.
+    """
+
+    source: str
+    claim: str
+    verdict: str
+    number: str
+
+
+def verdict(true: bool, condition: bool | None = None) -> str:
+    """Choose a verdict.
+
+    Parameters
+    ----------
+    true : bool
+        Whether the claim was found true as it stands.
+    condition : bool or None
+        Whether it is true at least under the condition told with it; None when none is told.
+
+    Returns
+    -------
+    str
+        The verdict.
+    """
+    return HOLDS if true else ONLY_IF if condition else FAILS
+
+
+def table(claims: Sequence[Claim]) -> str:
+    """Lay claims out for people.
+
+    Parameters
+    ----------
+    claims : sequence of Claim
+        The claims.
+
+    Returns
+    -------
+    str
+        One block of two lines each.
+    """
+    width = max(len(HOLDS), len(ONLY_IF), len(FAILS))
+    return "\n".join(
+        f"{claim.verdict:{width}}  {claim.claim}  [{claim.source}]\n{'':{width}}  {claim.number}" for claim in claims
+    )
+
+
+def save(
+    name: str, figures: Mapping[str, Any], claims: Sequence[Claim], picture: Figure, folder: Path
+) -> dict[str, Any]:
+    """Write a study's figures and picture.
+
+    Parameters
+    ----------
+    name : str
+        Name of the study and of its files.
+    figures : mapping of str to object
+        What was computed, ready for JSON.
+    claims : sequence of Claim
+        The claims.
+    picture : matplotlib.figure.Figure
+        The picture.
+    folder : Path
+        Where the files go; made when missing.
+
+    Returns
+    -------
+    dict
+        Figures, ``claims``, and ``plot`` and ``data``, the paths written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    plot, data = folder / f"{name}.png", folder / f"{name}.json"
+    picture.savefig(plot, dpi=150)
+    whole = {**figures, "claims": [asdict(claim) for claim in claims]}
+    data.write_text(json.dumps(whole, indent=1, allow_nan=False) + "\n")
+    return {**whole, "plot": str(plot), "data": str(data)}
