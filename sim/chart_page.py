@@ -215,7 +215,8 @@ def _rates(force: Group, stiffness: Group) -> str:
     kept = [p for p in force.points if _number(p, "missed") <= 0.02 * _number(p, "ticks")]
     best = _best(kept or force.points)
     slow = min(kept or force.points, key=lambda p: (p.cost, p.error))
-    stiffest = _best(stiffness.points)
+    held = {p.name for p in kept}
+    stiffest = _best([p for p in stiffness.points if p.name in held] or stiffness.points)
     lost = sorted({p.cost for p in force.points} - {p.cost for p in kept})
     text = (
         f"Loop rate, through the processes: from {slow.name} to {best.name} the force error falls from "

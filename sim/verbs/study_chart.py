@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         "derivatives": (derivative_groups, derivative_steps, 1),
         "integrators": (integrator_groups, integrator_steps, 1),
         "kmax": (kmax_groups, kmax_steps, 1),
-        "rates": (rate_groups, rate_steps, 100),
+        "rates": (rate_groups, rate_steps, 30),
     }
     start = time.monotonic()
     progress = Progress(sum(makers[part][1](arguments.quick) * makers[part][2] for part in parts))
