@@ -11,6 +11,7 @@ import os
 import select
 import time
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import zmq
@@ -34,17 +35,22 @@ IO_ABOVE = 5
 """By how much an I/O thread's SCHED_FIFO priority is above its node's: what is sent leaves before the sender goes on."""
 
 
-def new_context() -> Context:
+def new_context(aside: bool = False) -> Context:
     """Make a context whose sockets never delay its end.
 
     The I/O thread inherits the affinity of the calling thread, and under SCHED_FIFO runs above it: set both first.
 
+    Parameters
+    ----------
+    aside : bool
+        Whether to have a second I/O thread, for listeners: see `Publisher` and `move_aside`.
+
     Returns
     -------
     zmq.Context
-        With one I/O thread and linger 0.
+        With linger 0.
     """
-    context: Context = zmq.Context(io_threads=1)
+    context: Context = zmq.Context(io_threads=2 if aside else 1)
     context.linger = 0
     if os.sched_getscheduler(0) == os.SCHED_FIFO:
         context.set(zmq.THREAD_SCHED_POLICY, os.SCHED_FIFO)
@@ -52,8 +58,26 @@ def new_context() -> Context:
     return context
 
 
+def move_aside() -> None:
+    """Take the second I/O thread off the chain's core and out of its priority.
+
+    It serves the listeners; nothing in the loop waits for it. Call it when the context's first socket exists.
+    """
+    for path in Path("/proc/self/task").iterdir():
+        # libzmq names its threads by their number.
+        if (path / "comm").read_text(encoding="ascii", errors="replace").strip().endswith("IO/1"):
+            thread = int(path.name)
+            others = set(range(os.cpu_count() or 1)) - os.sched_getaffinity(0)
+            os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+            if others:
+                os.sched_setaffinity(thread, others)
+
+
 class Publisher:
     """A node's one publishing socket.
+
+    The next hop of the loop and the listeners connect to different endpoints of it, and each endpoint has an I/O thread of its
+    own: what goes to loggers is carried by another core than the loop's.
 
     Parameters
     ----------
@@ -63,6 +87,8 @@ class Publisher:
         Where to bind, see messages/endpoints.py.
     more : iterable of str
         Further endpoints, encrypted ones last.
+    listen : str
+        Endpoint for listeners, served by the second I/O thread of a context made with ``aside``; empty for none.
 
     Raises
     ------
@@ -70,13 +96,15 @@ class Publisher:
         When an endpoint or this machine's keys cannot be used.
     """
 
-    def __init__(self, context: Context, endpoint: str, more: Iterable[str] = ()) -> None:
+    def __init__(self, context: Context, endpoint: str, more: Iterable[str] = (), listen: str = "") -> None:
         self._socket = context.socket(zmq.XPUB)
         self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)
         self._socket.sndhwm = SEND_QUEUE
-        self._endpoints = (endpoint, *more)
+        self._endpoints = (endpoint, *more, *((listen,) if listen else ()))
         try:
             for place in self._endpoints:
+                # Bit 0 is the first I/O thread, bit 1 the second.
+                self._socket.setsockopt(zmq.AFFINITY, 2 if place == listen else 1)
                 bind(self._socket, place)
         except ValueError:
             self._socket.close(linger=0)
@@ -166,6 +194,7 @@ class Subscription:
     def __init__(self, context: Context, endpoints: Iterable[str], topics: Iterable[str], queue: int = 1000) -> None:
         self._socket = context.socket(zmq.SUB)
         self._socket.rcvhwm = queue
+        self._socket.setsockopt(zmq.AFFINITY, 1)
         self._timeout_ms = -1
         self._recv = self._socket.recv
         self._get = self._socket.get

@@ -51,14 +51,14 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     manifest: dict[str, str] = {}
 
     def publishers(self) -> dict[str, str]:
-        """List the publishing endpoints.
+        """List the endpoints for listeners.
 
         Returns
         -------
         dict of str to str
             Node name to endpoint.
         """
-        return {name: setup.publish for name, setup in self.nodes.items()}
+        return {name: setup.listen or setup.publish for name, setup in self.nodes.items()}
 
     def endpoints(self) -> dict[str, str]:
         """List who publishes what.
@@ -73,7 +73,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         found = {}
         for name, setup in self.nodes.items():
             for topic in (*load(setup.factory).publishes, topics.status(name), topics.event(name)):
-                found[topic] = setup.publish
+                found[topic] = setup.listen or setup.publish
         return found
 
 

@@ -46,8 +46,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         Axes that the scene computes.
     ticks : int
         Ticks to run; 0 runs until stopped.
-    publish, control : str
-        Endpoints that the node binds.
+    publish, control, listen : str
+        Endpoints that the node binds: for the next hop of the loop, for requests, for listeners.
     sources : dict of str to str
         Topic (or ``<node>``, for all its topics) to the endpoint that publishes it.
     listeners : int
@@ -75,6 +75,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     publish: str
     control: str
     sources: dict[str, str]
+    listen: str = ""
     listeners: int = 0
     scheduling: Scheduling = Scheduling()
     parameters: dict[str, Any] = {}

@@ -97,6 +97,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
     classes, publisher, relays = _roles(launch)
     factories = node_kinds()
     publish = {name: f"ipc://{run_dir}/{name}.pub" for name in launch.nodes}
+    listen = {name: f"ipc://{run_dir}/{name}.listen" for name in launch.nodes}
     setups = {}
     for name, spec in launch.nodes.items():
         kind = classes[name]
@@ -108,7 +109,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             )
         everything = kind.listens_to == ("*",)
         if everything:
-            sources = {other: endpoint for other, endpoint in publish.items() if other != name}
+            sources = {other: endpoint for other, endpoint in listen.items() if other != name}
         else:
             sources = {topic: publish[_source(name, topic, publisher, relays)] for topic in kind.listens_to}
         listeners = sum(
@@ -135,6 +136,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             axes=launch.run.axes,
             ticks=launch.run.ticks,
             publish=publish[name],
+            listen=listen[name],
             control=f"ipc://{run_dir}/{name}.ctl",
             sources=sources,
             listeners=listeners,
