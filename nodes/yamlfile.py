@@ -23,6 +23,8 @@ MAX_DEPTH = 32
 MAX_INT = 2**63 - 1
 """Integers travel between the processes as 64 bits."""
 
+_BREAKS = re.compile("[\x85\u2028\u2029]")
+
 _RESOLVED = (
     ("bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), "tTfF"),
     ("null", re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""]),
@@ -46,7 +48,7 @@ class _Loader(yaml.SafeLoader):
         f"tag:yaml.org,2002:{name}": yaml.SafeLoader.yaml_constructors[f"tag:yaml.org,2002:{name}"]
         for name in ("map", "seq", "str", "bool", "null", "float")
     }
-    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # as PyYAML declares it
     depth = 0
 
     def _mark(self) -> str:
@@ -88,7 +90,7 @@ class _Loader(yaml.SafeLoader):
 class _Dumper(yaml.SafeDumper):
     """Quotes what `_Loader` would not read as text."""
 
-    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # as PyYAML declares it
 
     def ignore_aliases(self, data: Any) -> bool:
         del data
@@ -146,9 +148,13 @@ def write_yaml(data: Any, width: int = 120) -> str:
     str
         The document; innermost lists and mappings on one line.
     """
-    text: str = yaml.dump(
-        data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=width
-    )
+    for plain in (True, False):
+        text: str = yaml.dump(
+            data, Dumper=_Dumper, sort_keys=False, allow_unicode=plain, default_flow_style=None, width=width
+        )
+        # PyYAML writes Unicode's own line breaks as they are and then reads them as blanks; escaped they are safe.
+        if not _BREAKS.search(text):
+            break
     return text
 
 
