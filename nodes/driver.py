@@ -144,6 +144,9 @@ class Driver(Node):
         # Mean force since the sample before: what acted, exact under zero-order hold.
         self._acting: list[float] = [0.0, 0.0, 0.0]
         self._held = 1
+        # The device lets go by itself so many ticks after the last force that was written.
+        self._bears = self._device.limits.hold / self.setup.period
+        self._written = 0
         self._response = self._lateness = self._delay = self._energy = 0.0
         self._age = self._missed = self._overruns = 0
         self._responses = ResponseTimes()
@@ -345,7 +348,7 @@ class Driver(Node):
                 # The driver itself was held up: the ticks that are over cannot be sampled any more, only counted.
                 lost = min(int(late / period), end - seq)
                 self._overruns += lost
-                self._hold(lost)
+                self._hold(seq, lost)
                 seq += lost
                 self._lateness = late
                 continue
@@ -373,6 +376,7 @@ class Driver(Node):
                     if guard is not None:
                         wanted = guard.control(wanted, safety.force, 1.0 if next_tick else offset)
                     command = safety.command(wanted, force.seq, seq)
+                    self._written = seq
                     if next_tick:
                         device.write_force(command, seq + 1, 0.0)
                         self._delay = 1.0 + self._age
@@ -394,6 +398,9 @@ class Driver(Node):
                 command_now = safety.missed(seq, self._velocity(), held)
                 if command_now is not None:
                     device.write_force(command_now, seq + 1, 0.0)
+                    self._written = seq + 1
+                elif seq + 1 - self._written >= self._bears:
+                    safety.let_go()
             self._acting = split.mean()
             acting = safety.force
             self.ticks += 1
@@ -410,17 +417,16 @@ class Driver(Node):
             (now[2] - before[2]) / period,
         )
 
-    def _hold(self, lost: int) -> None:
+    def _hold(self, seq: int, lost: int) -> None:
         """Take into the mean force what acted during ticks that were left out, until the device itself let go."""
-        held, already = self._safety.force, self._held
-        bears = self._device.limits.hold / self.setup.period
-        acted = min(float(lost), bears)
+        force, already = self._safety.force, self._held
+        acted = min(max(self._bears - (seq - self._written), 0.0), float(lost))
         for i in self._axes:
-            self._acting[i] = (self._acting[i] * already + held[i] * acted) / (already + lost)
+            self._acting[i] = (self._acting[i] * already + force[i] * acted) / (already + lost)
         self._held += lost
-        if lost >= bears and held != ZERO:
+        if acted < lost and force != ZERO:
             self._safety.let_go()
-            self.tell("device", f"the driver hung for {lost} ticks; the device let go after {bears:.0f}")
+            self.tell("device", f"no force from tick {self._written} to {seq + lost}; the device let go by itself")
 
     def finish(self) -> None:
         """Bring the force down to zero and close the device, on every way out."""
