@@ -74,21 +74,28 @@ def move_aside() -> None:
 
 
 class Publisher:
-    """A node's one publishing socket.
+    """What a node publishes: first to the next hop of the loop, then to whoever listens.
 
-    The next hop of the loop and the listeners connect to different endpoints of it, and each endpoint has an I/O thread of its
-    own: what goes to loggers is carried by another core than the loop's.
+    Hop and listeners have a socket and an I/O thread each. So a tick goes on as soon as its message has left, what goes to
+    loggers is carried by another core than the loop's, and no number of them is between a sample and its force.
 
     Parameters
     ----------
     context : zmq.Context
-        Context of the process.
+        Context of the process, made with ``aside`` when there is an endpoint for listeners.
     endpoint : str
-        Where to bind, see messages/endpoints.py.
+        Where the next hop connects, see messages/endpoints.py.
     more : iterable of str
-        Further endpoints, encrypted ones last.
-    listen : str
-        Endpoint for listeners, served by the second I/O thread of a context made with ``aside``; empty for none.
+        Further endpoints for hops, encrypted ones last.
+    listen : iterable of str
+        Endpoints for listeners; when there are none, they connect where the hops do.
+
+    Attributes
+    ----------
+    endpoint : str
+        Where the next hop connects.
+    apart : bool
+        Whether listeners have a socket of their own.
 
     Raises
     ------
@@ -96,26 +103,39 @@ class Publisher:
         When an endpoint or this machine's keys cannot be used.
     """
 
-    def __init__(self, context: Context, endpoint: str, more: Iterable[str] = (), listen: str = "") -> None:
-        self._socket = context.socket(zmq.XPUB)
-        self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)
-        self._socket.sndhwm = SEND_QUEUE
-        self._endpoints = (endpoint, *more, *((listen,) if listen else ()))
+    def __init__(self, context: Context, endpoint: str, more: Iterable[str] = (), listen: Iterable[str] = ()) -> None:
+        self._endpoints = ((endpoint, *more), tuple(listen))
+        self._sockets: list[Socket] = []
         try:
-            for place in self._endpoints:
-                # Bit 0 is the first I/O thread, bit 1 the second.
-                self._socket.setsockopt(zmq.AFFINITY, 2 if place == listen else 1)
-                bind(self._socket, place)
+            for thread, places in enumerate(self._endpoints):
+                if places:
+                    self._sockets.append(self._bound(context, thread, places))
         except ValueError:
-            self._socket.close(linger=0)
+            self._close_sockets(0)
             raise
-        self._send = self._socket.send
-        self._peers: dict[bytes, int] = {}
+        self.apart = len(self._sockets) > 1
+        self._hop = self._sockets[0].send
+        self._aside = self._sockets[-1].send
+        self._peers: dict[tuple[int, bytes], int] = {}
         self.endpoint = endpoint
-        self.sent: dict[str, int] = {}
+
+    @staticmethod
+    def _bound(context: Context, thread: int, places: tuple[str, ...]) -> Socket:
+        socket = context.socket(zmq.XPUB)
+        socket.setsockopt(zmq.XPUB_VERBOSER, 1)
+        socket.sndhwm = SEND_QUEUE
+        # Bit 0 is the first I/O thread, bit 1 the second.
+        socket.setsockopt(zmq.AFFINITY, 1 << thread)
+        try:
+            for place in places:
+                bind(socket, place)
+        except ValueError:
+            socket.close(linger=0)
+            raise
+        return socket
 
     def send(self, topic: bytes, payload: bytes) -> None:
-        """Publish one message: two frames, topic and payload.
+        """Publish one message to the next hop, then to the listeners: two frames, topic and payload.
 
         Parameters
         ----------
@@ -124,29 +144,57 @@ class Publisher:
         payload : bytes
             An encoded message.
         """
-        self._send(topic, zmq.SNDMORE)
-        self._send(payload)
+        self._hop(topic, zmq.SNDMORE)
+        self._hop(payload)
+        if self.apart:
+            self._aside(topic, zmq.SNDMORE)
+            self._aside(payload)
+
+    def send_hop(self, topic: bytes, payload: bytes) -> None:
+        """Publish one message to the next hop only; `send_aside` follows when the tick has its answer.
+
+        Parameters
+        ----------
+        topic : bytes
+            Full topic name.
+        payload : bytes
+            An encoded message.
+        """
+        self._hop(topic, zmq.SNDMORE)
+        self._hop(payload)
+
+    def send_aside(self, topic: bytes, payload: bytes) -> None:
+        """Publish one message to the listeners only: what no hop needs, or what it has already.
+
+        Parameters
+        ----------
+        topic : bytes
+            Full topic name.
+        payload : bytes
+            An encoded message.
+        """
+        self._aside(topic, zmq.SNDMORE)
+        self._aside(payload)
 
     def listeners(self) -> int:
-        """Count the listeners whose subscriptions have arrived.
+        """Count those whose subscriptions have arrived, hops and listeners together.
 
         Returns
         -------
         int
             Live subscriptions to this publisher; every listener of a launch makes one.
         """
-        while True:
-            try:
-                frame = self._socket.recv(zmq.NOBLOCK)
-            except zmq.Again:
-                return sum(self._peers.values())
-            # Anything else than a subscription or its end is a peer's attempt to talk back; nobody listens.
-            if frame[:1] in (b"\x00", b"\x01"):
-                topic = frame[1:]
-                count = self._peers.get(topic, 0) + (1 if frame[:1] == b"\x01" else -1)
-                self._peers[topic] = count
-                if not count:
-                    del self._peers[topic]
+        for i, socket in enumerate(self._sockets):
+            while socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:  # type: ignore[operator]
+                frame = socket.recv(zmq.NOBLOCK)
+                # Anything else than a subscription or its end is a peer's attempt to talk back; nobody listens.
+                if frame[:1] in (b"\x00", b"\x01"):
+                    key = (i, frame[1:])
+                    count = self._peers.get(key, 0) + (1 if frame[:1] == b"\x01" else -1)
+                    self._peers[key] = count
+                    if not count:
+                        del self._peers[key]
+        return sum(self._peers.values())
 
     def watched_by(self, gate: Gate) -> None:
         """Let a gate watch who tries to connect.
@@ -156,19 +204,25 @@ class Publisher:
         gate : Gate
             The gate of the process, not yet started.
         """
-        gate.watch(self._socket, "server")
+        for socket in self._sockets:
+            gate.watch(socket, "server")
+
+    def _close_sockets(self, linger_ms: int) -> None:
+        for socket in self._sockets:
+            socket.close(linger=linger_ms)
 
     def close(self, linger_ms: int = 500) -> None:
-        """Close the socket and remove its file.
+        """Close the sockets and remove their files.
 
         Parameters
         ----------
         linger_ms : int
             How long queued messages may take to leave [ms].
         """
-        self._socket.close(linger=linger_ms)
-        for place in self._endpoints:
-            remove_ipc(place)
+        self._close_sockets(linger_ms)
+        for places in self._endpoints:
+            for place in places:
+                remove_ipc(place)
 
 
 class Subscription:

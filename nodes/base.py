@@ -25,7 +25,8 @@ import msgspec
 
 from messages import topics
 from messages.codec import Decoder, MessageRefusedError, encode
-from messages.sockets import Publisher, Subscription, new_context, remove_ipc
+from messages.endpoints import remove_ipc
+from messages.sockets import Publisher, Subscription, move_aside, new_context
 from messages.types import Event, Message, NodeStatus
 from nodes import realtime
 from nodes.parameters import ParameterError, ParameterStore
@@ -303,7 +304,7 @@ class Node:
         """Send what is queued (main thread)."""
         while self.outbox:
             topic, payload = self.outbox.popleft()
-            self.publisher.send(topic, payload)
+            self.publisher.send_aside(topic, payload)
             self.sent += 1
 
     def take(self, decoder: Decoder[M], frames: tuple[bytes, bytes], topic: bytes) -> M | None:
@@ -493,9 +494,9 @@ class Node:
             self.stop_reason, self.state = str(error), "failed"
             self._write_report()
             return 1
-        context = new_context()
-        self.publisher = Publisher(context, self.setup.publish)
-        self.inbox: Subscription | None = None
+        context = new_context(aside=True)
+        self.publisher = Publisher(context, self.setup.publish, listen=[self.setup.listen] if self.setup.listen else [])
+        move_aside()
         self.connect(lambda endpoints, topics, queue: Subscription(context, endpoints, topics, queue))
         control = ControlServer(self, context)
         code = 1

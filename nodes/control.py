@@ -18,7 +18,7 @@ import zmq
 from messages import topics
 from messages.codec import MessageRefusedError
 from messages.control import Reply, decode_request
-from messages.sockets import remove_ipc
+from messages.endpoints import remove_ipc
 from nodes import realtime
 from nodes.parameters import ParameterError
 from nodes.yamlfile import WatchedFile

@@ -251,8 +251,14 @@ class Driver(Node):
         self.sent += 1
         # Taken before sending: under FIFO the whole chain may run before the call returns.
         published = time.monotonic()
-        self.publisher.send(self._topic, payload)
+        self.publisher.send_hop(self._topic, payload)
+        self._unlistened = payload
         return published
+
+    def _tell_listeners(self) -> None:
+        """Publish the tick's state to the listeners too, when nothing waits for it any more."""
+        if self.publisher.apart:
+            self.publisher.send_aside(self._topic, self._unlistened)
 
     def _answered(self, response: float) -> None:
         self._response = response
@@ -314,13 +320,15 @@ class Driver(Node):
                     seq += 1
                     break
                 self.skipped += 1
+            self._tell_listeners()
             self.between_ticks(seq)
         self._last_stamp = time.monotonic()
         self._sample(seq, seq * period)
+        self._tell_listeners()
 
     def _ask_again(self, seq: int) -> None:
         state = DeviceState(seq=seq, stamp=seq * self.setup.period, position=self._position, safety=self._safety.state)
-        self.publisher.send(self._topic, encode(state))
+        self.publisher.send_hop(self._topic, encode(state))
 
     def _epoch(self) -> float:
         """When tick 0 is or was: a respawned driver goes on counting where its predecessor was killed."""
@@ -405,9 +413,11 @@ class Driver(Node):
             acting = safety.force
             self.ticks += 1
             seq += 1
+            self._tell_listeners()
             self.between_ticks(seq)
         self._last_stamp = realtime.sleep_until(epoch + seq * period)
         self._sample(seq, self._last_stamp)
+        self._tell_listeners()
 
     def _velocity(self) -> Vector:
         period, now, before = self.setup.period, self._position, self._before

@@ -35,8 +35,8 @@ def _scheduling(launch: Launch, kind: type[Node]) -> Scheduling:
     # In saturated lockstep the kernel throttles FIFO tasks, which shows as gaps of 50 ms; without pinning they gain nothing.
     automatic = FIFO if launch.run.pace == "realtime" and run.cpu != "any" else 0
     fifo = automatic if run.fifo == "auto" else run.fifo
-    # Each hop runs above the one before it: who has sent does not hold up who has received.
-    return Scheduling(cpus=[] if core is None else [core], fifo=fifo + hops[0] if fifo else 0)
+    # Who has sent must not hold up who has received: coupling above environment, and the driver, which waits for both, on top.
+    return Scheduling(cpus=[] if core is None else [core], fifo=fifo + (hops[0] or len(topics.LOOP)) if fifo else 0)
 
 
 def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str], dict[str, str]]:
