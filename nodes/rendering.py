@@ -6,8 +6,10 @@ a weighted sum of laws over the same history. Laws with recursive sections are b
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable
+from itertools import zip_longest
 
 from nodes.kernels import cross_fade, fir, push, sections, warm_up
 from nodes.laws import CompiledLaw
@@ -16,7 +18,7 @@ PLAIN_TAPS = 24
 """Up to so many taps a plain loop is fastest, beyond it numpy's multiply and running sum: ``haptic bench taps``."""
 
 MAX_LEAVING = 8
-"""Laws that may fade out together when swaps come faster than their ramps; bounds the work of a tick."""
+"""Laws that may fade out together when swaps come faster than their ramps; then some are joined, to bound a tick's work."""
 
 
 class History:
@@ -136,6 +138,13 @@ class LawOnAxis:
     history : History
         What it reads.
 
+    Attributes
+    ----------
+    taps : tuple of float, shape (n + 1,)
+        Its taps [N/m].
+    plain : bool
+        Whether it is nothing but taps.
+
     Raises
     ------
     ValueError
@@ -149,8 +158,25 @@ class LawOnAxis:
         self._coefficients = tuple(c for section in law.sections for c in section)
         self._state = [0.0] * (2 * len(law.sections))
         self._pushes = history.pushes
+        self.taps = law.taps
+        self.plain = not law.sections and law.evaluate is None
         self._taps = sum_of_taps(law.taps, history)
         self._own = law.evaluate
+
+    def of_taps(self, taps: tuple[float, ...]) -> LawOnAxis:
+        """Make another law over the same history.
+
+        Parameters
+        ----------
+        taps : tuple of float, shape (n + 1,)
+            All of it [N/m].
+
+        Returns
+        -------
+        LawOnAxis
+            Ready to render.
+        """
+        return LawOnAxis(CompiledLaw(taps), self._history)
 
     def warm_up(self, history: History) -> None:
         """Bring the sections to where they would be had the law run all the time.
@@ -220,6 +246,45 @@ class LawOnAxis:
         return force + self.own(self._history)
 
 
+def _joined(shares: list[tuple[LawOnAxis, float]]) -> list[tuple[LawOnAxis, float]]:
+    """Bound the number of laws: those of taps alone add up to one of taps; beyond that the least give way to the most."""
+    plain = [(law, share) for law, share in shares if law.plain]
+    if len(plain) > 1:
+        total = math.fsum(share for _, share in plain)
+        shares = [(law, share) for law, share in shares if not law.plain]
+        shares.append((plain[0][0].of_taps(weighted_taps([(law.taps, share / total) for law, share in plain])), total))
+    shares.sort(key=lambda share: share[1], reverse=True)
+    while len(shares) > MAX_LEAVING:
+        _, least = shares.pop()
+        shares[0] = (shares[0][0], shares[0][1] + least)
+    return shares
+
+
+def weighted_taps(laws: list[tuple[tuple[float, ...], float]]) -> tuple[float, ...]:
+    """Mix laws of taps alone into one.
+
+    Parameters
+    ----------
+    laws : list of tuple of tuple of float and float
+        Taps [N/m] and weight of each.
+
+    Returns
+    -------
+    tuple of float, shape (n + 1,)
+        Weighted sum of the taps, as long as the longest [N/m].
+    """
+    if max(len(taps) for taps, _ in laws) > PLAIN_TAPS:
+        import numpy as np
+
+        mixed = np.zeros(max(len(taps) for taps, _ in laws))
+        for taps, weight in laws:
+            mixed[: len(taps)] += weight * np.array(taps)
+        return tuple(mixed.tolist())
+    weights = [weight for _, weight in laws]
+    columns = zip_longest(*(taps for taps, _ in laws), fillvalue=0.0)
+    return tuple(sum(weight * tap for weight, tap in zip(weights, column, strict=True)) for column in columns)
+
+
 class Fade:
     """A cross-fade under way on one axis.
 
@@ -271,11 +336,8 @@ class Fade:
         """
         weight = min(self._done / self._ramp, 1.0)
         shares = [(law, share * (1.0 - weight)) for law, share in self.leaving] + [(new, weight)]
-        shares = sorted((share for share in shares if share[1] > 0.0), key=lambda share: share[1], reverse=True)
-        while len(shares) > MAX_LEAVING:
-            _, least = shares.pop()
-            shares[0] = (shares[0][0], shares[0][1] + least)
-        return shares
+        shares = [share for share in shares if share[1] > 0.0]
+        return shares if len(shares) <= MAX_LEAVING else _joined(shares)
 
     @property
     def over(self) -> bool:
