@@ -497,6 +497,7 @@ class Node:
         context = new_context(aside=True)
         self.publisher = Publisher(context, self.setup.publish, listen=[self.setup.listen] if self.setup.listen else [])
         move_aside()
+        self.inbox = None
         self.connect(lambda endpoints, topics, queue: Subscription(context, endpoints, topics, queue))
         control = ControlServer(self, context)
         code = 1
