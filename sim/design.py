@@ -7,7 +7,7 @@ every PDα and the seed's optimum are then just narrower families than free taps
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,16 @@ from nodes.recording import Recording
 from nodes.summary import quantile
 from nodes.yamlfile import parse_yaml, write_yaml
 from sim.boundary import Device, tolerance
+from sim.plant import DeviceModel
 from sim.robust import Demand, Robust, stiffest
 
 Vector = NDArray[np.float64]
 
 ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))
 """Orders at which PDα is tuned before the best is refined."""
+
+REFINED = 0.0125
+"""Spacing of the orders at which refining stops."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +133,7 @@ def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = 
 
     best = max((at(order) for order in (ORDERS if orders is None else orders)), key=_stiffness)
     step = 0.1
-    while step >= 0.0125 and best.law is not None:
+    while step >= REFINED and best.law is not None:
         order = float(best.law["order"])
         beside = [at(other) for other in (order - step, order + step) if 0.0 < other < 4.0]
         best = max([best, *beside], key=_stiffness)
@@ -153,7 +157,7 @@ def best_paper_optimum(demand: Demand) -> Tuned:
     return _best("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, demand)
 
 
-def compare(demand: Demand, taps: int, say: Callable[[str], None]) -> Iterator[Tuned]:
+def compare(demand: Demand, taps: int, say: Callable[[str], None], land: bool = False) -> Iterator[Tuned]:
     """Tune every family to the same demand.
 
     Parameters
@@ -164,20 +168,23 @@ def compare(demand: Demand, taps: int, say: Callable[[str], None]) -> Iterator[T
         n + 1 of PDα and of the designed law.
     say : callable
         Told what is being tuned, for a progress line.
+    land : bool
+        Whether all of them must also settle when dropped, see `landing`.
 
     Yields
     ------
     Tuned
         PD, PDα, the seed's optimum, and the designed law.
     """
-    say("PD")
-    yield best_pd(demand)
-    say(f"PDα, {len(ORDERS)} orders")
-    yield best_pd_alpha(demand, taps)
-    say("the seed's optimum")
-    yield best_paper_optimum(demand)
-    say(f"{taps} free taps")
-    yield designed(demand, taps)
+    families: dict[str, Callable[[Demand], Tuned]] = {
+        "PD": best_pd,
+        f"PDα, {len(ORDERS)} orders": lambda wanted: best_pd_alpha(wanted, taps),
+        "the seed's optimum": best_paper_optimum,
+        f"{taps} free taps": lambda wanted: designed(wanted, taps),
+    }
+    for name, tune in families.items():
+        say(name)
+        yield landing(tune, demand) if land else tune(demand)
 
 
 def _stiffness(tuned: Tuned) -> float:
@@ -220,6 +227,65 @@ def latest_delay(tuned: Tuned, demand: Demand) -> float | None:
         if limits is not None and limits.delay_max_ticks is not None:
             known.append(limits.delay_max_ticks)
     return min(known) if known else None
+
+
+def drops(taps: Vector, demand: Demand) -> dict[str, bool]:
+    """Drop the lightest, the middle and the heaviest device of a demand on a floor, under every contact convention.
+
+    The demand is about the loop in contact, which is linear. Landing is not: contact comes and goes, the history outside it
+    and the clamping of forces into the floor are conventions (theory.md §4), and no pole radius covers them.
+
+    Parameters
+    ----------
+    taps : ndarray, shape (n + 1,)
+        The law [N/m].
+    demand : Demand
+        What it was designed for; the longest delay is used.
+
+    Returns
+    -------
+    dict of str to bool
+        Whether the run settled, by convention and mass, e.g. ``penetration clamped 0.05 kg``.
+    """
+    from sim.drop import Criterion, drop_scene, settles
+
+    law = CompiledLaw(tuple(taps.tolist()))
+    told = {}
+    for mass in np.unique(np.geomspace(*demand.mass, 3)).tolist():
+        for raw in (False, True):
+            for clamp in (True, False):
+                model = DeviceModel(mass=mass, damping=demand.damping, delay=demand.delay[1])
+                scene = drop_scene(model, demand.period, raw, clamp)
+                name = f"{'position' if raw else 'penetration'} {'clamped' if clamp else 'free'} {mass:.3g} kg"
+                told[name] = settles(scene, [law], Criterion())[0]
+    return told
+
+
+def landing(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
+    """Tune for lighter devices than demanded until every drop of the demanded ones settles.
+
+    Landing punishes what a lighter device punishes: too much force per tick. The law still keeps the demand, whose masses
+    are a part of those it is tuned for.
+
+    Parameters
+    ----------
+    tune : callable
+        From a demand to a law, e.g. `best_pd`.
+    demand : Demand
+        What to keep.
+
+    Returns
+    -------
+    Tuned
+        The first that settles, in steps of 10 % of the lightest mass; without a law when none does down to a quarter.
+    """
+    lightest = demand.mass[0]
+    while lightest > 0.25 * demand.mass[0]:
+        tuned = tune(replace(demand, mass=(lightest, demand.mass[1])))
+        if tuned.found is None or all(drops(tuned.found.taps, demand).values()):
+            return tuned
+        lightest *= 0.9
+    return Tuned(tuned.family, None, None)
 
 
 def to_yaml(law: dict[str, Any], name: str = "designed", node: str = "coupling", comment: str = "") -> str:

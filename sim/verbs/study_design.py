@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import sys
 from dataclasses import replace
@@ -12,8 +13,9 @@ from typing import Any
 from nodes.cli import UsageError, answer
 from nodes.laws import CompiledLaw
 from nodes.record import RecordError
+from nodes.stability import pole_radius
 from sim.boundary import Device
-from sim.design import Measured, Tuned, best_pd, compare, designed, fir, latest_delay, measure, to_yaml
+from sim.design import Measured, Tuned, best_pd, compare, designed, drops, fir, landing, latest_delay, measure, to_yaml
 from sim.passive import Passive, stiffest_passive
 from sim.replay import replayed_radius
 from sim.robust import Demand
@@ -45,6 +47,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--from-run", type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording"
     )
     parser.add_argument("--effort", type=int, default=1, help="multiplies the search (default: %(default)s)")
+    parser.add_argument(
+        "--land", action="store_true", help="tune for lighter devices until every drop of the demanded ones settles"
+    )
     parser.add_argument("--compare", action="store_true", help="against best PD, every PDα and the seed's optimum")
     parser.add_argument(
         "--delays", type=shared.not_negative, nargs="+", default=[0.0, 1.0, 2.0], help="of --compare [ticks]"
@@ -124,9 +129,13 @@ def _wanted(demand: Demand) -> dict[str, Any]:
 
 def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | None) -> int:
     _say(f"{arguments.taps} free taps")
-    law = designed(demand, arguments.taps, arguments.effort)
+
+    def free(wanted: Demand) -> Tuned:
+        return designed(wanted, arguments.taps, arguments.effort)
+
+    law = landing(free, demand) if arguments.land else free(demand)
     _say("PD, to compare")
-    pd = best_pd(demand)
+    pd = landing(best_pd, demand) if arguments.land else best_pd(demand)
     passive = None
     if demand.damping > 0.0:
         _say("passive")
@@ -149,7 +158,7 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         path = arguments.out / "designed.yaml"
         path.write_text(to_yaml(law.law, comment=_describe(demand)), encoding="utf-8")
         figures["designed"] = _row(law, demand) | {"yaml": str(path)}
-        lines += [_line(law, demand), _line(pd, demand), f"haptic param load {path}"]
+        lines += [_line(figures["designed"]), _line(figures["best_pd"]), f"haptic param load {path}"]
         plot = arguments.out / "design.png"
         _draw(plot, demand, law, pd, passive)
         figures["plot"] = str(plot)
@@ -160,9 +169,10 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         path = arguments.out / "passive.yaml"
         told = f"passive for any mass and hand: {_describe(demand)}"
         path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=told), encoding="utf-8")
-        figures["passive"] = _passive_row(passive) | {"yaml": str(path)}
+        figures["passive"] = _passive_row(passive, demand) | {"yaml": str(path)}
         lines.append(
             f"passive        H(1) {passive.h1_n_per_m:9.2f} N/m  H(-1) {passive.h_nyquist_n_per_m:9.1f} N/m  "
+            f"radius {figures['passive']['pole_radius']:.6f}  "
             f"K T/b {passive.ratio:.4f} (bound {passive.bound_n_per_m * demand.period / demand.damping:.4f})  {path}"
         )
     answer(arguments.json, figures, "\n".join(lines))
@@ -210,11 +220,18 @@ def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
         "pole_radius": tuned.found.radius,
         "worst_mass_kg": tuned.found.worst[0],
         "stable_up_to_delay_ticks": latest_delay(tuned, demand),
+        "drops_settled": drops(tuned.found.taps, demand),
     }
 
 
-def _passive_row(passive: Passive) -> dict[str, Any]:
+def _passive_row(passive: Passive, demand: Demand) -> dict[str, Any]:
+    law = CompiledLaw(tuple(passive.taps.tolist()))
+    radius = max(
+        pole_radius(law, demand.period, mass, demand.damping, delay, hand)
+        for mass, delay, hand in itertools.product(demand.mass, demand.delay, demand.stiffness)
+    )
     return {
+        "pole_radius": radius,
         "taps_n_per_m": passive.taps.tolist(),
         "h1_n_per_m": passive.h1_n_per_m,
         "h_nyquist_n_per_m": passive.h_nyquist_n_per_m,
@@ -224,18 +241,16 @@ def _passive_row(passive: Passive) -> dict[str, Any]:
     }
 
 
-def _line(tuned: Tuned, demand: Demand) -> str:
-    if tuned.found is None or tuned.law is None:
-        return f"{tuned.family:13}  keeps the demand with no stiffness at all"
-    limit = latest_delay(tuned, demand)
-    latest = "any delay" if limit is None else f"{limit:.3f} ticks"
-    tuning = {key: tuned.law[key] for key in ("stiffness", "damping", "order") if key in tuned.law}
-    told = ", ".join(f"{key} {value:.5g}" for key, value in tuning.items())
-    if not told:
-        told = "taps " + ", ".join(f"{tap:.6g}" for tap in tuned.found.taps)
+def _line(row: dict[str, Any]) -> str:
+    if row["law"] is None:
+        return f"{row['family']:13}  keeps the demand with no stiffness at all"
+    limit, dropped = row["stable_up_to_delay_ticks"], row["drops_settled"]
+    tuning = ", ".join(f"{key} {row['law'][key]:.5g}" for key in ("stiffness", "damping", "order") if key in row["law"])
     return (
-        f"{tuned.family:13}  H(1) {tuned.found.h1_n_per_m:9.2f} N/m  H(-1) {tuned.found.h_nyquist_n_per_m:9.1f} N/m  "
-        f"radius {tuned.found.radius:.6f}  stable up to {latest}  {told}"
+        f"{row['family']:13}  H(1) {row['h1_n_per_m']:9.2f} N/m  H(-1) {row['h_nyquist_n_per_m']:9.1f} N/m  "
+        f"radius {row['pole_radius']:.6f}  stable up to {'any delay' if limit is None else f'{limit:.3f} ticks'}  "
+        f"drops settled {sum(dropped.values())}/{len(dropped)}  "
+        f"{tuning or 'taps ' + ', '.join(f'{tap:.6g}' for tap in row['taps_n_per_m'])}"
     )
 
 
@@ -245,18 +260,19 @@ def _compare(arguments: argparse.Namespace, demand: Demand) -> int:
         for delay in arguments.delays:
             case = replace(demand, delay=(delay, delay + margin))
             lines.append(_describe(case))
-            tuned = []
-            for one in compare(case, arguments.taps, lambda what, at=delay: _say(f"d = {at:g}: {what}")):  # type: ignore[misc]
-                tuned.append(one)
-                lines.append(f"  {_line(one, case)}")
-            rows.append(_verdict(case, tuned, lines))
+            laws = []
+            _say(lines[-1])
+            for one in compare(case, arguments.taps, _say, arguments.land):
+                laws.append(_row(one, case))
+                lines.append(f"  {_line(laws[-1])}")
+            rows.append(_verdict(case, laws, lines))
     figures = {"demand": _wanted(demand), "cases": rows}
     answer(arguments.json, figures, "\n".join(lines))
     return 0
 
 
-def _verdict(demand: Demand, tuned: list[Tuned], lines: list[str]) -> dict[str, Any]:
-    known = {one.family: one.found.h1_n_per_m for one in tuned if one.found is not None}
+def _verdict(demand: Demand, laws: list[dict[str, Any]], lines: list[str]) -> dict[str, Any]:
+    known = {law["family"]: law["h1_n_per_m"] for law in laws if law["h1_n_per_m"] is not None}
     mine = known.pop("designed", None)
     rival = max(known, key=lambda family: known[family]) if known else None
     gain = None if mine is None or rival is None else mine / known[rival]
@@ -265,7 +281,7 @@ def _verdict(demand: Demand, tuned: list[Tuned], lines: list[str]) -> dict[str, 
     else:
         verb = "stiffer than" if gain > 1.001 else "no stiffer than"
         lines.append(f"  designed is {verb} the best of the others ({rival}): x {gain:.3f}")
-    return {"demand": _wanted(demand), "laws": [_row(one, demand) for one in tuned], "best_other": rival, "gain": gain}
+    return {"demand": _wanted(demand), "laws": laws, "best_other": rival, "gain": gain}
 
 
 def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | None) -> None:
@@ -273,7 +289,6 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
     from matplotlib.figure import Figure
 
     from nodes.effective_damping import effective_damping
-    from nodes.stability import pole_radius
 
     named = [(one.family, one.found.taps) for one in (law, pd) if one.found is not None]
     if passive is not None:
