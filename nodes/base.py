@@ -130,6 +130,7 @@ class Node:
         self.stopping = False
         self.started = threading.Event()
         self._changes: deque[Change] = deque()
+        self.inbox: Subscription | None = None
         self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
         self.seq = 0
         self.ticks = self.sent = self.received = self.refused = self.skipped = self.gaps = 0
@@ -497,7 +498,6 @@ class Node:
         context = new_context(aside=True)
         self.publisher = Publisher(context, self.setup.publish, listen=[self.setup.listen] if self.setup.listen else [])
         move_aside()
-        self.inbox = None
         self.connect(lambda endpoints, topics, queue: Subscription(context, endpoints, topics, queue))
         control = ControlServer(self, context)
         code = 1
