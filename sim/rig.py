@@ -96,8 +96,7 @@ class Rig:
         try:
             if not self.wait(self._started, START):
                 raise RigError(f"the launch does not tick: {self.errors}")
-            driver = self.info.nodes["driver"]
-            inbox = Subscription(self._context, [driver.publish], [DEVICE_STATE], queue=100_000)
+            inbox = Subscription(self._context, [self.info.publishers()["driver"]], [DEVICE_STATE], queue=100_000)
             self._listener = threading.Thread(target=self._listen, args=(inbox,), daemon=True)
             self._listener.start()
             if not self.wait(lambda: len(self.states) > 50, START):
@@ -219,6 +218,28 @@ class Rig:
         os.kill(pid, number)
         return pid
 
+    def beside(self, *words: str) -> subprocess.Popen[bytes]:
+        """Start another ``haptic`` command beside the launch, in its folder.
+
+        Parameters
+        ----------
+        *words : str
+            Its arguments.
+
+        Returns
+        -------
+        subprocess.Popen
+            The process; who started it ends it.
+        """
+        return subprocess.Popen(
+            [sys.executable, "-m", "nodes.cli", *words],
+            cwd=self.folder,
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
     def processes(self) -> list[str]:
         """List the live processes of the run, its guard included.
 
@@ -235,8 +256,14 @@ class Rig:
                     found.append(f"process {entry}: {line.replace(bytes(1), b' ').decode(errors='replace').strip()}")
         return found
 
-    def end(self) -> None:
-        """Interrupt the launch, wait for its end, and see what it has left behind."""
+    def end(self, look: Callable[[], None] | None = None) -> None:
+        """Interrupt the launch, wait for its end, and see what it has left behind.
+
+        Parameters
+        ----------
+        look : callable, optional
+            Called after the end, before the folder with its recordings is removed.
+        """
         if self._ending.is_set():
             return
         if self.launcher.poll() is None:
@@ -257,4 +284,8 @@ class Rig:
             self._listener.join()
         self._context.term()
         shutil.rmtree(self._runtime, ignore_errors=True)
-        shutil.rmtree(self.folder, ignore_errors=True)
+        try:
+            if look is not None:
+                look()
+        finally:
+            shutil.rmtree(self.folder, ignore_errors=True)

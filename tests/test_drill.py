@@ -18,6 +18,7 @@ from sim import drill
 from sim.driver import SimDriverParameters, TimedDevice
 from sim.faults import faults
 from sim.rig import Rig
+from sim.soak import soak
 from tests.launching import haptic
 
 HELD = (0.0, 0.0, 1.0)
@@ -157,3 +158,16 @@ def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
     figures = json.loads(haptic(tmp_path, "drill", "kill logger", "--json").stdout.splitlines()[-1])
     assert figures["passed"] is True
     assert figures["drills"][0]["safe_ticks"] <= figures["limit_ticks"]
+
+
+def test_soak_accounts_for_every_message_and_keeps_its_memory() -> None:
+    # The short form of haptic drill soak; a busy test machine misses ticks, so that they are not judged.
+    found = soak(12.0, round_seconds=4.0, miss_limit=1.0)
+    assert found.passed, found.reasons
+    assert found.rounds == found.respawns >= 2
+    assert found.loggers == 2 * found.rounds
+    assert found.changes == 8 * found.rounds
+    assert {"driver", "environment", "coupling", "logger"} <= set(found.accounts)
+    assert all(one["lost"] == 0 for one in found.accounts.values())
+    assert found.accounts["driver"]["sent"] > 1000
+    assert found.shared > 1000

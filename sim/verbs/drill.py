@@ -10,6 +10,7 @@ import msgspec
 from nodes.cli import UsageError, answer
 from sim.drill import HOLD, LIMIT, RATE, Outcome, drill
 from sim.faults import faults
+from sim.soak import MISS_LIMIT, soak, text
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +21,18 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of the verb.
     """
-    parser.add_argument("faults", nargs="*", help='faults by name, e.g. "kill coupling"; all when left out')
+    parser.add_argument(
+        "faults",
+        nargs="*",
+        help='faults by name, e.g. "kill coupling"; all when left out; or soak: a long run under use',
+    )
+    parser.add_argument("--minutes", type=float, default=10.0, help="length of a soak [min] (default: %(default)s)")
+    parser.add_argument(
+        "--miss-limit",
+        type=float,
+        default=MISS_LIMIT,
+        help="share of ticks that a soak may miss (default: %(default)s)",
+    )
     parser.add_argument("--list", action="store_true", help="list the faults")
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
     parser.set_defaults(run=run)
@@ -44,6 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     UsageError
         When there is no such fault.
     """
+    if arguments.faults == ["soak"]:
+        return _soak(arguments)
     known = {fault.name: fault for fault in faults()}
     if arguments.list:
         figures = {name: fault.what for name, fault in known.items()}
@@ -65,6 +79,15 @@ def run(arguments: argparse.Namespace) -> int:
     }
     answer(arguments.json, figures_all, table(outcomes))
     return 1 if failed else 0
+
+
+def _soak(arguments: argparse.Namespace) -> int:
+    seconds = arguments.minutes * 60.0
+    if not seconds >= 10.0:
+        raise UsageError(f"--minutes {arguments.minutes:g}: a soak takes at least 10 s, --minutes 0.17")
+    found = soak(seconds, min(60.0, seconds / 3.0), arguments.miss_limit)
+    answer(arguments.json, msgspec.to_builtins(found), text(found))
+    return 0 if found.passed else 1
 
 
 def table(outcomes: list[Outcome]) -> str:
