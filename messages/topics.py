@@ -63,5 +63,6 @@ def message_type(topic: str) -> type[Message] | None:
     if topic in FIXED:
         return FIXED[topic]
     if topic.count("/") == 2 and topic.startswith("/"):
-        return {"status": NodeStatus, "event": Event}.get(topic.rsplit("/", 1)[1])
+        kinds: dict[str, type[Message]] = {"status": NodeStatus, "event": Event}
+        return kinds.get(topic.rsplit("/", 1)[1])
     return None

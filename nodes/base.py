@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import math
 import os
 import resource
 import signal
@@ -19,22 +20,29 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import FrameType
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import msgspec
 
 from messages import topics
 from messages.codec import Decoder, MessageRefusedError, encode
-from messages.endpoints import remove_ipc
 from messages.sockets import Publisher, Subscription, move_aside, new_context
 from messages.types import Event, Message, NodeStatus
 from nodes import realtime
 from nodes.parameters import ParameterError, ParameterStore
 from nodes.setup import Setup
 
+if TYPE_CHECKING:
+    from messages.gate import Gate
+    from messages.sockets import Context
+    from nodes.control import ControlServer
+
 M = TypeVar("M", bound=Message)
 IDLE_MS = 100
 """How long a blocking receive waits before it looks whether the node should stop [ms]."""
+
+REPORT_TIMEOUT = 3.0
+"""How long a node that was started by hand waits at its end for the launcher to fetch its report [s]."""
 
 
 class Change:
@@ -135,6 +143,8 @@ class Node:
         self.seq = 0
         self.ticks = self.sent = self.received = self.refused = self.skipped = self.gaps = 0
         self.serving = 0
+        self.denied = 0
+        self.clock_offset = self.clock_error = 0.0
         self._told: dict[str, int] = {}
 
     @classmethod
@@ -220,14 +230,14 @@ class Node:
     # -- what every node can use -------------------------------------------------------------------------------------
 
     def now(self) -> float:
-        """Time for stamps: the host's monotonic clock, or simulated time in lockstep.
+        """Time for stamps: the monotonic clock of the launcher's host, or simulated time in lockstep.
 
         Returns
         -------
         float
             Seconds.
         """
-        return self.seq * self.setup.period if self.setup.pace == "lockstep" else time.monotonic()
+        return self.seq * self.setup.period if self.setup.pace == "lockstep" else time.monotonic() + self.clock_offset
 
     def stop(self, reason: str) -> None:
         """Ask the loop to end after the present tick.
@@ -456,18 +466,22 @@ class Node:
             reason=self.stop_reason,
             memory=float(realtime.memory_bytes()),
             cpu=usage.ru_utime + usage.ru_stime,
+            denied=self.denied,
+            clock_offset=self.clock_offset,
+            clock_error=self.clock_error,
         )
 
     # -- life --------------------------------------------------------------------------------------------------------
 
     def _await_listeners(self) -> None:
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + self.setup.patience
         self.state = "waiting"
         while self.publisher.listeners() < self.setup.listeners and not self.stopping:
             if time.monotonic() > deadline:
                 self.tell(
                     "listeners",
-                    f"{self.publisher.listeners()} of {self.setup.listeners} listeners within 10 s; going on without",
+                    f"{self.publisher.listeners()} of {self.setup.listeners} listeners within "
+                    f"{self.setup.patience:g} s; going on without",
                 )
                 return
             time.sleep(0.002)
@@ -480,8 +494,6 @@ class Node:
         int
             Exit code: 0 after a clean stop, 1 after a failure.
         """
-        from nodes.control import ControlServer
-
         signal.signal(signal.SIGINT, self._on_signal)
         signal.signal(signal.SIGTERM, self._on_signal)
         signal.signal(signal.SIGHUP, self._on_signal)
@@ -496,12 +508,19 @@ class Node:
             self._write_report()
             return 1
         context = new_context(aside=True)
-        self.publisher = Publisher(context, self.setup.publish, listen=[self.setup.listen] if self.setup.listen else [])
+        try:
+            control, gate = self._make_sockets(context)
+        except ValueError as error:
+            self.say(f"cannot start: {error}")
+            self.stop_reason, self.state = str(error), "failed"
+            context.destroy(linger=0)
+            self._write_report()
+            return 1
         move_aside()
-        self.connect(lambda endpoints, topics, queue: Subscription(context, endpoints, topics, queue))
-        control = ControlServer(self, context)
         code = 1
         try:
+            if gate is not None:
+                gate.start()
             control.start()
             for text in refused:
                 self.tell("realtime", text)
@@ -516,6 +535,10 @@ class Node:
                 self.finish()
             finally:
                 self.state = "finished" if code == 0 else "failed"
+                if self.setup.lease and not self.stop_reason.startswith("launcher lost"):
+                    control.await_fetch(REPORT_TIMEOUT)
+                if gate is not None:
+                    gate.stop()
                 control.stop()
                 # Emptied first, so that the last status tells exactly what was sent before it.
                 self.flush_outbox()
@@ -525,9 +548,66 @@ class Node:
                     self.inbox.close()
                 self.publisher.close()
                 context.term()
-                remove_ipc(self.setup.control)
                 self._write_report()
         return code
+
+    def _make_sockets(self, context: Context) -> tuple[ControlServer, Gate | None]:
+        """Make all sockets, and the gate where one of them is encrypted."""
+        from nodes.control import ControlServer
+
+        setup = self.setup
+        gate: Gate | None = None
+        if any("#" in place for place in (setup.publish, setup.reach, setup.listen_reach, *setup.sources.values())):
+            # Only a node with peers on other machines needs it.
+            from messages.gate import Gate
+
+            gate = Gate(context, self._deny)
+        try:
+            hops, listeners = [setup.reach], [setup.listen, setup.listen_reach]
+            self.publisher = Publisher(context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)))
+            subscriptions: list[Subscription] = []
+
+            def subscribe(endpoints: Iterable[str], topics: Iterable[str], queue: int) -> Subscription:
+                subscriptions.append(Subscription(context, endpoints, topics, queue))
+                return subscriptions[-1]
+
+            self.connect(subscribe)
+            control = ControlServer(self, context)
+            if gate is not None:
+                self.publisher.watched_by(gate)
+                control.watched_by(gate)
+                for subscription in subscriptions:
+                    subscription.watched_by(gate)
+        except ValueError:
+            if gate is not None:
+                gate.stop()
+            raise
+        return control, gate
+
+    def _deny(self, reason: str) -> None:
+        self.denied += 1
+        self.tell("denied", reason)
+
+    def set_clock(self, offset: float, error: float) -> None:
+        """Take over how far this host's clock is from the launcher's, as the launcher has measured it.
+
+        Parameters
+        ----------
+        offset : float
+            What to add to this host's monotonic clock to get the run's time [s].
+        error : float
+            How far off that may be [s].
+
+        Raises
+        ------
+        ParameterError
+            When it is not a number of seconds.
+        """
+        if not (isinstance(offset, float) and isinstance(error, float) and math.isfinite(offset) and error >= 0.0):
+            raise ParameterError(
+                f"{self.setup.name}: clock.set {offset!r} {error!r}: expected two finite numbers of seconds"
+            )
+        self.clock_offset, self.clock_error = offset, error
 
     def _write_report(self) -> None:
         path = Path(self.setup.run_dir) / f"{self.setup.name}.report.json"

@@ -18,12 +18,13 @@ import zmq
 from messages import topics
 from messages.codec import MessageRefusedError
 from messages.control import Reply, decode_request
-from messages.endpoints import remove_ipc
+from messages.endpoints import bind, remove_ipc
 from nodes import realtime
 from nodes.parameters import ParameterError
 from nodes.yamlfile import WatchedFile
 
 if TYPE_CHECKING:
+    from messages.gate import Gate
     from messages.sockets import Context
     from nodes.base import Node
 
@@ -47,8 +48,13 @@ class ControlServer(threading.Thread):
         self._node = node
         self._ending = threading.Event()
         self._socket = context.socket(zmq.REP)
-        remove_ipc(node.setup.control)
-        self._socket.bind(node.setup.control)
+        try:
+            bind(self._socket, node.setup.control)
+        except ValueError:
+            self._socket.close(linger=0)
+            raise
+        self._asked = time.monotonic()
+        self._fetched = threading.Event()
         self._socket.rcvtimeo = int(WATCH_PERIOD * 1000)
         self._watched = WatchedFile(node.setup.watch) if node.setup.watch else None
         self._operations: dict[str, Callable[..., Any]] = {
@@ -56,6 +62,9 @@ class ControlServer(threading.Thread):
             "info": self._info,
             "start": self._start,
             "stop": lambda: node.stop("stop requested"),
+            "report": self._report,
+            "clock": lambda: {"monotonic_s": time.monotonic()},
+            "clock.set": node.set_clock,
             "param.list": node.store.flat,
             "param.get": lambda name: node.store.get(name),
             "param.set": lambda values: node.change_parameters(lambda: node.store.changed(values)),
@@ -76,6 +85,37 @@ class ControlServer(threading.Thread):
 
     def _start(self) -> None:
         self._node.started.set()
+
+    def _report(self) -> dict[str, Any]:
+        if self._node.state in ("finished", "failed"):
+            self._fetched.set()
+        return {"status": msgspec.to_builtins(self._node.status()), **self._node.report()}
+
+    def watched_by(self, gate: Gate) -> None:
+        """Let a gate watch who tries to connect.
+
+        Parameters
+        ----------
+        gate : Gate
+            The gate of the process, not yet started.
+        """
+        gate.watch(self._socket, "server")
+
+    def await_fetch(self, timeout: float) -> None:
+        """Go on answering until the launcher has fetched the last report.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest wait [s].
+        """
+        if self.is_alive():
+            self._fetched.wait(timeout)
+
+    def _watch_lease(self, now: float) -> None:
+        lease = self._node.setup.lease
+        if lease and now - self._asked > lease:
+            self._node.stop(f"launcher lost: no request for {lease:g} s")
 
     def _answer(self, frames: list[bytes]) -> Reply:
         name = self._node.setup.name
@@ -105,6 +145,7 @@ class ControlServer(threading.Thread):
         except zmq.Again:
             return
         node = self._node
+        self._asked = time.monotonic()
         node.serving += 1
         reply = self._answer(frames)
         try:
@@ -121,6 +162,7 @@ class ControlServer(threading.Thread):
         while not self._ending.is_set():
             self._serve()
             now = time.monotonic()
+            self._watch_lease(now)
             if self._watched is not None and now >= next_watch:
                 next_watch = now + WATCH_PERIOD
                 self._poll_file(self._watched)
@@ -128,6 +170,7 @@ class ControlServer(threading.Thread):
                 next_status = now + STATUS_PERIOD
                 self._node.post(topics.status(self._node.setup.name), self._node.status())
         self._socket.close(linger=100)
+        remove_ipc(self._node.setup.control)
 
     def _poll_file(self, watched: WatchedFile) -> None:
         node = self._node
@@ -138,8 +181,9 @@ class ControlServer(threading.Thread):
                 receipt = node.change_parameters(lambda: node.store.merged(values))
                 node.say(f"applied {watched.path}: {receipt}")
         except Exception as error:  # noqa: BLE001  # as for requests: refused, told, and served on
-            kind = "" if isinstance(error, ParameterError) else f"{type(error).__name__}: "
-            node.announce("refused", f"{watched.path}: {kind}{error}; the running parameters are untouched")
+            reason = str(error) if isinstance(error, ParameterError) else f"{type(error).__name__}: {error}"
+            where = "" if reason.startswith(watched.path) else f"{watched.path}: "
+            node.announce("refused", f"{where}{reason}; the running parameters are untouched")
         node.serving += 1
 
     def stop(self) -> None:

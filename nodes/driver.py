@@ -361,7 +361,7 @@ class Driver(Node):
                 self._lateness = late
                 continue
             self._lateness = late
-            sent = self._sample(seq, now)
+            sent = self._sample(seq, now + self.clock_offset)
             if not self.ticks:
                 self._first_stamp = now
             following = deadline + period
@@ -416,7 +416,7 @@ class Driver(Node):
             self._tell_listeners()
             self.between_ticks(seq)
         self._last_stamp = realtime.sleep_until(epoch + seq * period)
-        self._sample(seq, self._last_stamp)
+        self._sample(seq, self._last_stamp + self.clock_offset)
         self._tell_listeners()
 
     def _velocity(self) -> Vector:

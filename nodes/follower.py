@@ -60,7 +60,7 @@ class Follower(Generic[M]):
         message = node.take(self._decoder, frames, self._topic)
         if message is None:
             return None
-        if self._realtime and time.monotonic() - message.stamp > self._period:
+        if self._realtime and time.monotonic() + node.clock_offset - message.stamp > self._period:
             while (frames := self._inbox.receive(0)) is not None:
                 newer = node.take(self._decoder, frames, self._topic)
                 if newer is not None:

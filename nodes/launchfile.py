@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -67,6 +67,10 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         pin.
     fifo : int or str
         SCHED_FIFO priority of the chain; ``auto`` takes 50 in real time, 0 none.
+    host : str
+        Address under which other machines reach this one; needed when nodes run elsewhere.
+    port : int
+        First tcp port of the run.
     """
 
     rate: Annotated[float, msgspec.Meta(ge=1.0, le=100_000.0)] = 500.0
@@ -76,6 +80,8 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     axes: Annotated[list[Axis], msgspec.Meta(min_length=1, max_length=3)] = msgspec.field(default_factory=lambda: ["z"])
     cpu: int | Literal["auto", "any"] = "auto"
     fifo: Annotated[int, msgspec.Meta(ge=0, le=90)] | Literal["auto"] = "auto"
+    host: str = ""
+    port: Annotated[int, msgspec.Meta(ge=1, le=65000)] = 5600
 
     @property
     def period(self) -> float:
@@ -107,8 +113,15 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         How often at most; -1 for ever.
     watch : str
         YAML file of parameters: read at the start, and again whenever it is saved. Empty for none.
+    by_hand : bool
+        Whether somebody else starts it: ``haptic node start``, a debugger, or a program in another language.
     host : str
-        Address of the machine that runs it; empty for this one.
+        Address of the machine that runs it; empty for this one. It is started there by hand.
+    port : int
+        tcp port that it publishes at, its control requests at the next one; 0 for the run's port and two for every node
+        before it.
+    key : str
+        Name under which that machine's key is allowed here; empty for the address.
     """
 
     kind: str
@@ -118,7 +131,10 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     respawn_delay: Annotated[float, msgspec.Meta(ge=0.0)] = 0.5
     respawn_max: Annotated[int, msgspec.Meta(ge=-1)] = 5
     watch: str = ""
+    by_hand: bool = False
     host: str = ""
+    port: Annotated[int, msgspec.Meta(ge=0, le=65534)] = 0
+    key: str = ""
 
 
 Figure = Literal["settling", "peak_force", "rest_force", "travel", "limit_cycle", "k_max"]
@@ -349,8 +365,8 @@ def node_kinds() -> dict[str, str]:
     return {point.name: point.value for point in entry_points(group=NODE_GROUP)}
 
 
-def read(name: str, given: Mapping[str, Any]) -> Launch:
-    """Read a launch file and fill in its arguments.
+def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) -> Launch:
+    """Read a launch file, fill in its arguments and lay files of parameters over those of its nodes.
 
     Parameters
     ----------
@@ -358,6 +374,9 @@ def read(name: str, given: Mapping[str, Any]) -> Launch:
         Scenario or path.
     given : mapping of str to object
         Arguments that differ from their defaults.
+    laid_over : sequence of Path
+        YAML files, each a mapping from node to parameters, whole or in part, as ``haptic param dump`` and
+        ``haptic study design`` write them; a later one goes before an earlier one.
 
     Returns
     -------
@@ -373,6 +392,7 @@ def read(name: str, given: Mapping[str, Any]) -> Launch:
     data = read_yaml(path)
     file = convert(data, _File, path.name)
     values = _fill_in(path, file.arguments, given)
+    over = [_by_node(written, file.nodes, path.name) for written in laid_over]
     run = convert(_substitute(file.run, values, f"{path.name}.run"), RunSpec, f"{path.name}.run")
     nodes = {}
     kinds = node_kinds()
@@ -383,6 +403,8 @@ def read(name: str, given: Mapping[str, Any]) -> Launch:
         made: NodeSpec = convert(_substitute(spec, values, where), NodeSpec, where)
         if made.kind not in kinds:
             raise ParameterError(f"{where}.kind: {made.kind!r} is not installed; there is: {', '.join(sorted(kinds))}")
+        for tree in over:
+            made = msgspec.structs.replace(made, parameters=merge(made.parameters, tree.get(node, {})))
         if made.watch:
             made = msgspec.structs.replace(made, parameters=_watched(node, made, where))
         nodes[node] = made
@@ -424,6 +446,18 @@ def without(launch: Launch, left_out: list[str]) -> Launch:
     return msgspec.structs.replace(
         launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out}
     )
+
+
+def _by_node(written: Path, nodes: Mapping[str, Any], where: str) -> dict[str, Any]:
+    tree = read_yaml(written)
+    if not isinstance(tree, dict) or not tree:
+        raise ParameterError(f"{written}: expected a mapping from node to parameters, got {str(tree)[:100]!r}")
+    for node, parameters in tree.items():
+        if node not in nodes:
+            raise ParameterError(f"{written}: {where} has no node {node!r}; there is: {', '.join(nodes)}")
+        if not isinstance(parameters, dict):
+            raise ParameterError(f"{written}.{node}: expected a mapping of parameters, got {str(parameters)[:100]!r}")
+    return tree
 
 
 def _watched(node: str, spec: NodeSpec, where: str) -> dict[str, Any]:

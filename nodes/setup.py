@@ -48,6 +48,14 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         Ticks to run; 0 runs until stopped.
     publish, control, listen : str
         Endpoints that the node binds: for the next hop of the loop, for requests, for listeners.
+    reach, listen_reach : str
+        Endpoints that it binds besides, for hops and listeners on other machines; empty for none.
+    by_hand : bool
+        Whether somebody else than the launcher starts it.
+    lease : float
+        After so long without a control request it stops by itself [s]; 0 for never.
+    patience : float
+        How long it waits for its listeners [s].
     sources : dict of str to str
         Topic (or ``<node>``, for all its topics) to the endpoint that publishes it.
     listeners : int
@@ -76,6 +84,11 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     control: str
     sources: dict[str, str]
     listen: str = ""
+    reach: str = ""
+    listen_reach: str = ""
+    by_hand: bool = False
+    lease: float = 0.0
+    patience: float = 10.0
     listeners: int = 0
     scheduling: Scheduling = Scheduling()
     parameters: dict[str, Any] = {}

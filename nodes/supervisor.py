@@ -19,19 +19,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-import msgspec
 import zmq
 
 from messages.control import ControlError, call
 from messages.sockets import new_context
-from messages.topics import DEVICE_STATE
 from nodes import guard, runs
-from nodes.base import load
+from nodes.byhand import ByHand
+from nodes.child import Child
 from nodes.launchfile import Launch
-from nodes.setup import Setup
 from nodes.wiring import manifest_of, wire
 
-START_TIMEOUT = 30.0
 INT_TIMEOUT = 3.0
 TERM_TIMEOUT = 2.0
 HURRY_TIMEOUT = 0.3
@@ -40,49 +37,6 @@ _INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 class LaunchFailedError(RuntimeError):
     """A launch that could not be started or had to be ended; the text names the node and the reason."""
-
-
-class Child:
-    """One node's process.
-
-    Parameters
-    ----------
-    setup : Setup
-        The node.
-    respawns : int
-        How often it may be started again, -1 for ever.
-    delay : float
-        Wait before that [s].
-    required : bool
-        Whether the launch ends when it does.
-    """
-
-    def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
-        self.setup = setup
-        self.respawns = respawns
-        self.delay = delay
-        self.required = required
-        self.restarts = 0
-        self.process: subprocess.Popen[bytes] | None = None
-        self.again_at: float | None = None
-        self.to_start = False
-        self.ready = False
-        self.over = False
-
-    @property
-    def running(self) -> bool:
-        """Whether the process exists."""
-        return self.process is not None and self.process.poll() is None
-
-    @property
-    def drives(self) -> bool:
-        """Whether it is the driver: it publishes the device's state."""
-        return DEVICE_STATE in load(self.setup.factory).publishes
-
-    @property
-    def listens(self) -> bool:
-        """Whether it only listens (a logger)."""
-        return bool(self.setup.manifest)
 
 
 class Supervisor:
@@ -153,16 +107,21 @@ class Supervisor:
             self.context = new_context()
             for name, setup in setups.items():
                 spec = self._launch.nodes[name]
-                self.children[name] = Child(
-                    setup, spec.respawn_max if spec.respawn else 0, spec.respawn_delay, spec.required
+                respawns = spec.respawn_max if spec.respawn else 0
+                self.children[name] = (
+                    ByHand(setup, respawns, spec.respawn_delay, spec.required, self.context, self._say)
+                    if setup.by_hand
+                    else Child(setup, respawns, spec.respawn_delay, spec.required)
                 )
-                self._spawn(self.children[name])
+                self.children[name].start(run_dir)
             runs.write_run(run_dir, info)
             self._await_ready()
             self._start_driver()
             self._watch(progress)
         finally:
             self._end_all()
+            for child in self.children.values():
+                child.release()
             if self.context is not None:
                 self.context.term()
             shutil.rmtree(run_dir, ignore_errors=True)
@@ -192,53 +151,36 @@ class Supervisor:
 
     def _keep_guard(self) -> None:
         if self._guard.poll() is not None:
-            self._say(f"the guard ended with {_describe(self._guard.returncode)}; starting another")
+            self._say(f"the guard ended with exit code {self._guard.returncode}; starting another")
             if self._guard.stdin is not None:
                 self._guard.stdin.close()
             self._guard = self._start_guard(self.run_dir)
 
-    def _spawn(self, child: Child) -> None:
-        path = self.run_dir / f"{child.setup.name}.json"
-        path.write_bytes(msgspec.json.encode(child.setup))
-        # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends the nodes in order.
-        child.process = subprocess.Popen(
-            [sys.executable, "-m", "nodes.start", str(path)],
-            stdin=subprocess.DEVNULL,
-            stdout=sys.stderr,
-            process_group=0,
-        )
-        child.again_at = None
-
     def _await_ready(self) -> None:
         assert self.context is not None  # noqa: S101
-        deadline = time.monotonic() + START_TIMEOUT
+        begun = time.monotonic()
+        # All wait for those that somebody has to start by hand.
+        patience = max(child.patience for child in self.children.values())
         for name, child in self.children.items():
             while not self._stop_asked:
                 # The others too: one that is gone may be what this one waits for.
                 for other, there in self.children.items():
                     if not there.running:
-                        raise LaunchFailedError(f"{other}: ended during start with exit code {self._code(there)}")
-                try:
-                    status = call(self.context, child.setup.control, "status", timeout=0.25)
-                except ControlError:
-                    status = {"state": "starting"}
-                if status["state"] in ("ready", "running"):
+                        raise LaunchFailedError(f"{other}: ended during start with {there.end}")
+                state = child.state(self.context)
+                if state in ("ready", "running"):
                     child.ready = True
                     break
-                if time.monotonic() > deadline:
-                    raise LaunchFailedError(f"{name}: still {status['state']} after {START_TIMEOUT:g} s")
+                if time.monotonic() - begun > patience:
+                    raise LaunchFailedError(f"{name}: still {state} after {patience:g} s")
                 time.sleep(0.01)
 
     def _start_driver(self) -> None:
         assert self.context is not None  # noqa: S101
         for child in self.children.values():
             if child.drives and child.running and not self._stop_asked:
-                call(self.context, child.setup.control, "start")
+                call(self.context, child.setup.control, "start", timeout=10.0)
         self.startup_s = time.monotonic() - self._begun
-
-    @staticmethod
-    def _code(child: Child) -> int | None:
-        return None if child.process is None else child.process.returncode
 
     def _watch(self, progress: Callable[[Supervisor], None] | None) -> None:
         next_progress = 0.0
@@ -261,20 +203,19 @@ class Supervisor:
             if time.monotonic() >= child.again_at:
                 child.restarts += 1
                 self._say(f"{name}: started again ({child.restarts})")
-                self._spawn(child)
+                child.start(self.run_dir)
                 child.to_start = child.drives
             return
-        code = self._code(child)
-        if code == 0 and child.drives:
+        if child.code == 0 and child.drives:
             child.over = True
             self.exit_reason = self._read_report(name).get("status", {}).get("reason", "") or "done"
             self.stop(self.exit_reason)
         elif child.respawns < 0 or child.restarts < child.respawns:
-            self._say(f"{name}: ended with {_describe(code)}; starting it again in {child.delay:g} s")
+            self._say(f"{name}: ended with {child.end}; starting it again in {child.delay:g} s")
             child.again_at = time.monotonic() + child.delay
         else:
             child.over = True
-            reason = f"{name}: ended with {_describe(code)}"
+            reason = f"{name}: ended with {child.end}"
             if child.required:
                 self.failed = True
                 self.exit_reason = reason
@@ -312,10 +253,8 @@ class Supervisor:
             for child in left:
                 if number != signal.SIGINT:
                     self._say(f"{child.setup.name}: does not end; {number.name}")
-                assert child.process is not None  # noqa: S101
                 # While its interpreter is being set up, a process answers SIGINT with a traceback, SIGTERM with silence.
-                child.process.send_signal(number if child.ready else max(number, signal.SIGTERM, key=_INSISTENCE.index))
-                child.process.send_signal(signal.SIGCONT)
+                child.send(number if child.ready else max(number, signal.SIGTERM, key=_INSISTENCE.index))
             begun = time.monotonic()
             while any(child.running for child in left):
                 hurry = self._hurry and number != signal.SIGKILL and not any(child.drives for child in left)
@@ -324,13 +263,7 @@ class Supervisor:
                 time.sleep(0.005)
 
     def _read_report(self, name: str) -> dict[str, Any]:
-        path = self.run_dir / f"{name}.report.json"
-        if name not in self.reports and path.exists():
-            self.reports[name] = msgspec.json.decode(path.read_bytes())
-        return self.reports.get(name, {})
-
-
-def _describe(code: int | None) -> str:
-    if code is not None and code < 0:
-        return signal.Signals(-code).name
-    return f"exit code {code}"
+        report = self.reports.get(name) or self.children[name].report(self.run_dir)
+        if report:
+            self.reports[name] = report
+        return report

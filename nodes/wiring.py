@@ -8,7 +8,10 @@ from pathlib import Path
 import msgspec
 
 from messages import topics
+from messages.endpoints import is_remote
+from messages.keys import KeyRefusedError, identity, key_of
 from nodes.base import Node, load
+from nodes.byhand import LEASE, PATIENCE
 from nodes.launchfile import Launch, node_kinds
 from nodes.parameters import ParameterError, convert
 from nodes.setup import Scheduling, Setup
@@ -70,6 +73,52 @@ def _source(name: str, topic: str, publisher: dict[str, str], relays: dict[str, 
     return publisher[topic] if relay == name else relay
 
 
+class _Places:
+    """Endpoints of the nodes of one launch: ipc on this machine, tcp to and from nodes on others."""
+
+    def __init__(self, launch: Launch) -> None:
+        self._launch = launch
+        self._ports = {
+            name: spec.port or launch.run.port + 2 * i for i, (name, spec) in enumerate(launch.nodes.items())
+        }
+        taken: dict[tuple[str, int], str] = {}
+        for name, spec in launch.nodes.items():
+            for port in (self._ports[name], self._ports[name] + 1):
+                other = taken.setdefault((spec.host, port), name)
+                if other != name:
+                    raise ParameterError(f"{launch.scenario}.nodes.{name}.port: {port} is taken by {other}")
+
+    def _tcp(self, host: str, port: int, key: str, where: str) -> str:
+        bare = f"tcp://{f'[{host}]' if ':' in host else host}:{port}"
+        if not is_remote(bare):
+            return bare
+        try:
+            return f"{bare}#{key_of(key) if key else identity().public}"
+        except KeyRefusedError as error:
+            raise ParameterError(
+                f"{self._launch.scenario}.{where}: {host} is not this machine alone: {error}"
+            ) from error
+
+    def far(self, name: str, offset: int = 0) -> str:
+        """Endpoint of a node on another machine; empty for one on this machine."""
+        spec = self._launch.nodes[name]
+        if not spec.host:
+            return ""
+        return self._tcp(spec.host, self._ports[name] + offset, spec.key or spec.host, f"nodes.{name}.key")
+
+    def reach(self, name: str, offset: int) -> str:
+        """Endpoint at which other machines reach a node on this one."""
+        hosts = [spec.host for spec in self._launch.nodes.values() if spec.host]
+        address = self._launch.run.host
+        if not address:
+            if any(is_remote(f"tcp://{host}:1") for host in hosts):
+                raise ParameterError(
+                    f"{self._launch.scenario}.run.host: needed, the address under which {hosts[0]} reaches this machine"
+                )
+            address = "127.0.0.1"
+        return self._tcp(address, self._ports[name] + offset, "", "run.host")
+
+
 def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
     """Resolve a launch.
 
@@ -98,6 +147,18 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
     factories = node_kinds()
     publish = {name: f"ipc://{run_dir}/{name}.pub" for name in launch.nodes}
     listen = {name: f"ipc://{run_dir}/{name}.listen" for name in launch.nodes}
+    places = _Places(launch)
+    far = {name: places.far(name) for name in launch.nodes}
+    by_hand = {name for name, spec in launch.nodes.items() if spec.by_hand or spec.host}
+    reached: dict[tuple[str, bool], str] = {}
+
+    def endpoint(source: str, local: dict[str, str], listener: str) -> str:
+        if far[source]:
+            return far[source]
+        if far[listener]:
+            return reached.setdefault((source, local is listen), places.reach(source, int(local is listen)))
+        return local[source]
+
     setups = {}
     for name, spec in launch.nodes.items():
         kind = classes[name]
@@ -109,9 +170,11 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             )
         everything = kind.listens_to == ("*",)
         if everything:
-            sources = {other: endpoint for other, endpoint in listen.items() if other != name}
+            sources = {other: endpoint(other, listen, name) for other in launch.nodes if other != name}
         else:
-            sources = {topic: publish[_source(name, topic, publisher, relays)] for topic in kind.listens_to}
+            sources = {
+                topic: endpoint(_source(name, topic, publisher, relays), publish, name) for topic in kind.listens_to
+            }
         listeners = sum(
             other != name
             and (
@@ -135,9 +198,12 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             apply=launch.run.apply,
             axes=launch.run.axes,
             ticks=launch.run.ticks,
-            publish=publish[name],
-            listen=listen[name],
-            control=f"ipc://{run_dir}/{name}.ctl",
+            publish=far[name] or publish[name],
+            listen="" if far[name] else listen[name],
+            control=places.far(name, 1) or f"ipc://{run_dir}/{name}.ctl",
+            by_hand=name in by_hand,
+            lease=LEASE if name in by_hand else 0.0,
+            patience=PATIENCE if by_hand else 10.0,
             sources=sources,
             listeners=listeners,
             scheduling=_scheduling(launch, kind),
@@ -146,7 +212,12 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             manifest=manifest if everything else {},
         )
         kind.check(setups[name])
-    return setups
+    return {
+        name: msgspec.structs.replace(
+            setup, reach=reached.get((name, False), ""), listen_reach=reached.get((name, True), "")
+        )
+        for name, setup in setups.items()
+    }
 
 
 def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[str, str]:

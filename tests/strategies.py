@@ -19,7 +19,7 @@ def _values(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
     if isinstance(info, msgspec.inspect.FloatType):
         return st.floats(-_SPAN, _SPAN)
     if isinstance(info, msgspec.inspect.IntType):
-        return st.integers(info.ge if info.ge is not None else -(2**63), 2**63 - 1)
+        return st.integers(-(2**63) if info.ge is None else info.ge, 2**63 - 1 if info.le is None else info.le)
     if isinstance(info, msgspec.inspect.StrType):
         return st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
     if isinstance(info, msgspec.inspect.BoolType):
