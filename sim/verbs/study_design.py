@@ -158,7 +158,7 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         path = arguments.out / "designed.yaml"
         path.write_text(to_yaml(law.law, comment=_describe(demand)), encoding="utf-8")
         figures["designed"] = _row(law, demand) | {"yaml": str(path)}
-        lines += [_line(figures["designed"]), _line(figures["best_pd"]), f"haptic param load {path}"]
+        lines += [_line(figures["designed"]), _line(figures["best_pd"]), f"haptic param load coupling {path}"]
         plot = arguments.out / "design.png"
         _draw(plot, demand, law, pd, passive)
         figures["plot"] = str(plot)
