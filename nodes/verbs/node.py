@@ -1,4 +1,4 @@
-"""List the nodes of a running launch and tell what each one does."""
+"""List the nodes of a running launch, tell what each one does, and start one by hand."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import argparse
 from typing import Any
 
 from nodes.asking import add_run, ask, chosen_run, node_name
-from nodes.cli import RefusedError, answer
-from nodes.runs import RunInfo
+from nodes.cli import RefusedError, UsageError, answer
+from nodes.runs import RunError, RunInfo
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -18,7 +18,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of the verb ``node``.
     """
-    sub = parser.add_subparsers(dest="chosen", metavar="list|info", required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="list|info|start", required=True)
     text = "List the nodes with kind, state and process number."
     listing = sub.add_parser("list", help=text, description=text)
     listing.set_defaults(run=_list)
@@ -28,6 +28,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     info.set_defaults(run=_info)
     info.add_argument("node")
     add_run(info)
+    text = "Start a node that a launch waits for: one with by_hand or host in its launch file."
+    start = sub.add_parser("start", help=text, description=text)
+    start.set_defaults(run=_start)
+    start.add_argument("node")
+    start.add_argument(
+        "--bind", metavar="HOST:PORT", help="for a launch on another machine: where this node is reached"
+    )
+    add_run(start)
 
 
 def _state(run: RunInfo, name: str) -> dict[str, Any]:
@@ -80,3 +88,21 @@ def _info(arguments: argparse.Namespace) -> int:
     ]
     answer(arguments.json, figures, "\n".join(lines))
     return 0
+
+
+def _start(arguments: argparse.Namespace) -> int:
+    from nodes import starter
+
+    if arguments.json:
+        raise UsageError("node start: a node has no figures to answer with; leave --json out")
+    try:
+        if arguments.bind is None:
+            run = chosen_run(arguments)
+            return starter.start_here(run, node_name(run, arguments.node))
+        host, _, port = arguments.bind.rpartition(":")
+        if not host or not port.isdecimal() or not 0 < int(port) < 65535:
+            raise UsageError(f"--bind {arguments.bind}: expected HOST:PORT with a port from 1 to 65534")
+        return starter.start_for(arguments.node, host.strip("[]"), int(port))
+    except (ValueError, RunError) as error:
+        # Keys, endpoints and parameters are all refused by value.
+        raise UsageError(str(error)) from error
