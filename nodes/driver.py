@@ -20,11 +20,13 @@ from messages import topics
 from messages.codec import Decoder, encode
 from messages.types import ZERO, DeviceState, Force, Vector
 from nodes import realtime
+from nodes.acting import Split
 from nodes.base import IDLE_MS, Node
 from nodes.device import Device
+from nodes.limits import SafetyParameters
 from nodes.parameters import ParameterError, convert
 from nodes.passivity import PassivityGuard, PassivityParameters, observe
-from nodes.safety import Safety, SafetyParameters
+from nodes.safety import Safety
 from nodes.setup import AXIS_INDEX, Setup
 from nodes.timing import ResponseTimes
 
@@ -41,46 +43,13 @@ class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     Attributes
     ----------
     safety : SafetyParameters
-        Limits; see nodes/safety.py.
+        Limits; see nodes/limits.py.
     passivity : PassivityParameters or None
         Passivity observer and controller after the law; see nodes/passivity.py. None for none.
     """
 
     safety: SafetyParameters = SafetyParameters()
     passivity: PassivityParameters | None = None
-
-
-class _Split:
-    """Mean force of one tick, split where the measured arrivals changed it.
-
-    Between two samples the device is taken to move evenly; with one force per tick nothing is assumed.
-    """
-
-    def __init__(self, at_start: Vector, fixed: Vector | None) -> None:
-        # Under ``next_tick`` what arrives now acts later: the tick's force is known at its start.
-        self._fixed = fixed
-        self._now = at_start
-        self._since = 0.0
-        self._sum = [0.0, 0.0, 0.0]
-
-    def change(self, force: Vector, offset: float) -> None:
-        """Let a force take effect at a place in the tick."""
-        self._add(offset)
-        self._now = force
-
-    def _add(self, offset: float) -> None:
-        share, now, total = offset - self._since, self._now, self._sum
-        if share > 0.0:
-            for i in range(3):
-                total[i] += share * now[i]
-            self._since = offset
-
-    def mean(self) -> list[float]:
-        """Give the mean of the tick [N]."""
-        if self._fixed is not None:
-            return list(self._fixed)
-        self._add(1.0)
-        return self._sum
 
 
 class Driver(Node):
@@ -367,7 +336,7 @@ class Driver(Node):
             following = deadline + period
             self._age = seq - safety.force_seq if safety.force_seq >= 0 else 0
             answered = False
-            split = _Split(safety.force, acting if next_tick else None)
+            split = Split(safety.force, acting if next_tick else None)
             while not answered:
                 frames = inbox.receive_until(following)
                 if frames is None:

@@ -15,8 +15,8 @@ from nodes.environment import EnvironmentParameters
 from nodes.launchfile import Launch
 from nodes.lawbook import LawBook
 from nodes.laws import CompiledLaw
+from nodes.limits import lower
 from nodes.parameters import ParameterError, convert
-from nodes.safety import lower
 from nodes.setup import AXIS_INDEX
 from nodes.surfaces import Anchor, Free, Plane, parse_surface
 from sim.driver import SimDriverParameters

@@ -11,8 +11,8 @@ import pytest
 from messages.types import DeviceState
 from nodes import launchfile
 from nodes.device import DeviceLimits
+from nodes.limits import lower
 from nodes.parameters import convert
-from nodes.safety import lower
 from nodes.setup import Setup
 from sim import drill
 from sim.driver import SimDriverParameters, TimedDevice
@@ -167,7 +167,7 @@ def test_soak_accounts_for_every_message_and_keeps_its_memory() -> None:
     assert found.rounds == found.respawns >= 2
     assert found.loggers == 2 * found.rounds
     assert found.changes == 8 * found.rounds
-    assert {"driver", "environment", "coupling", "logger"} <= set(found.accounts)
+    assert {"driver", "environment", "coupling"} <= set(found.accounts)
     assert all(one["lost"] == 0 for one in found.accounts.values())
     assert found.accounts["driver"]["sent"] > 1000
     assert found.shared > 1000

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from messages.types import ZERO, Force, Vector
 from nodes.device import DeviceLimits
 from nodes.driver import Driver
+from nodes.limits import STOP_TIME, SafetyParameters, lower
 from nodes.parameters import ParameterError, convert
-from nodes.safety import STOP_TIME, Safety, SafetyParameters, lower
+from nodes.safety import Safety
 from nodes.setup import Setup
 
 T = 0.002

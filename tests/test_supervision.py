@@ -195,7 +195,9 @@ def test_a_stopped_node_is_woken_up_to_end(tmp_path: Path, node: str) -> None:
     assert Recording(tmp_path / "run.mcap").complete
 
 
-def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(tmp_path: Path, odd_nodes: dict[str, str]) -> None:
+def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
+    tmp_path: Path, odd_nodes: dict[str, str]
+) -> None:
     path = scenario(tmp_path, deaf={"kind": "stubborn"})
     with running(tmp_path, path, environment=odd_nodes) as launch:
         begun = time.monotonic()
@@ -257,8 +259,9 @@ def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(tmp_path: Pa
 
         def resumed() -> bool:
             with contextlib.suppress(ControlError):
-                progress = launch.call("driver", "progress", timeout=0.5)
+                # First whether it is back: what was asked of the driver before that would be about its predecessor.
                 other = launch.call(node, "status", timeout=0.5)["pid"] != before
+                progress = launch.call("driver", "progress", timeout=0.5)
                 return bool(
                     other and progress["safety"] == "active" and progress["answered"] > ticks * (node != "driver")
                 )
@@ -267,9 +270,14 @@ def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(tmp_path: Pa
         wait_for(resumed, f"{node} is back and forces flow")
         figures = launch.finish(signal.SIGINT)
         assert figures["nodes"][node]["state"] == "finished"
-        reasons = " ".join(figures["safety"]["reasons"])
-        assert node == "driver" or "active → damping" in reasons
-    states = Recording(tmp_path / "run.mcap").messages("/device/state")
+    recording = Recording(tmp_path / "run.mcap")
+    if node != "driver":
+        # The driver said so on its topic, and in the summary.
+        events = [event.reason for event in recording.messages("/driver/event") if event.kind == "safety"]
+        assert [reason for reason in events if reason.startswith("active → damping")]
+        assert figures["safety"]["reasons"] == events[-len(figures["safety"]["reasons"]) :]
+        assert figures["safety"]["entered"]["damping"] >= 1
+    states = recording.messages("/device/state")
     # Ticks go on counting, whoever was killed.
     assert all(later.seq > earlier.seq for earlier, later in pairwise(states))
     assert states[-1].safety == "active"
@@ -282,6 +290,14 @@ def test_a_required_node_that_is_killed_ends_the_launch(tmp_path: Path) -> None:
         assert figures["exit_reason"] == "coupling: ended with SIGKILL"
         assert figures["nodes"]["driver"]["state"] == "finished"
         assert figures["safety"]["soft_stop_ticks"] >= 1
+
+
+def test_nobody_raises_a_limit_while_it_runs(tmp_path: Path) -> None:
+    with running(tmp_path, scenario(tmp_path)) as launch:
+        for name, value in (("safety.peak_force", 100.0), ("safety.watchdog", 10**6), ("safety.slew", None)):
+            with pytest.raises(ControlError, match="fixed while it runs"):
+                launch.call("driver", "param.set", values={name: value})
+        assert launch.call("driver", "param.get", name="safety.watchdog") == 10
 
 
 def test_a_logger_that_is_not_required_may_be_killed(tmp_path: Path) -> None:

@@ -1,0 +1,58 @@
+"""Which force acted: the mean over a tick whose force changed within it, for energies exact under zero-order hold."""
+
+from __future__ import annotations
+
+from messages.types import Vector
+
+
+class Split:
+    """Mean force of one tick, split where the measured arrivals changed it.
+
+    Between two samples the device is taken to move evenly; with one force per tick nothing is assumed.
+
+    Parameters
+    ----------
+    at_start : tuple of float, shape (3,)
+        Force that acts when the tick begins [N].
+    fixed : tuple of float, shape (3,), or None
+        Force of the whole tick where what arrives now acts later (``next_tick``) [N].
+    """
+
+    def __init__(self, at_start: Vector, fixed: Vector | None) -> None:
+        self._fixed = fixed
+        self._now = at_start
+        self._since = 0.0
+        self._sum = [0.0, 0.0, 0.0]
+
+    def change(self, force: Vector, offset: float) -> None:
+        """Let a force take effect at a place in the tick.
+
+        Parameters
+        ----------
+        force : tuple of float, shape (3,)
+            The force [N].
+        offset : float
+            Where, not before the last one [ticks].
+        """
+        self._add(offset)
+        self._now = force
+
+    def _add(self, offset: float) -> None:
+        share, now, total = offset - self._since, self._now, self._sum
+        if share > 0.0:
+            for i in range(3):
+                total[i] += share * now[i]
+            self._since = offset
+
+    def mean(self) -> list[float]:
+        """Give the mean of the tick.
+
+        Returns
+        -------
+        list of float, shape (3,)
+            Force [N].
+        """
+        if self._fixed is not None:
+            return list(self._fixed)
+        self._add(1.0)
+        return self._sum
