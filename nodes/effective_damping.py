@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    PowerSum = Callable[[NDArray[np.float64], NDArray[np.complex128]], NDArray[np.complex128]]
+
 _ZOOMS = 6
 
 
@@ -46,9 +48,16 @@ def effective_damping(
     """
     import numpy as np
 
-    theta = np.asarray(omega, dtype=np.float64) * period
+    return _effective(law, period, np.asarray(omega, dtype=np.float64) * period, delay, _power_sum)
+
+
+def _effective(
+    law: CompiledLaw, period: float, theta: NDArray[np.float64], delay: int, power_sum: PowerSum
+) -> NDArray[np.float64]:
+    import numpy as np
+
     w = np.exp(-1j * theta)
-    total = (_power_sum(_tails(law), w) + _section_tails(law, w)) * w ** (delay + 1)
+    total = (power_sum(_tails(law), w) + _section_tails(law, w)) * w ** (delay + 1)
     # (w^d − 1)/(1 − z) = w + … + w^d is what the delay does to the spring.
     for j in range(1, delay + 1):
         total = total + law.h1 * w**j
@@ -76,7 +85,7 @@ def damping_needed(law: CompiledLaw, period: float, delay: float = 0.0) -> float
     float
         Damping b [N s/m].
     """
-    return -_lowest(law, lambda theta: -_needed_at(law, period, delay, theta))[1]
+    return -_lowest(law, lambda theta, power_sum: -_needed_at(law, period, delay, theta, power_sum))[1]
 
 
 def least(law: CompiledLaw, period: float) -> tuple[float, float]:
@@ -96,22 +105,24 @@ def least(law: CompiledLaw, period: float) -> tuple[float, float]:
     value : float
         f, with the spring taken as H(1) [N s/m].
     """
-    theta, value = _lowest(law, lambda theta: effective_damping(law, period, theta / period))
+    theta, value = _lowest(law, lambda theta, power_sum: _effective(law, period, theta, 0, power_sum))
     return theta / period, value
 
 
-def _needed_at(law: CompiledLaw, period: float, delay: float, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+def _needed_at(
+    law: CompiledLaw, period: float, delay: float, theta: NDArray[np.float64], power_sum: PowerSum
+) -> NDArray[np.float64]:
     import numpy as np
 
     whole = math.floor(delay)
     fraction = delay - whole
     half_spring = 0.5 * period * law.h1
-    s = half_spring + effective_damping(law, period, theta / period, whole)
+    s = half_spring + _effective(law, period, theta, whole, power_sum)
     if fraction == 0.0:
         return s
-    s = (1.0 - fraction) * s + fraction * (half_spring + effective_damping(law, period, theta / period, whole + 1))
+    s = (1.0 - fraction) * s + fraction * (half_spring + _effective(law, period, theta, whole + 1, power_sum))
     w = np.exp(-1j * theta)
-    h = _power_sum(np.array(law.taps), w)
+    h = power_sum(np.array(law.taps), w)
     for b0, b1, a1, a2 in law.sections:
         h = h + (b0 + b1 * w) / (1.0 + w * (a1 + w * a2))
     spread = fraction * (1.0 - fraction) * (period * np.abs(h)) ** 2
@@ -156,7 +167,16 @@ def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.
     return np.asarray(total.reshape(w.shape), dtype=np.complex128)
 
 
-def _lowest(law: CompiledLaw, function: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> tuple[float, float]:
+def _on_the_half_circle(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Σ c_j w^j where w goes from 1 to −1 in equal angles: a Fourier transform."""
+    import numpy as np
+
+    return np.fft.rfft(c, 2 * (w.size - 1))
+
+
+def _lowest(
+    law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum], NDArray[np.float64]]
+) -> tuple[float, float]:
     """Least value over 0 ≤ θ ≤ π: a grid finer than the fastest cosine, then zooms into the lowest cells."""
     import numpy as np
 
@@ -164,14 +184,14 @@ def _lowest(law: CompiledLaw, function: Callable[[NDArray[np.float64]], NDArray[
     if law.sections:
         # Slow sections live in the lowest decades.
         theta = np.union1d(theta, np.geomspace(1e-6, np.pi, 2001)[:-1])
-    value = function(theta)
+    value = function(theta, _power_sum if law.sections else _on_the_half_circle)
     padded = np.concatenate([[np.inf], value, [np.inf]])
     dips = np.flatnonzero((value <= padded[:-2]) & (value <= padded[2:]))
     dips = dips[np.argsort(value[dips])][:8]
     left, right = theta[np.maximum(dips - 1, 0)], theta[np.minimum(dips + 1, len(theta) - 1)]
     for _ in range(_ZOOMS):
         cells = np.linspace(left, right, 33)
-        values = function(cells)
+        values = function(cells, _power_sum)
         best = np.argmin(values, axis=0)
         column = np.arange(len(best))
         left, right = cells[np.maximum(best - 1, 0), column], cells[np.minimum(best + 1, 32), column]
