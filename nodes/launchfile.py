@@ -121,7 +121,7 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         tcp port that it publishes at, its control requests at the next one; 0 for the run's port and two for every node
         before it.
     key : str
-        Name under which that machine's key is allowed here; empty for the address.
+        Name under which that machine's key is allowed here; empty for the address. With a name, loopback is encrypted too.
     """
 
     kind: str

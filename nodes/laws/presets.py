@@ -1,4 +1,4 @@
-"""Named presets: published laws that can be used wherever the kind of a law is named.
+"""Named presets: laws that can be used wherever the kind of a law is named, published ones and designed ones.
 
 A preset is a kind with most of its parameters filled in; what is written beside its name replaces the preset's values,
 so ``{kind: paper_optimum, stiffness: 800}`` is the seed's optimum on another spring.
@@ -21,6 +21,19 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             "terms": [{"gain": 1.69, "order": 1.50}, {"gain": 1.32, "order": 3.47}],
             "taps": 4,
             "gains": "normalised",
+        },
+        # haptic study design --delay 0..0.5 --land: 50 to 200 g, b = 1 N s/m, 500 Hz, pole radius <= 0.99, |H(-1)| <= 1e4 N/m.
+        # For apply: on_arrival, where a force arrives within half a tick. H(1) is 3570 N/m; the best PD there has 2757 N/m.
+        "designed_d0": {
+            "kind": "fir",
+            "taps": [9132.96, -5346.08, -2348.15, 2131.56],
+            "period": 0.002,
+        },
+        # haptic study design --delay 1 --land: the same for apply: next_tick. H(1) is 2195 N/m; the best PD there has 1762 N/m.
+        "designed_d1": {
+            "kind": "fir",
+            "taps": [7870.35, -5864.47, -1772.65, 1962.18],
+            "period": 0.002,
         },
     }
 )

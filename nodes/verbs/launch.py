@@ -35,6 +35,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="list the scenarios")
     parser.add_argument("--show-args", action="store_true", help="show the arguments of a scenario")
     parser.add_argument("--without", action="append", default=[], metavar="NODE", help="leave a node out, e.g. logger")
+    parser.add_argument(
+        "--params",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="lay parameters over those of the nodes, as haptic param dump and haptic study design write them",
+    )
     parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
     parser.set_defaults(run=run)
@@ -227,7 +235,9 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.show_args:
             answer(arguments.json, *_show_args(arguments.scenario))
             return 0
-        launch = launchfile.read(arguments.scenario, launchfile.parse_assignments(arguments.assignments))
+        launch = launchfile.read(
+            arguments.scenario, launchfile.parse_assignments(arguments.assignments), arguments.params
+        )
         return _launch(launchfile.without(launch, arguments.without), arguments)
     except (ParameterError, RunError) as error:
         raise UsageError(str(error)) from error
