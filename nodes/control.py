@@ -168,7 +168,9 @@ class ControlServer(threading.Thread):
                 self._poll_file(self._watched)
             if now >= next_status:
                 next_status = now + STATUS_PERIOD
+                self._node.serving += 1
                 self._node.post(topics.status(self._node.setup.name), self._node.status())
+                self._node.serving += 1
         self._socket.close(linger=100)
         remove_ipc(self._node.setup.control)
 
