@@ -9,6 +9,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import mpmath
 import numpy as np
@@ -652,3 +653,23 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
         # Two orders of the same sums, 600 times over, relative to the 5 mm that it starts with.
         assert trace.position[k] == pytest.approx(x[0], abs=1e-9 * 0.005)
         x = state @ x
+
+
+def test_a_realisation_from_another_package_works_by_being_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere.py").write_text(
+        "from nodes.laws import CompiledLaw\n\n"
+        "def forward(order, taps, period):\n"
+        "    return CompiledLaw((1.0 / period, -1.0 / period), ((0.0, 1.0, -order, 0.0),))\n"
+    )
+    info = tmp_path / "elsewhere-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: elsewhere\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[haptic.derivatives]\nforward_of_elsewhere = elsewhere:forward\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert "forward_of_elsewhere" in derivative_kinds()
+    assert realise("forward_of_elsewhere", 0.5, 2, 0.5).taps == (2.0, -2.0)
+    # What it returns is checked as ours is: a pole at 1.5 is refused.
+    with pytest.raises(ValueError, match=r"'forward_of_elsewhere' has a pole on or outside the unit circle"):
+        realise("forward_of_elsewhere", 1.5, 2, 0.5)
