@@ -60,6 +60,8 @@ class Group:
         The choices.
     note : str
         How the figures were obtained, for the page.
+    linear : bool
+        Whether the errors are drawn on a linear scale.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Group:
     error_label: str
     points: tuple[Point, ...]
     note: str = ""
+    linear: bool = False
 
 
 def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:

@@ -231,6 +231,7 @@ def derivative_groups(step: Callable[[str], None], quick: bool = False) -> list[
                 tuple(stiff),
                 f"H(1) at which the pole radius reaches 1: m = {MASS} kg, b = {DAMPING} N s/m, {DELAY:g} tick of delay, "
                 f"normalised gain {GAIN:g} N s/m for all.",
+                linear=True,
             ),
         ]
     return groups

@@ -46,7 +46,10 @@ def draw(group: Group, folder: Path) -> list[Path]:
     axes.yaxis.label.set_fontsize(9)
     lowest = min((p.error for p in shown if p.error > 0.0), default=1e-3)
     floor = max(_FLOOR, 0.3 * lowest) if any(p.error <= 0.0 for p in shown) else _FLOOR
-    axes.set_yscale("log")
+    if group.linear:
+        floor = 0.0
+    else:
+        axes.set_yscale("log")
     for front, colour, size, label in ((False, _REST, 18, "beaten"), (True, _FRONT, 36, "Pareto front")):
         points = [p for p in shown if p.on_front is front and p.family != "gl"]
         axes.scatter(
@@ -68,8 +71,7 @@ def draw(group: Group, folder: Path) -> list[Path]:
     axes.step([p.cost for p in best], [max(p.error, floor) for p in best], where="post", color=_FRONT, lw=1, alpha=0.6)
     _name(axes, best, floor)
     _name_beaten(axes, shown, floor)
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(_minor(min(p.cost for p in shown), max(p.cost for p in shown)))
+    _ticks(axes, max(p.cost for p in shown) / min(p.cost for p in shown))
     axes.grid(alpha=0.25, which="both")
     axes.legend(fontsize=8)
     folder.mkdir(parents=True, exist_ok=True)
@@ -79,19 +81,29 @@ def draw(group: Group, folder: Path) -> list[Path]:
     return paths
 
 
-def _minor(low: float, high: float) -> str:
-    # Less than a decade and a half has too few major ticks to be read.
-    return "{x:g}" if high < 30.0 * low else ""
+def _ticks(axes: Axes, span: float) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axes.xaxis.set_major_formatter("{x:g}")
+    if span < 100.0:
+        # Less than two decades have too few powers of ten to be read.
+        axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 3.0, 5.0)))
+        axes.xaxis.set_minor_formatter("{x:g}")
+    else:
+        axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _name(axes: Axes, points: Sequence[Point], floor: float) -> None:
     for i, point in enumerate(points):
         text = point.name if point.error > 0.0 else f"{point.name} (0)"
+        at = (point.cost, max(point.error, floor))
+        right = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > 0.8
         axes.annotate(
             text,
-            (point.cost, max(point.error, floor)),
+            at,
             textcoords="offset points",
-            xytext=(6, 5 if i % 2 == 0 else -11),
+            xytext=(-6 if right else 6, 5 if i % 2 == 0 else -11),
+            ha="right" if right else "left",
             fontsize=7,
             color=_FRONT,
         )

@@ -279,6 +279,7 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
             tuple(Point(name, rate, 1.0 - stable / best, family, d) for name, rate, stable, family, d in points),
             f"{note} One launch each at 110, 90, 70 and 50 % of what the pole radius at the measured delay allows, until "
             "one settles.",
+            linear=True,
         ),
     ]
 
