@@ -39,7 +39,26 @@ def changed(tmp_path: Path, name: str, edit: Any) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("scenario", sorted(launchfile.scenarios()))
+def played_in_one_process(name: str) -> bool:
+    launch = launchfile.read(name, {})
+    try:
+        from_launch(launch)
+    except ParameterError:
+        return False
+    return True
+
+
+SCENARIOS = sorted(launchfile.scenarios())
+PLAYED = [name for name in SCENARIOS if played_in_one_process(name)]
+
+
+@pytest.mark.parametrize("scenario", sorted(set(SCENARIOS) - set(PLAYED)))
+def test_what_one_process_cannot_play_is_refused_by_name(scenario: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "needs", scenario]) == 2
+    assert "one process" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("scenario", PLAYED)
 def test_shipped_scenarios_model_enough_and_no_more(scenario: str) -> None:
     found = judge(scenario)
     assert found.superfluous == ()
