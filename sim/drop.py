@@ -73,6 +73,25 @@ class SimulatedKMax:
     ticks: int
 
 
+class SearchInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a search.
+
+    Parameters
+    ----------
+    found : list of SimulatedKMax
+        What was done until then, in the order of the laws.
+
+    Attributes
+    ----------
+    found : list of SimulatedKMax
+        The same.
+    """
+
+    def __init__(self, found: list[SimulatedKMax]) -> None:
+        super().__init__()
+        self.found = found
+
+
 def drop_scene(device: DeviceModel, period: float, raw: bool, clamp: bool, height: float = 0.01) -> Scene:
     """Let the device fall on a floor at 0.
 
@@ -311,7 +330,19 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     -------
     list of bool
         Whether each settled.
+
+    Raises
+    ------
+    ValueError
+        When a law has code of its own, or the scene a passivity guard: `sim.loop.run` and the nodes play those.
     """
+    for i, law in enumerate(laws):
+        if law.evaluate is not None:
+            raise ValueError(
+                f"laws[{i}] has code of its own, which cannot be compiled: play it with the nodes, in lockstep"
+            )
+    if scene.passivity is not None and scene.passivity.guard == "on":
+        raise ValueError("scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out")
     device, surface = scene.device, scene.surface
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
     whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
@@ -353,23 +384,57 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
         recursive if most else None,
         results,
     )
-    verdicts = []
+    return [_verdict(scene, law, told, criterion) for law, told in zip(laws, results.tolist(), strict=True)]
+
+
+def settled(scene: Scene, law: CompiledLaw, position: Array, force: Array, criterion: Criterion) -> bool:
+    """Judge one run that was played elsewhere, by the very rules of `settles`.
+
+    Parameters
+    ----------
+    scene : Scene
+        The experiment.
+    law : CompiledLaw
+        Its law.
+    position : ndarray, shape (ticks,)
+        Position at each tick [m].
+    force : ndarray, shape (ticks,)
+        Force handed to the device at each tick [N].
+    criterion : Criterion
+        What counts as settled.
+
+    Returns
+    -------
+    bool
+        Whether it settled.
+
+    Raises
+    ------
+    ValueError
+        When the run is not as long as the horizon.
+    """
+    if not len(position) == len(force) == criterion.ticks:
+        raise ValueError(f"{len(position)} positions and {len(force)} forces, the horizon is {criterion.ticks} ticks")
+    normal = scene.surface.normal if scene.surface.kind == "plane" else 0.0
+    return _verdict(scene, law, _judge(position, force, scene.surface.position, normal), criterion)
+
+
+def _verdict(scene: Scene, law: CompiledLaw, told: Sequence[float], criterion: Criterion) -> bool:
+    device, surface = scene.device, scene.surface
+    highest, motion, mean, last, strongest = told
+    rest = rest_position(scene, law, criterion.ticks)
+    if rest is None:
+        return False
     start = device.position - surface.position
     # About an anchor the damper sees the start as a jump, and may kick the device a few times as far: that is linear.
     highest_allowed = start * surface.normal + criterion.tolerance if surface.kind == "plane" else 10.0 * abs(start)
     limit = min(value for value in (device.peak_force, scene.peak, math.inf) if value is not None)
-    for law, (highest, motion, mean, last, strongest) in zip(laws, results.tolist(), strict=True):
-        rest = rest_position(scene, law, ticks)
-        if rest is None:
-            verdicts.append(False)
-            continue
-        # Friction holds it anywhere within f_c of balance; the encoder sees no less than a count.
-        band = criterion.tolerance + (device.friction or 0.0) / (law.h1 + grip) + (device.resolution or 0.0)
-        bounces = surface.kind == "plane" and last > (device.resolution or 0.0)
-        # Comparisons with NaN are false: a run that overflowed does not settle.
-        still = motion <= criterion.tolerance and abs(mean - rest) <= band
-        verdicts.append(still and highest <= highest_allowed and strongest < limit and not bounces)
-    return verdicts
+    # Friction holds it anywhere within f_c of balance; the encoder sees no less than a count.
+    band = criterion.tolerance + (device.friction or 0.0) / (law.h1 + device.grip) + (device.resolution or 0.0)
+    bounces = surface.kind == "plane" and last > (device.resolution or 0.0)
+    # Comparisons with NaN are false: a run that overflowed does not settle.
+    still = motion <= criterion.tolerance and abs(mean - rest) <= band
+    return bool(still and highest <= highest_allowed and strongest < limit and not bounces)
 
 
 def swing_frequency(position: Array, period: float, rest: float, smallest: float = 1e-7) -> float | None:
@@ -464,7 +529,12 @@ def simulated_boundary(
     Returns
     -------
     list of SimulatedKMax
-        In the order of the laws. When interrupted (Ctrl-C) only those that were done: a shorter list.
+        In the order of the laws.
+
+    Raises
+    ------
+    SearchInterrupted
+        On Ctrl-C; it carries what was done.
     """
     criterion = Criterion() if criterion is None else criterion
     unit = scene.device.moving_mass / scene.period**2
@@ -478,8 +548,8 @@ def simulated_boundary(
             found += done
             if step is not None:
                 step("K_max by simulation", len(done))
-    except KeyboardInterrupt:
-        return found
+    except KeyboardInterrupt as interrupt:
+        raise SearchInterrupted(found) from interrupt
     return found
 
 

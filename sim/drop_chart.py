@@ -16,7 +16,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from sim.boundary import Device, k_max, with_spring, without_spring
-from sim.drop import Criterion, SimulatedKMax, drop_scene, simulated_boundary
+from sim.drop import Criterion, SearchInterrupted, SimulatedKMax, drop_scene, simulated_boundary
 from sim.plant import DeviceModel
 
 Step = Callable[[str, int], None]
@@ -187,10 +187,12 @@ def _fill(curves: list[Curve], setting: Setting, step: Step) -> None:
             for touch in (False, True):
                 scene = drop_scene(setting.device(delay, touch), setting.period, *CONVENTIONS[0])
                 laws = [_spring_on(d) for d in derivatives]
-                found = simulated_boundary(laws, scene, setting.criterion, step=step)
-                curves.append(Curve(name, delay, touch, found, linear[: len(found)]))
-                if len(found) < len(laws):
-                    return
+                try:
+                    found = simulated_boundary(laws, scene, setting.criterion, step=step)
+                except SearchInterrupted as interrupt:
+                    curves.append(Curve(name, delay, touch, interrupt.found, linear[: len(interrupt.found)]))
+                    raise
+                curves.append(Curve(name, delay, touch, found, linear))
 
 
 def steps() -> int:

@@ -391,7 +391,7 @@ def run(
     Raises
     ------
     ValueError
-        When ticks or swaps are out of range, or a law is not finite.
+        When ticks or swaps are out of range, or a law is not finite or has code of its own.
     """
     if ticks < 1:
         raise ValueError(f"ticks is {ticks}, expected at least 1")
@@ -405,6 +405,10 @@ def run(
     for i, candidate in enumerate(laws):
         if not candidate.finite:
             raise ValueError(f"law {i} of the run has a coefficient that is not finite: taps {candidate.taps}")
+        if candidate.evaluate is not None:
+            raise ValueError(
+                f"law {i} of the run has code of its own, which cannot be compiled: play it with the nodes"
+            )
     device = scene.device
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
     whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))

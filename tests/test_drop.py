@@ -18,6 +18,7 @@ from nodes.stability import closed_loop, pole_radius
 from sim.boundary import Device, k_max, with_spring, without_spring
 from sim.drop import (
     Criterion,
+    SearchInterrupted,
     drop_scene,
     free_scene,
     press_scene,
@@ -177,9 +178,17 @@ def test_an_interruption_keeps_what_is_done() -> None:
         done += count
         raise KeyboardInterrupt
 
-    found = simulated_boundary(laws, scene, Criterion(500), step=step)
+    with pytest.raises(SearchInterrupted) as caught:
+        simulated_boundary(laws, scene, Criterion(500), step=step)
+    found = caught.value.found
     assert 0 < len(found) == done < 40
     assert found == simulated_boundary(laws[:done], scene, Criterion(500))
+
+
+def test_what_cannot_be_compiled_is_refused() -> None:
+    law = CompiledLaw((500.0,), evaluate=lambda ring, head: ring[head])
+    with pytest.raises(ValueError, match=r"laws\[0\] has code of its own"):
+        settles(free_scene(DeviceModel(mass=0.1), PERIOD), [law], Criterion())
 
 
 def test_frequency_of_a_sine() -> None:
