@@ -13,6 +13,8 @@ from sim.verbs.dispatch import dispatch
 BENCHMARKS: dict[str, str] = {
     "loop": "sim.verbs.bench_loop",
     "listeners": "sim.verbs.bench_listeners",
+    "swaps": "sim.verbs.bench_swaps",
+    "simulator": "sim.verbs.bench_simulator",
     "taps": "sim.verbs.bench_taps",
 }
 
