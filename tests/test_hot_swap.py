@@ -21,6 +21,7 @@ from nodes.launchfile import read
 from nodes.recording import Recording
 from nodes.yamlfile import parse_yaml
 from sim.scene import from_launch
+from sim.verbs.bench_swaps import measure
 from tests.launching import RunningLaunch, launch_json, private_runtime_dir, running, wait_for
 
 INSTALLED = Path(__file__).parent / "fixtures" / "installed"
@@ -268,6 +269,22 @@ def test_the_record_of_all_that(resting: RunningLaunch, tmp_path: Path) -> None:
         assert all(map(math.isfinite, force.force))
     revisions = [receipt.revision for receipt in receipts(recording)]
     assert revisions == list(range(1, len(revisions) + 1))
+
+
+# -- many ----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_thousand_swaps_and_a_thousand_sets_are_not_felt_and_cost_no_tick() -> None:
+    figures = measure(swaps=1000, sets=1000, blocks=20, duration=10.0)
+    assert figures["requests"] == figures["receipts"] == 2000
+    assert figures["refused"] == figures["lost"] == 0
+    # All laws have the same H(1); what is left of a force of 1 N is the rounding of taps of some 4000 N/m times 1 mm.
+    assert figures["at_rest"] > 100
+    assert figures["force_step_max_n"] < 1e-13
+    # Missed ticks are the machine's unless busy blocks have them more often than the idle blocks beside them: of the pairs
+    # in which only one missed any, 3 sigma of a fair coin may fall to the busy side, and one pair more.
+    only = figures["only_busy_missed"] + figures["only_idle_missed"]
+    assert figures["only_busy_missed"] <= 0.5 * only + 1.5 * math.sqrt(only) + 1.0
 
 
 # -- schedules -----------------------------------------------------------------------------------------------------------
