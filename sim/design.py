@@ -373,6 +373,10 @@ def measure(path: Path) -> Measured:
     delays = tuple(state.delay + own for state in states[1:] if state.force_seq >= 0)
     if len(delays) < 100:
         raise ValueError(f"{path}: {len(delays)} ticks were answered by a force, at least 100 are needed")
+    if recording.manifest.get("pace") == "realtime" and not any(delays):
+        raise ValueError(
+            f"{path}: a real-time run without any delay: it was recorded before delays were; record it again"
+        )
     low, middle, high = (quantile(sorted(delays), fraction) for fraction in (0.001, 0.5, 0.999))
     return Measured(1.0 / rate, (low, high), middle, high - low, delays, device.get("mass"), device.get("damping"))
 

@@ -228,6 +228,17 @@ def test_recordings_that_tell_too_little(tmp_path: Path, delays: list[float], ra
         measure(recording(tmp_path / "run.mcap", delays, rate))
 
 
+def test_a_real_time_run_without_delays_is_an_old_recording(tmp_path: Path) -> None:
+    path = tmp_path / "old.mcap"
+    with RecordWriter(path, {"scenario": "drop", "rate_hz": "500.0", "pace": "realtime"}) as writer:
+        for k in range(200):
+            writer.write(
+                DEVICE_STATE, DeviceState(seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1), k * T
+            )
+    with pytest.raises(ValueError, match="before delays were"):
+        measure(path)
+
+
 def test_what_design_writes_is_what_load_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = "study design --mass 0.05..0.2 --damping 1 --delay 1 --taps 3 --json --out"
     assert main([*words.split(), str(tmp_path)]) == 0
