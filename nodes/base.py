@@ -505,7 +505,7 @@ class Node:
         except (ParameterError, ValueError, OSError) as error:
             self.say(f"cannot start: {error}")
             self.stop_reason, self.state = str(error), "failed"
-            self._write_report()
+            self._write_report({})
             return 1
         context = new_context(aside=True)
         try:
@@ -514,7 +514,7 @@ class Node:
             self.say(f"cannot start: {error}")
             self.stop_reason, self.state = str(error), "failed"
             context.destroy(linger=0)
-            self._write_report()
+            self._write_report({})
             return 1
         move_aside()
         code = 1
@@ -529,6 +529,10 @@ class Node:
             realtime.quiet_interpreter()
             self.loop()
             code = 0
+        except (ParameterError, OSError) as error:
+            # What a device or a disk says is no fault of the program: one line, no traceback.
+            self.stop_reason = self.stop_reason or str(error)
+            self.say(f"ended: {error}")
         finally:
             # Whatever ended the loop, an exception included: first the device is made safe, then all is told and closed.
             try:
@@ -548,7 +552,7 @@ class Node:
                     self.inbox.close()
                 self.publisher.close()
                 context.term()
-                self._write_report()
+                self._write_report(self.report())
         return code
 
     def _make_sockets(self, context: Context) -> tuple[ControlServer, Gate | None]:
@@ -609,10 +613,10 @@ class Node:
             )
         self.clock_offset, self.clock_error = offset, error
 
-    def _write_report(self) -> None:
+    def _write_report(self, figures: Mapping[str, Any]) -> None:
         path = Path(self.setup.run_dir) / f"{self.setup.name}.report.json"
         draft = path.with_suffix(".draft")
-        draft.write_bytes(msgspec.json.encode({"status": msgspec.to_builtins(self.status()), **self.report()}))
+        draft.write_bytes(msgspec.json.encode({"status": msgspec.to_builtins(self.status()), **figures}))
         draft.replace(path)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
