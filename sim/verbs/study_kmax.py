@@ -1,17 +1,20 @@
-"""Largest stable stiffness of a law on a known device: closed form, pole radius or simulation; with a range, its chart."""
+"""Largest stable stiffness of a law on a known device: closed form, pole radius, simulation or real launches; or its chart."""
 
 from __future__ import annotations
 
 import argparse
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nodes.cli import UsageError, answer
 from nodes.laws import CompiledLaw
 from sim.boundary import Device, KMax, k_max, with_spring, without_spring
 from sim.plant import DeviceModel, Hand
 from sim.verbs import arguments as shared
+
+if TYPE_CHECKING:
+    from sim.loop import Scene
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -27,8 +30,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--points", type=int, default=41, help="points of a range of gains (default: %(default)s)")
     parser.add_argument(
         "--method",
-        choices=("closed_form", "pole_radius", "simulation"),
-        help="default: the closed form where there is one, else the pole radius",
+        choices=("closed_form", "pole_radius", "simulation", "lockstep"),
+        help="default: the closed form where there is one, else the pole radius; lockstep drops it through real processes",
     )
     parser.add_argument(
         "--scene", choices=("drop", "free"), default="drop", help="what a simulation plays (default: %(default)s)"
@@ -40,6 +43,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="what feeds the law outside contact in a simulated drop (default: %(default)s)",
     )
     parser.add_argument("--horizon", type=int, default=2500, help="ticks of a simulated run (default: %(default)s)")
+    parser.add_argument(
+        "--grid",
+        type=int,
+        default=257,
+        help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: %(default)s)",
+    )
     shared.add_law(parser)
     shared.add_device(parser)
     shared.add_answer(parser)
@@ -57,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     Returns
     -------
     int
-        0; 1 when no stiffness is stable.
+        0; 1 when no stiffness is stable, or when the processes and one process do not agree.
 
     Raises
     ------
@@ -66,8 +75,12 @@ def run(arguments: argparse.Namespace) -> int:
     """
     device, period = shared.device(arguments), 1.0 / arguments.rate
     if arguments.gain is not None and arguments.gain[0] < arguments.gain[1]:
+        if arguments.method == "lockstep":
+            raise UsageError("--method lockstep: one --gain at a time, every stiffness takes a launch")
         return _boundary(arguments, device, period)
     gain = None if arguments.gain is None else arguments.gain[0]
+    if arguments.method == "lockstep":
+        return _lockstep(arguments, gain, device, period)
     found = _k_max(arguments, gain, device, period)
     stable = [[low, high if math.isfinite(high) else None] for low, high in found.stable]
     figures = _figures(found) | {"stable_n_per_m": stable}
@@ -97,16 +110,65 @@ def _k_max(arguments: argparse.Namespace, gain: float | None, device: Device, pe
         raise UsageError(str(error)) from error
 
 
-def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Device, period: float) -> KMax:
-    """Raise K until the drop no longer settles; a grip is held where the floor is."""
-    from sim.drop import Criterion, drop_scene, free_scene, simulated_k_max
+def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Device, period: float) -> int:
+    """Bisect one grid twice, by launches and in one process; around what the simulation found."""
+    import numpy as np
+
+    from sim.distributed import same_k_max
+    from sim.drop import Criterion
+    from sim.measured_launch import MeasurementError
+    from sim.stopwatch import Progress
+
+    if arguments.grid < 2:
+        raise UsageError(f"--grid {arguments.grid}: expected at least 2")
+    law = shared.law(arguments, arguments.law, gain)
+    try:
+        guess = _simulated(arguments, without_spring(law, period), device, period).k_max_n_per_m
+        if guess is None or not math.isfinite(guess):
+            raise UsageError("--method lockstep: the simulation found no K_max to look around")
+        grid = (guess * np.geomspace(0.5, 2.0, arguments.grid)).tolist()
+        bar = Progress(2 + math.ceil(math.log2(arguments.grid - 1)))
+        found = same_k_max(law, _scene(arguments, device, period), Criterion(ticks=arguments.horizon), grid, bar.step)
+    except (ValueError, MeasurementError) as error:
+        raise UsageError(str(error)) from error
+    same = found.launched_n_per_m == found.one_process_n_per_m
+    figures: dict[str, Any] = {
+        "k_max_n_per_m": found.launched_n_per_m,
+        "h1_max_n_per_m": found.h1_n_per_m,
+        "method": "lockstep",
+        "one_process_n_per_m": found.one_process_n_per_m,
+        "same": same,
+        "launches": found.launches,
+        "grid_ratio": grid[1] / grid[0],
+    }
+    by_launch, alone = (
+        "none" if k is None else f"{k:.6g} N/m" for k in (found.launched_n_per_m, found.one_process_n_per_m)
+    )
+    text = (
+        f"K_max    {by_launch} (nominal), by {found.launches} launches in lockstep\n"
+        f"         {alone} in one process: {'the same' if same else 'NOT the same'}, "
+        f"on steps of {figures['grid_ratio'] - 1.0:.2%}"
+    )
+    answer(arguments.json, figures, text)
+    return 0 if same and found.launched_n_per_m is not None else 1
+
+
+def _scene(arguments: argparse.Namespace, device: Device, period: float) -> Scene:
+    """Set up the experiment; a grip is held where the floor is."""
+    from sim.drop import drop_scene, free_scene
 
     hand = Hand(stiffness=device.stiffness, path=[(0.0, 0.0)]) if device.stiffness > 0.0 else None
     model = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay, hand=hand)
     if arguments.scene == "free":
-        scene = free_scene(model, period)
-    else:
-        scene = drop_scene(model, period, raw=arguments.history == "position", clamp=True)
+        return free_scene(model, period)
+    return drop_scene(model, period, raw=arguments.history == "position", clamp=True)
+
+
+def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Device, period: float) -> KMax:
+    """Raise K until the drop no longer settles."""
+    from sim.drop import Criterion, simulated_k_max
+
+    scene = _scene(arguments, device, period)
     found = simulated_k_max(lambda k: with_spring(derivative, k), scene, Criterion(ticks=arguments.horizon))
     top = found.k_max_n_per_m
     return KMax(top, found.h1_max_n_per_m, "simulation", ())
