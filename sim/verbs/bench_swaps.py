@@ -38,8 +38,8 @@ SETTLED = 2500
 MEMORY = 12
 """Ticks that the longest of the laws looks back, and some more."""
 
-STILL = 1e-15
-"""Positions that differ by no more are at rest [m]: a nanometre's millionth, some thousand units of the last place."""
+STILL = 1e-17
+"""Positions that differ by no more are at rest [m]: some fifty units of the last place of 1 mm."""
 
 START = 30.0
 """When a launch that does not start is given up [s]."""
