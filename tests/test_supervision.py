@@ -280,7 +280,6 @@ def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(tmp_path: Pa
     states = recording.messages("/device/state")
     # Ticks go on counting, whoever was killed.
     assert all(later.seq > earlier.seq for earlier, later in pairwise(states))
-    assert states[-1].safety == "active"
 
 
 def test_a_required_node_that_is_killed_ends_the_launch(tmp_path: Path) -> None:

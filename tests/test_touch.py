@@ -236,9 +236,13 @@ def test_a_whole_launch_on_the_stand_in(fake: tuple[Path, Any], tmp_path: Path) 
     figures = launch_json(tmp_path, scenario(tmp_path, str(fake[0])))
     assert figures["exit_reason"] == "done"
     assert figures["final"]["position_m"] == pytest.approx(0.022, abs=1e-12)
-    assert figures["final"]["force_n"] == pytest.approx(0.5, rel=1e-9)
     assert figures["safety"]["told"] == ["driver.safety.peak_force: 50 N, limit 7.9 N of the device, which holds"]
-    assert Recording(tmp_path / "run.mcap").complete
+    recording = Recording(tmp_path / "run.mcap")
+    assert recording.complete
+    # On a busy machine forces may stop coming now and then; where they do come, they are K times 1 mm.
+    pressing = {round(state.force[2], 9) for state in recording.messages("/device/state") if state.safety == "active"}
+    assert 0.5 in pressing
+    assert pressing <= {0.0, 0.5}
 
 
 def test_a_launch_without_the_library_fails_with_the_reason(tmp_path: Path) -> None:
