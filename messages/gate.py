@@ -93,7 +93,7 @@ class Gate(threading.Thread):
     def _answer(self, frames: list[bytes]) -> None:
         version, request, domain, address, _, mechanism, *credentials = frames
         key = credentials[0] if mechanism == b"CURVE" and credentials else b""
-        name = self._name(key) if domain == DOMAIN else ""
+        name = self._who(key) if domain == DOMAIN else ""
         code, text = (b"200", b"OK") if name else (b"400", b"unknown key")
         self._zap.send_multipart([version, request, code, text, name.encode(), b""])
         if not name:
@@ -102,7 +102,7 @@ class Gate(threading.Thread):
                 f"haptic keys allow NAME {key.hex()}"
             )
 
-    def _name(self, key: bytes) -> str:
+    def _who(self, key: bytes) -> str:
         with contextlib.suppress(FileNotFoundError):
             changed = (key_dir() / "allowed").stat().st_mtime_ns
             if changed != self._seen:
@@ -140,4 +140,5 @@ class Gate(threading.Thread):
             self._close()
         self._stop_out.close(linger=0)
         for _, _, socket in self._monitors:
-            socket.disable_monitor()
+            if not socket.closed:
+                socket.disable_monitor()

@@ -19,7 +19,7 @@ import msgspec
 import zmq
 
 from messages.control import ControlError, call
-from messages.endpoints import split
+from messages.endpoints import is_remote, split
 from nodes.child import Child
 from nodes.clock import ClockOffset
 from nodes.setup import Setup
@@ -50,12 +50,13 @@ def command(setup: Setup) -> str:
     str
         One line for people: where, and the command.
     """
-    bare, _ = split(setup.control)
+    bare, key = split(setup.control)
     if bare.startswith("ipc://"):
         own = f"{setup.run_dir}/{setup.name}.json"
         return f"haptic node start {setup.name} --run {setup.run}   (or a program of your own, with {own})"
     host, _, port = bare.removeprefix("tcp://").rpartition(":")
-    return f"on {host}: haptic node start {setup.name} --bind {host}:{int(port) - 1}"
+    curve = " --curve" if key and not is_remote(bare) else ""
+    return f"on {host}: haptic node start {setup.name} --bind {host}:{int(port) - 1}{curve}"
 
 
 class ByHand(Child):

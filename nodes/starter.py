@@ -70,12 +70,14 @@ class Starter:
         Address of this machine to bind.
     port : int
         Port of the node's messages; requests come to the next one.
+    curve : bool
+        Whether to encrypt on loopback too; off it there is no choice.
     """
 
-    def __init__(self, name: str, host: str, port: int) -> None:
+    def __init__(self, name: str, host: str, port: int, curve: bool = False) -> None:
         self._name = name
         place = f"tcp://{f'[{host}]' if ':' in host else host}"
-        key = f"#{identity().public}" if is_remote(f"{place}:{port}") else ""
+        key = f"#{identity().public}" if curve or is_remote(f"{place}:{port}") else ""
         self.publish = f"{place}:{port}{key}"
         self.control = f"{place}:{port + 1}{key}"
         self._stopping = False
@@ -201,7 +203,7 @@ def _plain(run: str) -> str:
     return run
 
 
-def start_for(name: str, host: str, port: int) -> int:
+def start_for(name: str, host: str, port: int, curve: bool = False) -> int:
     """Start a node for a launch on another machine.
 
     Parameters
@@ -212,6 +214,8 @@ def start_for(name: str, host: str, port: int) -> int:
         Address of this machine to bind.
     port : int
         Port of the node's messages; requests come to the next one.
+    curve : bool
+        Whether to encrypt on loopback too; off it there is no choice.
 
     Returns
     -------
@@ -223,7 +227,7 @@ def start_for(name: str, host: str, port: int) -> int:
     EndpointRefusedError, KeyRefusedError
         When the endpoint or this machine's keys cannot be used.
     """
-    starter = Starter(name, host, port)
+    starter = Starter(name, host, port, curve)
     print(f"[{name}] waiting for its launcher at {starter.control}", file=sys.stderr, flush=True)
     setup = starter.wait()
     if setup is None:

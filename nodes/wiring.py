@@ -78,6 +78,7 @@ class _Places:
 
     def __init__(self, launch: Launch) -> None:
         self._launch = launch
+        self._curve = any(spec.key for spec in launch.nodes.values())
         self._ports = {
             name: spec.port or launch.run.port + 2 * i for i, (name, spec) in enumerate(launch.nodes.items())
         }
@@ -90,7 +91,7 @@ class _Places:
 
     def _tcp(self, host: str, port: int, key: str, where: str) -> str:
         bare = f"tcp://{f'[{host}]' if ':' in host else host}:{port}"
-        if not is_remote(bare):
+        if not is_remote(bare) and not self._curve:
             return bare
         try:
             return f"{bare}#{key_of(key) if key else identity().public}"

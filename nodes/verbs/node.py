@@ -35,6 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     start.add_argument(
         "--bind", metavar="HOST:PORT", help="for a launch on another machine: where this node is reached"
     )
+    start.add_argument("--curve", action="store_true", help="with --bind on loopback: encrypt as off it")
     add_run(start)
 
 
@@ -102,7 +103,7 @@ def _start(arguments: argparse.Namespace) -> int:
         host, _, port = arguments.bind.rpartition(":")
         if not host or not port.isdecimal() or not 0 < int(port) < 65535:
             raise UsageError(f"--bind {arguments.bind}: expected HOST:PORT with a port from 1 to 65534")
-        return starter.start_for(arguments.node, host.strip("[]"), int(port))
+        return starter.start_for(arguments.node, host.strip("[]"), int(port), arguments.curve)
     except (ValueError, RunError) as error:
         # Keys, endpoints and parameters are all refused by value.
         raise UsageError(str(error)) from error
