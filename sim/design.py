@@ -8,19 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from messages.topics import DEVICE_STATE
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
-from nodes.recording import Recording
-from nodes.summary import quantile
-from nodes.yamlfile import parse_yaml, write_yaml
+from nodes.yamlfile import write_yaml
 from sim.boundary import Device, tolerance
 from sim.plant import DeviceModel
 from sim.robust import Demand, Robust, stiffest
@@ -309,81 +305,3 @@ def to_yaml(law: dict[str, Any], name: str = "designed", node: str = "coupling",
     """
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     return head + write_yaml({node: {"law": name, "laws": {name: law}}})
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What a recorded run tells about its loop.
-
-    Attributes
-    ----------
-    period : float
-        Sampling period T [s].
-    delay : tuple of float, shape (2,)
-        Delay that all but one tick in a thousand stayed within, at either end [ticks].
-    median : float
-        Median delay [ticks].
-    jitter : float
-        Its spread, 99.9 % quantile minus 0.1 % quantile [ticks].
-    delays : tuple of float
-        Delay of each tick, in order [ticks].
-    mass, damping : float or None
-        What the virtual device was given, None for another device [kg], [N s/m].
-    """
-
-    period: float
-    delay: tuple[float, float]
-    median: float
-    jitter: float
-    delays: tuple[float, ...]
-    mass: float | None
-    damping: float | None
-
-
-def measure(path: Path) -> Measured:
-    """Read period, delay and jitter from a recording.
-
-    Parameters
-    ----------
-    path : Path
-        Recording of a launch.
-
-    Returns
-    -------
-    Measured
-        The delay of the loop as the driver measured it tick by tick, and the virtual device's own on top.
-
-    Raises
-    ------
-    ValueError
-        When the recording holds fewer than 100 ticks or tells no rate.
-    RecordError
-        When it cannot be read.
-    """
-    recording = Recording(path)
-    states = recording.messages(DEVICE_STATE)
-    if len(states) < 100:
-        raise ValueError(f"{path}: {len(states)} ticks recorded, at least 100 are needed to tell delay and jitter")
-    rate = float(recording.manifest.get("rate_hz", 0.0))
-    if not rate > 0.0:
-        raise ValueError(f"{path}: its manifest tells no rate_hz")
-    device = _virtual_device(recording)
-    own = float(device.get("delay", 0.0))
-    # The first state tells of no tick before it, and a loop without forces yet has no delay.
-    delays = tuple(state.delay + own for state in states[1:] if state.force_seq >= 0)
-    if len(delays) < 100:
-        raise ValueError(f"{path}: {len(delays)} ticks were answered by a force, at least 100 are needed")
-    if recording.manifest.get("pace") == "realtime" and not any(delays):
-        raise ValueError(
-            f"{path}: a real-time run without any delay: it was recorded before delays were; record it again"
-        )
-    low, middle, high = (quantile(sorted(delays), fraction) for fraction in (0.001, 0.5, 0.999))
-    return Measured(1.0 / rate, (low, high), middle, high - low, delays, device.get("mass"), device.get("damping"))
-
-
-def _virtual_device(recording: Recording) -> dict[str, Any]:
-    for text in recording.metadata.get("parameters", {}).values():
-        node = parse_yaml(text, "parameters")
-        if isinstance(node, dict) and isinstance(node.get("device"), dict):
-            return dict(node["device"])
-    return {}

@@ -27,7 +27,7 @@ def replayed_radius(law: CompiledLaw, period: float, device: Device, delays: Seq
     device : Device
         Mass, damping and hand; its own delay is not used.
     delays : sequence of float, length at least 40
-        Delay of the force of each tick, from its sample until it takes effect [ticks].
+        Delay of the force of each tick, from its sample until it takes effect [ticks]; infinite for one that never does.
 
     Returns
     -------

@@ -20,8 +20,9 @@ from nodes.record import RecordWriter
 from nodes.stability import pole_radius
 from nodes.yamlfile import parse_yaml
 from sim.boundary import Device
-from sim.design import best_paper_optimum, best_pd, best_pd_alpha, designed, drops, landing, measure, to_yaml
+from sim.design import best_paper_optimum, best_pd, best_pd_alpha, designed, drops, landing, to_yaml
 from sim.passive import certain_damping, stiffest_passive
+from sim.recorded_loop import measure
 from sim.replay import replayed_radius
 from sim.robust import Demand, Robust, stiffest
 
@@ -187,7 +188,7 @@ def test_a_force_that_a_younger_one_overtakes_never_acts() -> None:
     """Every other force 1.5 ticks late, the next one at once: the late ones might as well not exist."""
     law, device = CompiledLaw((400.0,)), Device(0.1, 1.0)
     overtaken = replayed_radius(law, T, device, [0.0, 1.5] * 1000)
-    slower = replayed_radius(law, T, device, [0.0, 1e9] * 1000)
+    slower = replayed_radius(law, T, device, [0.0, math.inf] * 1000)
     assert overtaken == slower
 
 
@@ -218,6 +219,24 @@ def test_period_delay_and_jitter_of_a_recording(tmp_path: Path) -> None:
     assert run.median == pytest.approx(0.5, abs=1e-9)
     assert run.jitter == pytest.approx(0.1, abs=1e-9)
     assert (run.mass, run.damping) == (0.1, 1.0)
+    assert run.unanswered == 0
+
+
+def test_ticks_without_an_answer_are_counted_and_replayed_as_such(tmp_path: Path) -> None:
+    """Every tenth tick unanswered: it does not widen the delay, its force never acts in the replay."""
+    path = tmp_path / "run.mcap"
+    with RecordWriter(path, {"scenario": "drop", "rate_hz": "500.0"}) as writer:
+        for k in range(300):
+            state = DeviceState(
+                seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1, delay=0.2, age=int(k % 10 == 5)
+            )
+            writer.write(DEVICE_STATE, state, k * T)
+    run = measure(path)
+    assert (run.unanswered, len(run.delays)) == (30, 299)
+    assert run.delay == pytest.approx((0.2, 0.2))
+    law, device = CompiledLaw((400.0, -100.0)), Device(0.1, 1.0)
+    assert replayed_radius(law, T, device, run.delays) < 1.0
+    assert replayed_radius(law, T, device, run.delays) != replayed_radius(law, T, device, [0.2] * 299)
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,9 @@ from nodes.laws import CompiledLaw
 from nodes.record import RecordError
 from nodes.stability import pole_radius
 from sim.boundary import Device
-from sim.design import Measured, Tuned, best_pd, compare, designed, drops, fir, landing, latest_delay, measure, to_yaml
+from sim.design import Tuned, best_pd, compare, designed, drops, fir, landing, latest_delay, to_yaml
 from sim.passive import Passive, stiffest_passive
+from sim.recorded_loop import Measured, measure
 from sim.replay import replayed_radius
 from sim.robust import Demand
 from sim.verbs import arguments as shared
@@ -151,8 +152,9 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
     if measured is not None:
         figures |= _replayed(arguments.from_run, demand, law, measured)
         lines.append(
-            f"recorded delay {figures['delay_median_ticks']:.4g} ticks, jitter {figures['jitter_ticks']:.4g} ticks; pole "
-            f"radius when its delays are replayed tick by tick: {figures['replayed_radius']}"
+            f"recorded delay {measured.median:.4g} ticks, jitter {measured.jitter:.4g} ticks, {measured.unanswered} of "
+            f"{len(measured.delays)} ticks not answered in time; pole radius when the first {_REPLAYED} are replayed one by "
+            f"one: {figures['replayed_radius']}"
         )
     if law.found is not None and law.law is not None:
         path = arguments.out / "designed.yaml"
@@ -195,6 +197,7 @@ def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dic
         "from_run": str(path),
         "delay_median_ticks": measured.median,
         "jitter_ticks": measured.jitter,
+        "unanswered_ticks": measured.unanswered,
         "replayed_radius": worst if worst is not None and math.isfinite(worst) else None,
     }
 
