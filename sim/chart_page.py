@@ -167,6 +167,10 @@ def _best(points: Sequence[Point]) -> Point:
     return min(points, key=lambda p: (p.error, p.cost))
 
 
+def _figure(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
 def _find(group: Group, name: str) -> Point:
     return next(p for p in group.points if p.name == name)
 
@@ -216,8 +220,8 @@ def _kmax(groups: Sequence[Group]) -> str:
         longest = max((p for p in played if p.family == "drop"), key=lambda p: p.cost)
         formula = min((p for p in group.points if p.name.startswith("closed form")), key=lambda p: p.error)
         parts.append(
-            f"{group.title.rpartition(', ')[2]}: pole radius {pole.cost:.2g} ms and {100 * pole.error:.1g} % off, "
-            f"best formula {100 * formula.error:.0f} % off in no time, {longest.name} {longest.cost:.2g} ms and "
+            f"{group.title.rpartition(', ')[2]}: pole radius {_figure(pole.cost)} ms and {100 * pole.error:.1g} % off, "
+            f"best formula {100 * formula.error:.0f} % off in no time, {longest.name} {_figure(longest.cost)} ms and "
             f"{100 * longest.error:.0f} % off"
         )
     return "K_max: " + "; ".join(parts) + "."
