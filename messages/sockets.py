@@ -288,6 +288,39 @@ class Subscription:
             return None
         return self._rest(topic)
 
+    def receive_tick(self, timeout_ms: int) -> tuple[bytes, bytes] | None:
+        """Wait for the next message of a loop topic; `receive` without asking for each message where it ends.
+
+        That question costs a tick about 3 µs. Whoever calls this compares the topic; when it is another one than expected,
+        the frames may be out of step, and `resynchronise` brings them back.
+
+        Parameters
+        ----------
+        timeout_ms : int
+            Longest wait [ms].
+
+        Returns
+        -------
+        tuple of bytes or None
+            Topic and payload; None when the time was over; an empty payload for a message of one frame.
+        """
+        if timeout_ms != self._timeout_ms:
+            self._socket.rcvtimeo = timeout_ms
+            self._timeout_ms = timeout_ms
+        try:
+            topic = self._recv()
+        except zmq.Again:
+            return None
+        try:
+            return topic, self._recv()
+        except zmq.Again:
+            return topic, b""
+
+    def resynchronise(self) -> None:
+        """Drop what is left of the present message, so that the next frame is a topic again."""
+        while self._get(_MORE):
+            self._recv()
+
     def receive_until(self, deadline: float) -> tuple[bytes, bytes] | None:
         """Wait for the next message until an absolute time, to the microsecond.
 

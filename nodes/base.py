@@ -137,7 +137,7 @@ class Node:
         self.stop_reason = ""
         self.stopping = False
         self.started = threading.Event()
-        self._changes: deque[Change] = deque()
+        self.changes: deque[Change] = deque()
         self.inbox: Subscription | None = None
         self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
         self.seq = 0
@@ -145,6 +145,8 @@ class Node:
         self.serving = 0
         self.denied = 0
         self.clock_offset = self.clock_error = 0.0
+        self._period = setup.period
+        self._simulated = setup.pace == "lockstep"
         self._told: dict[str, int] = {}
 
     @classmethod
@@ -237,7 +239,7 @@ class Node:
         float
             Seconds.
         """
-        return self.seq * self.setup.period if self.setup.pace == "lockstep" else time.monotonic() + self.clock_offset
+        return self.seq * self._period if self._simulated else time.monotonic() + self.clock_offset
 
     def stop(self, reason: str) -> None:
         """Ask the loop to end after the present tick.
@@ -336,17 +338,26 @@ class Node:
             None when it was refused.
         """
         if frames[0] != topic:
-            self.refused += 1
-            self.tell("refused", f"a message on {frames[0][:64]!r} where {topic.decode()} was expected")
+            self.refuse(f"a message on {frames[0][:64]!r} where {topic.decode()} was expected")
             return None
         try:
             message = decoder.decode(frames[1])
         except MessageRefusedError as error:
-            self.refused += 1
-            self.tell("refused", str(error)[:1000])
+            self.refuse(str(error))
             return None
         self.received += 1
         return message
+
+    def refuse(self, reason: str) -> None:
+        """Count and tell a message that was refused.
+
+        Parameters
+        ----------
+        reason : str
+            What was wrong with it.
+        """
+        self.refused += 1
+        self.tell("refused", reason[:1000])
 
     def between_ticks(self, seq: int) -> None:
         """Take up what the control thread prepared, and send what is queued (main thread, after the tick).
@@ -356,9 +367,9 @@ class Node:
         seq : int
             The tick at which a change takes effect.
         """
-        if self._changes:
+        if self.changes:
             with contextlib.suppress(IndexError):  # withdrawn at this very moment
-                self._changes.popleft().run(seq)
+                self.changes.popleft().run(seq)
         if self.outbox:
             self.flush_outbox()
 
@@ -383,19 +394,20 @@ class Node:
             When the loop did not take it up in time; it is withdrawn then, and will not be applied later.
         """
         change = Change(apply)
-        self._changes.append(change)
+        self.changes.append(change)
         deadline = time.monotonic() + timeout
         while not change.wait(0.05):
             if time.monotonic() < deadline and self.state not in ("finished", "failed"):
                 continue
             try:
-                self._changes.remove(change)
+                self.changes.remove(change)
             except ValueError:
                 # Taken up just now: it is being applied.
                 change.wait(None)
             else:
                 raise ParameterError(
-                    f"{self.setup.name}: not taken up by the loop within {timeout:g} s; nothing was changed; is the node stopping?"
+                    f"{self.setup.name}: not taken up by the loop within {timeout:g} s; nothing was changed; "
+                    "is the node stopping?"
                 )
         return change.result()
 

@@ -330,4 +330,5 @@ class Coupling(Node):
                 send(topic, payload)
                 self.sent += 1
                 self.ticks += 1
-            self.between_ticks(self.seq + 1)
+            if self.changes or self.outbox:
+                self.between_ticks(self.seq + 1)

@@ -92,21 +92,18 @@ class Environment(Node):
             if state is not None:
                 position = state.position
                 proxy, normal, distance, contact = self._meet(position)
-                send(
-                    topic,
-                    encode(
-                        Proxy(
-                            seq=state.seq,
-                            stamp=self.now(),
-                            position=position,
-                            proxy=proxy,
-                            normal=normal,
-                            distance=distance,
-                            contact=contact,
-                            delay=state.delay,
-                        )
-                    ),
+                message = Proxy(
+                    seq=state.seq,
+                    stamp=self.now(),
+                    position=position,
+                    proxy=proxy,
+                    normal=normal,
+                    distance=distance,
+                    contact=contact,
+                    delay=state.delay,
                 )
+                send(topic, encode(message))
                 self.sent += 1
                 self.ticks += 1
-            self.between_ticks(self.seq + 1)
+            if self.changes or self.outbox:
+                self.between_ticks(self.seq + 1)

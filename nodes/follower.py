@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Generic, TypeVar
 
-from messages.codec import Decoder
+from messages.codec import Decoder, MessageRefusedError
 from messages.sockets import Subscription
 from messages.types import Message
 from nodes.base import Node
@@ -34,7 +34,8 @@ class Follower(Generic[M]):
     def __init__(self, node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> None:
         self._node = node
         self._inbox = inbox
-        self._decoder = decoder
+        self._receive = inbox.receive_tick
+        self._decode = decoder.decode
         self._topic = topic.encode()
         self._realtime = node.setup.pace == "realtime"
         self._period = node.setup.period
@@ -54,23 +55,44 @@ class Follower(Generic[M]):
             None when nothing valid came in time.
         """
         node = self._node
-        frames = self._inbox.receive(timeout_ms)
+        frames = self._receive(timeout_ms)
         if frames is None:
             return None
-        message = node.take(self._decoder, frames, self._topic)
+        message = self._judge(frames)
         if message is None:
             return None
         if self._realtime and time.monotonic() + node.clock_offset - message.stamp > self._period:
-            while (frames := self._inbox.receive(0)) is not None:
-                newer = node.take(self._decoder, frames, self._topic)
-                if newer is not None:
-                    node.skipped += 1
-                    message = newer
+            message = self._newest(message)
         seq = message.seq
-        missing = seq - self._last - 1
-        if missing > 0 and self._last >= 0:
-            node.gaps += missing
-        elif seq < self._last:
-            node.tell("restart", f"{self._topic.decode()} went back from tick {self._last} to {seq}")
+        if seq != self._last + 1:
+            self._out_of_order(seq)
         self._last = node.seq = seq
         return message
+
+    def _judge(self, frames: tuple[bytes, bytes]) -> M | None:
+        if frames[0] != self._topic:
+            self._inbox.resynchronise()
+            self._node.refuse(f"a message on {frames[0][:64]!r} where {self._topic.decode()} was expected")
+            return None
+        try:
+            message = self._decode(frames[1])
+        except MessageRefusedError as error:
+            self._node.refuse(str(error))
+            return None
+        self._node.received += 1
+        return message
+
+    def _newest(self, message: M) -> M:
+        while (frames := self._receive(0)) is not None:
+            newer = self._judge(frames)
+            if newer is not None:
+                self._node.skipped += 1
+                message = newer
+        return message
+
+    def _out_of_order(self, seq: int) -> None:
+        missing = seq - self._last - 1
+        if missing > 0 and self._last >= 0:
+            self._node.gaps += missing
+        elif seq < self._last:
+            self._node.tell("restart", f"{self._topic.decode()} went back from tick {self._last} to {seq}")
