@@ -62,6 +62,9 @@ _reply = msgspec.msgpack.Decoder(Reply)
 MAX_REPLY = 16 * MAX_PAYLOAD
 """Longest reply that is looked at [bytes]."""
 
+MAX_REQUEST = MAX_REPLY
+"""Longest request that is looked at [bytes]: what a node dumps, laws of thousands of taps included, can be loaded again."""
+
 
 def decode_request(frames: Sequence[bytes]) -> Request:
     """Decode a request.
@@ -79,9 +82,9 @@ def decode_request(frames: Sequence[bytes]) -> Request:
     Raises
     ------
     MessageRefusedError
-        When it is not one frame, malformed or longer than MAX_PAYLOAD.
+        When it is not one frame, malformed or longer than MAX_REQUEST.
     """
-    return _decode("Request", _request, frames, MAX_PAYLOAD)
+    return _decode("Request", _request, frames, MAX_REQUEST)
 
 
 def decode_reply(frames: Sequence[bytes]) -> Reply:
@@ -140,16 +143,19 @@ def call(context: zmq.Context[zmq.Socket[bytes]], endpoint: str, op: str, timeou
     Raises
     ------
     ControlError
-        When the node refuses, answers nonsense, or does not answer in time.
+        When the request is too long, or the node refuses, answers nonsense, or does not answer in time.
     EndpointRefusedError, KeyRefusedError
         When the endpoint or this machine's keys cannot be used.
     """
+    payload = msgspec.msgpack.encode(Request(op, args))
+    if len(payload) > MAX_REQUEST:
+        raise ControlError(f"{endpoint}: {op}: a request of {len(payload)} bytes, limit {MAX_REQUEST}")
     with context.socket(zmq.REQ) as socket:
         socket.linger = 0
         socket.rcvtimeo = socket.sndtimeo = int(timeout * 1000)
         connect(socket, endpoint)
         try:
-            socket.send(msgspec.msgpack.encode(Request(op, args)))
+            socket.send(payload)
             frames = socket.recv_multipart()
         except zmq.Again as error:
             raise ControlError(f"{endpoint}: no answer to {op} within {timeout:g} s; is the node running?") from error

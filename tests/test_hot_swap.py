@@ -161,6 +161,12 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         "coupling.laws.x: renders H(1) = -2 N/m",
     ),
     ("param.load", {"values": {"laws": {"x": {"kind": "fir", "taps": [1.0] * 2049}}}}, "coupling.memory is 2048"),
+    (
+        "param.load",
+        {"values": {"laws": {"x": {"kind": "fir", "taps": [1.0] * 8192}}}},
+        "8192 taps, but coupling.memory is 2048",
+    ),
+    ("param.load", {"values": {"laws": {"x": {"kind": "fir", "taps": [1.0] * 120000}}}}, "a request of 1080"),
     ("param.get", {"name": "laws.nix"}, "coupling.laws.nix: no such parameter; there is: pd, pd_alpha, multi_term"),
     (
         "law.switch",
