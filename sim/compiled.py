@@ -20,6 +20,7 @@ from numba.extending import register_jitable
 
 import nodes.kernels
 import nodes.passivity
+import sim.friction
 import sim.plant
 
 # numba's settings are made at run time, out of a type checker's sight.
@@ -43,9 +44,9 @@ KERNELS: tuple[Callable[..., Any], ...] = (
     sim.plant.decay_mean,
     sim.plant.coefficients,
     sim.plant.advance,
-    sim.plant.halt_time,
-    sim.plant.slide,
-    sim.plant.move,
+    sim.friction.halt_time,
+    sim.friction.slide,
+    sim.friction.move,
     sim.plant.quantise,
     sim.plant.saturate,
 )
@@ -75,7 +76,7 @@ for _kernel in KERNELS:
 def _cache_folder() -> str | None:
     """Folder for compiled code, None where nothing can be written."""
     text = hashlib.sha256()
-    for module in (nodes.kernels, nodes.passivity, sim.plant):
+    for module in (nodes.kernels, nodes.passivity, sim.plant, sim.friction):
         text.update(Path(str(module.__file__)).read_bytes())
     text.update(Path(__file__).with_name("loop.py").read_bytes())
     base = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"

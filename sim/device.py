@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from sim.plant import DeviceModel, coefficients, move, quantise, saturate, split_delay
+from sim.friction import move
+from sim.plant import DeviceModel, coefficients, quantise, saturate, split_delay
 
 
 class VirtualDevice:

@@ -18,7 +18,8 @@ from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_d
 from nodes.laws import CompiledLaw
 from nodes.passivity import PassivityParameters, control, forget, observe
 from sim.compiled import compiled, kernel
-from sim.plant import Coefficients, DeviceModel, coefficients, move, quantise, saturate, split_delay
+from sim.friction import move
+from sim.plant import Coefficients, DeviceModel, coefficients, quantise, saturate, split_delay
 
 Array = NDArray[np.float64]
 

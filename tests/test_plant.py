@@ -15,17 +15,15 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from sim.device import VirtualDevice
+from sim.friction import halt_time, move, slide
 from sim.plant import (
     Coefficients,
     DeviceModel,
     advance,
     coefficients,
-    halt_time,
-    move,
     path_position,
     quantise,
     saturate,
-    slide,
     split_delay,
 )
 
