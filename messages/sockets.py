@@ -335,14 +335,18 @@ class Subscription:
         Returns
         -------
         tuple of bytes or None
-            As `receive`.
+            As `receive_tick`.
         """
         while not int(self._get(_EVENTS)) & zmq.POLLIN:
             remaining = deadline - time.monotonic()
             if remaining <= 0.0:
                 return None
             select.select((self._fd,), (), (), remaining)
-        return self._rest(self._recv())
+        topic = self._recv()
+        try:
+            return topic, self._recv(zmq.NOBLOCK)
+        except zmq.Again:
+            return topic, b""
 
     def watched_by(self, gate: Gate) -> None:
         """Let a gate watch who answers where this connects.

@@ -338,6 +338,8 @@ class Node:
             None when it was refused.
         """
         if frames[0] != topic:
+            if self.inbox is not None:
+                self.inbox.resynchronise()
             self.refuse(f"a message on {frames[0][:64]!r} where {topic.decode()} was expected")
             return None
         try:

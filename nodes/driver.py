@@ -259,7 +259,7 @@ class Driver(Node):
     def _lockstep(self, end: int) -> None:
         inbox = self.inbox
         assert inbox is not None  # noqa: S101
-        receive, device, safety, period = inbox.receive, self._device, self._safety, self.setup.period
+        receive, device, safety, period = inbox.receive_tick, self._device, self._safety, self.setup.period
         late = 1 if self.setup.apply == "next_tick" else 0
         guard = self._guard
         self._first_stamp = time.monotonic()
@@ -290,7 +290,8 @@ class Driver(Node):
                     break
                 self.skipped += 1
             self._tell_listeners()
-            self.between_ticks(seq)
+            if self.changes or self.outbox:
+                self.between_ticks(seq)
         self._last_stamp = time.monotonic()
         self._sample(seq, seq * period)
         self._tell_listeners()
@@ -383,7 +384,8 @@ class Driver(Node):
             self.ticks += 1
             seq += 1
             self._tell_listeners()
-            self.between_ticks(seq)
+            if self.changes or self.outbox:
+                self.between_ticks(seq)
         self._last_stamp = realtime.sleep_until(epoch + seq * period)
         self._sample(seq, self._last_stamp + self.clock_offset)
         self._tell_listeners()
