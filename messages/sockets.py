@@ -185,7 +185,7 @@ class Publisher:
             Live subscriptions to this publisher; every listener of a launch makes one.
         """
         for i, socket in enumerate(self._sockets):
-            while socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:  # type: ignore[operator]
+            while int(socket.get(_EVENTS)) & zmq.POLLIN:
                 frame = socket.recv(zmq.NOBLOCK)
                 # Anything else than a subscription or its end is a peer's attempt to talk back; nobody listens.
                 if frame[:1] in (b"\x00", b"\x01"):
