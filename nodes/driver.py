@@ -53,15 +53,22 @@ class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 class Driver(Node):
-    """Base of the drivers: a kind of device defines `make_device` and adds its own parameters."""
+    """Base of the drivers: a kind of device defines `make_device` and adds its own parameters.
+
+    Attributes
+    ----------
+    virtual : bool
+        Whether the device lives in simulated time and can wait.
+    """
 
     Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
+    virtual: ClassVar[bool] = False
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check the workspace before anything is started.
+        """Check pace and workspace before anything is started.
 
         Parameters
         ----------
@@ -73,6 +80,11 @@ class Driver(Node):
         ParameterError
             With path, value, limit and remedy.
         """
+        if setup.pace == "lockstep" and not cls.virtual:
+            raise ParameterError(
+                f"{setup.name}: pace lockstep waits for each force, however long, which no device but a virtual one can; "
+                "use realtime"
+            )
         workspace = convert(setup.parameters, cls.Parameters, setup.name).safety.workspace
         for axis, (low, high) in enumerate(workspace or ()):
             if not low < high:
@@ -318,6 +330,7 @@ class Driver(Node):
         epoch = self._epoch()
         seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
         acting = ZERO
+        following_command: Vector | None = None
         while seq < end and not self.stopping:
             deadline = epoch + seq * period
             now = realtime.sleep_until(deadline)
@@ -331,6 +344,10 @@ class Driver(Node):
                 self._lateness = late
                 continue
             self._lateness = late
+            if following_command is not None:
+                # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
+                device.write_force(following_command, seq, 0.0)
+                following_command = None
             sent = self._sample(seq, now + self.clock_offset)
             if not self.ticks:
                 self._first_stamp = now
@@ -356,7 +373,7 @@ class Driver(Node):
                     command = safety.command(wanted, force.seq, seq)
                     self._written = seq
                     if next_tick:
-                        device.write_force(command, seq + 1, 0.0)
+                        following_command = command
                         self._delay = 1.0 + self._age
                     else:
                         device.write_force(command, seq, offset)
@@ -375,6 +392,7 @@ class Driver(Node):
                 held = None if guard is None else guard.control(safety.force, safety.force, 1.0)
                 command_now = safety.missed(seq, self._velocity(), held)
                 if command_now is not None:
+                    following_command = None
                     device.write_force(command_now, seq + 1, 0.0)
                     self._written = seq + 1
                 elif seq + 1 - self._written >= self._bears:

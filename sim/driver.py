@@ -130,6 +130,7 @@ class SimDriver(Driver):
     """A driver node with a virtual device of one axis."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = SimDriverParameters
+    virtual: ClassVar[bool] = True
 
     def make_device(self) -> Device:
         """Make the virtual device.

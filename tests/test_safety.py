@@ -372,6 +372,15 @@ def test_an_empty_workspace_is_refused_before_anything_is_started() -> None:
         Driver.check(setup(0.0))
 
 
+def test_a_device_that_exists_is_not_made_to_wait() -> None:
+    setup = Setup(
+        run="r", run_dir="", name="arm", kind="driver", factory="", period=T, pace="lockstep", apply="on_arrival",
+        axes=["z"], ticks=0, publish="", control="", sources={},
+    )  # fmt: skip
+    with pytest.raises(ParameterError, match=r"^arm: pace lockstep waits for each force, however long"):
+        Driver.check(setup)
+
+
 # -- the end ----------------------------------------------------------------------------------------------------------
 
 
