@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from messages.control import ControlError
 from messages.types import Event, Force, Receipt
@@ -99,28 +98,52 @@ def test_every_request_has_its_receipt_and_equal_stiffness_swaps_without_a_step(
     assert dump["law"] == "new"
     # The force of each tick tells its law and revision, from the receipt's tick on; no tick lacks a force.
     forces: list[Force] = recording.messages("/coupling/force")
-    assert [force.seq for force in forces] == list(range(len(forces)))
+    # (A driver that waits for more than half a second asks again, and gets the same force once more.)
+    by_tick = {force.seq: force for force in forces}
+    assert list(by_tick) == list(range(len(by_tick)))
     for receipt in found:
-        assert forces[receipt.seq].revision == receipt.revision
-        assert forces[receipt.seq - 1].revision == receipt.revision - 1
+        assert by_tick[receipt.seq].revision == receipt.revision
+        assert by_tick[receipt.seq - 1].revision == receipt.revision - 1
     assert figures["missed"] == 0
     assert forces[-1].force[2] == pytest.approx(REST, rel=1e-9)
 
 
+HELD = """
+summary: A hand holds the device 3 mm below a floor
+run: {rate: 500.0, cpu: any, fifo: 0}
+nodes:
+  driver:
+    kind: sim_driver
+    parameters:
+      device:
+        mass: 0.1
+        damping: 1.0
+        hand: {mass: 0.1, damping: 12.0, stiffness: 300.0, path: [[0.0, -0.003]]}
+  environment: {kind: environment, parameters: {surface: {kind: plane, position: 0.0}}}
+  coupling:
+    kind: coupling
+    parameters:
+      law: pd
+      laws:
+        pd: {kind: pd, stiffness: 500.0, damping: 3.0}
+        pd_alpha: {kind: pd_alpha, stiffness: 500.0, damping: 3.0, order: 1.2, taps: 10, gains: normalised}
+      fallback: {damping: 5.0}
+      stability: refuse
+      plant: {mass: 0.1, damping: 1.0, delay: 2.0}
+  logger: {kind: logger}
+"""
+"""Whatever a busy machine does to the loop, the hand is damped and goes no deeper than its 3 mm. No core and no priority of
+its own: other loops on the machine must not starve this one. Laws are judged for a device and a delay that are worse than
+those it has, so what is refused here would still be stable."""
+
+
 @pytest.fixture(scope="module")
-def resting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
-    """One real-time loop for all refusals: each must leave it as it was."""
-    scenario = dict(yaml.safe_load(read("floor_drop", {}).text))
-    # Judged at a declared delay of 2 ticks, which is more than the loop has: what is refused here would still be stable.
-    scenario["nodes"]["coupling"]["parameters"] |= {
-        "stability": "refuse",
-        "fallback": {"damping": 5.0},
-        "plant": {"mass": 0.1, "damping": 1.0, "delay": 2.0},
-    }
-    folder = tmp_path_factory.mktemp("resting")
-    (folder / "resting.yaml").write_text(yaml.safe_dump(scenario, sort_keys=False))
-    with running(folder, "./resting.yaml", "duration:=0", "stiffness:=500.0", environment=WITH_PACKAGE) as launch:
-        launch.wait_ticks(500)
+def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+    """One real-time loop for all refusals and failures: each must leave it as it was."""
+    folder = tmp_path_factory.mktemp("held")
+    (folder / "held.yaml").write_text(HELD)
+    with running(folder, "./held.yaml", environment=WITH_PACKAGE) as launch:
+        launch.wait_ticks(100)
         yield launch
 
 
@@ -167,11 +190,11 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         "8192 taps, but coupling.memory is 2048",
     ),
     ("param.load", {"values": {"laws": {"x": {"kind": "fir", "taps": [1.0] * 120000}}}}, "a request of 1080"),
-    ("param.get", {"name": "laws.nix"}, "coupling.laws.nix: no such parameter; there is: pd, pd_alpha, multi_term"),
+    ("param.get", {"name": "laws.nix"}, "coupling.laws.nix: no such parameter; there is: pd, pd_alpha"),
     (
         "law.switch",
         {"law": "nix"},
-        "coupling.law: no law is named 'nix'; there is: pd, pd_alpha, multi_term",
+        "coupling.law: no law is named 'nix'; there is: pd, pd_alpha, ",
     ),
     ("law.switch", {"law": "pd_alpha", "ramp": -1}, "coupling.ramp: Expected int >= 0, got -1"),
     ("law.switch", {"law": ["pd"]}, "coupling.law: Expected str, got array"),
@@ -182,41 +205,43 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("op", "args", "told"), REFUSED, ids=[f"{op}-{told[:40]}" for op, _, told in REFUSED])
 def test_what_is_refused_is_told_and_leaves_everything_as_it_was(
-    resting: RunningLaunch, op: str, args: dict[str, Any], told: str
+    held: RunningLaunch, op: str, args: dict[str, Any], told: str
 ) -> None:
-    before = resting.call("coupling", "param.dump"), resting.call("coupling", "law.list")["active"]
-    assert told in refusal(resting, op, **args)
-    assert (resting.call("coupling", "param.dump"), resting.call("coupling", "law.list")["active"]) == before
+    before = held.call("coupling", "param.dump"), held.call("coupling", "law.list")["active"]
+    assert told in refusal(held, op, **args)
+    assert (held.call("coupling", "param.dump"), held.call("coupling", "law.list")["active"]) == before
 
 
-def test_the_policy_is_part_of_the_parameters_and_judges_at_once(resting: RunningLaunch) -> None:
+def test_the_policy_is_part_of_the_parameters_and_judges_at_once(held: RunningLaunch) -> None:
     soft = {"laws.pd.stiffness": 500.0}
     hard = {"laws.pd.stiffness": 1000.0}
-    text = refusal(resting, "param.set", values=hard)
+    text = refusal(held, "param.set", values=hard)
     assert "coupling.laws.pd: pole radius" in text
     assert "limit: < 1" in text
     assert "at a delay of 2 ticks" in text
     assert "set coupling.stability to warn" in text
     # Policy and value in one change are judged together.
-    assert resting.call("coupling", "param.set", values={**hard, "stability": "warn"})["action"] == "set"
-    assert resting.call("coupling", "param.set", values=soft)["action"] == "set"
-    assert "stability: coupling.laws.pd: pole radius" in resting.errors
-    assert resting.call("coupling", "param.set", values={**hard, "stability": "off"})["action"] == "set"
-    assert "coupling.laws.pd: pole radius" in refusal(resting, "param.set", values={"stability": "refuse"})
-    resting.call("coupling", "param.set", values={**soft, "stability": "refuse"})
-    assert resting.call("coupling", "param.get", name="laws.pd.stiffness") == 500.0
+    assert held.call("coupling", "param.set", values={**hard, "stability": "warn"})["action"] == "set"
+    assert held.call("coupling", "param.set", values=soft)["action"] == "set"
+    assert "stability: coupling.laws.pd: pole radius" in held.errors
+    assert held.call("coupling", "param.set", values={**hard, "stability": "off"})["action"] == "set"
+    assert "coupling.laws.pd: pole radius" in refusal(held, "param.set", values={"stability": "refuse"})
+    held.call("coupling", "param.set", values={**soft, "stability": "refuse"})
+    assert held.call("coupling", "param.get", name="laws.pd.stiffness") == 500.0
 
 
-def test_a_law_of_an_installed_package_works(resting: RunningLaunch) -> None:
+def test_a_law_of_an_installed_package_works(held: RunningLaunch) -> None:
     law = {"kind": "stiffening", "stiffness": 500.0, "damping": 3.0, "cubic": 1e8}
-    resting.call("coupling", "param.set", values={"laws.cubic": law, "law": "cubic", "ramp": 20})
-    wait_for(lambda: resting.call("driver", "progress")["force_n"][2] > 0.9, "the mass rests on the new law")
-    resting.wait_ticks(800)
-    depth = -resting.call("driver", "progress")["position_m"][2]
-    # K x + c x³ = m g has its root at 1.39 mm; PD of the same K would rest at 1.96 mm.
-    assert 500.0 * depth + 1e8 * depth**3 == pytest.approx(REST, rel=0.01)
-    assert resting.call("coupling", "law.list")["active"] == "cubic"
-    resting.call("coupling", "param.set", values={"law": "pd", "ramp": 0})
+    held.call("coupling", "param.set", values={"laws.cubic": law, "law": "cubic", "ramp": 20})
+
+    def balance() -> bool:
+        depth = -held.call("driver", "progress")["position_m"][2]
+        return bool(abs(500.0 * depth + 1e8 * depth**3 - 300.0 * (0.003 - depth)) < 1e-3)
+
+    # The hand's 300 N/m from 3 mm against K x + c x³: at rest at 1.04 mm, where PD of the same K would rest at 1.13 mm.
+    wait_for(balance, "the hand rests on the new law")
+    assert held.call("coupling", "law.list")["active"] == "cubic"
+    held.call("coupling", "param.set", values={"law": "pd", "ramp": 0})
 
 
 @pytest.mark.parametrize(
@@ -229,17 +254,17 @@ def test_a_law_of_an_installed_package_works(resting: RunningLaunch) -> None:
     ],
 )
 def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced(
-    resting: RunningLaunch, kind: str, told: str
+    held: RunningLaunch, kind: str, told: str
 ) -> None:
-    launch = resting
+    launch = held
     surface = launch.call("environment", "param.get", name="surface")
     at_once = {"kind": kind, "stiffness": 500.0}
     assert told in refusal(launch, "param.set", values={"laws.broken": at_once, "law": "broken"})
     assert launch.call("coupling", "law.list")["active"] == "pd"
-    # It is well at 2 mm; then the floor rises by 3 mm under the mass.
+    # It is well down to 4 mm; then the floor rises by 5 mm under the device.
     launch.call("coupling", "param.set", values={"laws.broken": {**at_once, "deep": 4e-3}, "law": "broken"})
     assert launch.call("coupling", "law.list")["active"] == "broken"
-    launch.call("environment", "param.set", values={"surface.position": surface["position"] + 0.003})
+    launch.call("environment", "param.set", values={"surface.position": surface["position"] + 0.005})
     wait_for(lambda: launch.call("coupling", "law.list")["active"] == "fallback", "the fallback")
     assert launch.call("coupling", "law.show")["law"] == "fallback"
     # Setting something else does not bring the broken law back; naming another law brings that.
@@ -253,10 +278,10 @@ def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced
     launch.wait_ticks(300)
 
 
-def test_the_record_of_all_that(resting: RunningLaunch, tmp_path: Path) -> None:
+def test_the_record_of_all_that(held: RunningLaunch, tmp_path: Path) -> None:
     """Last in this loop: every failure above fell back within its own tick, and was told."""
-    figures = resting.finish(signal.SIGINT, code=0)
-    recording = recorded(resting.folder, figures)
+    figures = held.finish(signal.SIGINT, code=0)
+    recording = recorded(held.folder, figures)
     forces = {force.seq: force for force in recording.messages("/coupling/force")}
     fallbacks = [receipt for receipt in receipts(recording) if receipt.action == "fallback"]
     told = [event for event in recording.messages("/coupling/event") if event.kind == "fallback"]
@@ -271,7 +296,7 @@ def test_the_record_of_all_that(resting: RunningLaunch, tmp_path: Path) -> None:
         assert (force.law, force.revision) == ("fallback", receipt.revision)
         # The tick before; on a busy machine it may have been lost.
         assert forces[max(seq for seq in forces if seq < receipt.seq)].law == "broken"
-        # The damper of 5 N s/m answers the 3 mm of that tick, one-sided: it pushes out of the floor, it does not pull.
+        # The damper of 5 N s/m answers the 5 mm of that tick, one-sided: it pushes out of the floor, it does not pull.
         assert force.force[2] >= 0.0
         assert all(map(math.isfinite, force.force))
     revisions = [receipt.revision for receipt in receipts(recording)]
@@ -321,82 +346,77 @@ def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(tmp_path:
         assert max(steps) < 0.02
 
 
-SCHEDULED = """
-summary: A recursive law is scheduled, and changed before its time
-run: {rate: 500.0, pace: PACE, duration: 4.0}
-nodes:
-  driver:
-    kind: sim_driver
-    parameters: {device: {mass: 0.1, damping: 1.0, gravity: 9.81, position: 0.001}}
-  environment: {kind: environment, parameters: {surface: {kind: plane}}}
-  coupling:
-    kind: coupling
-    parameters:
-      law: pd
-      laws:
-        pd: {kind: pd, stiffness: 1000.0, damping: 3.0}
-        recursive:
-          {kind: pd_alpha, stiffness: 1000.0, damping: 1.0, order: 0.8, taps: 6, gains: physical, derivative: oustaloup_matched}
+SCHEDULED = (
+    HELD.replace("fifo: 0", "fifo: 0, duration: 3.0")
+    .replace(
+        "      fallback:",
+        """        recursive:
+          {kind: pd_alpha, stiffness: 500.0, damping: 1.0, order: 0.8, taps: 6, gains: physical, derivative: oustaloup_matched}
       schedule: [{at: 2.0, law: recursive}]
-      stability: 'off'
-  logger: {kind: logger}
-"""
+      fallback:""",
+    )
+    .replace("stability: refuse", "stability: 'off'")
+)
 
 
 def test_a_scheduled_law_runs_along_and_follows_a_change_before_its_time(tmp_path: Path) -> None:
-    (tmp_path / "scheduled.yaml").write_text(SCHEDULED.replace("PACE", "realtime"))
+    (tmp_path / "scheduled.yaml").write_text(SCHEDULED)
     with running(tmp_path, "./scheduled.yaml") as launch:
         launch.call("coupling", "param.set", values={"laws.recursive.damping": 2.0})
         figures = launch.finish()
-    found = receipts(recorded(tmp_path, figures))
-    assert [(receipt.seq, receipt.action) for receipt in found if receipt.action == "switch"] == [(1000, "switch")]
+    recording = recorded(tmp_path, figures)
+    found = receipts(recording)
+    assert [receipt.action for receipt in found] == ["set", "switch"]
+    # Tick 1000, or on a busy machine the first one after it that reached the coupling.
+    ticks = [force.seq for force in recording.messages("/coupling/force")]
+    assert found[-1].seq == min(seq for seq in ticks if seq >= 1000)
     assert json.loads(found[-1].after)["damping"] == 2.0
-    # At rest D^0.8 of a constant is near zero however it is realised: what is left is the slow tail of the drop.
-    assert found[-1].force_step < 0.1
+    # D^0.8 of 1 mm that have been held for 2 s is near zero however it is realised: well below the 0.56 N of the spring.
+    assert found[-1].force_step < 0.3
 
 
 # -- the watched file ----------------------------------------------------------------------------------------------------
 
 
 def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path: Path) -> None:
-    scenario = dict(yaml.safe_load(read("floor_drop", {}).text))
-    scenario["nodes"]["coupling"]["watch"] = "coupling.yaml"
-    (tmp_path / "watching.yaml").write_text(yaml.safe_dump(scenario, sort_keys=False))
+    (tmp_path / "watching.yaml").write_text(
+        HELD.replace("    kind: coupling\n", "    kind: coupling\n    watch: coupling.yaml\n")
+    )
     watched = tmp_path / "coupling.yaml"
-    watched.write_text("coupling: {laws: {pd: {stiffness: 1100.0}}}\n")
+    watched.write_text("coupling: {laws: {pd: {stiffness: 510.0}}}\n")
 
     def now(launch: RunningLaunch, name: str) -> Any:
         return launch.call("coupling", "param.get", name=name)
 
-    with running(tmp_path, "./watching.yaml", "duration:=0") as launch:
-        assert now(launch, "laws.pd") == {"kind": "pd", "stiffness": 1100.0, "damping": 3.0}
-        watched.write_text("coupling: {laws: {pd: {stiffness: 1300.0}}, ramp: 5}\n")
-        wait_for(lambda: now(launch, "laws.pd.stiffness") == 1300.0, "the saved stiffness")
+    with running(tmp_path, "./watching.yaml") as launch:
+        assert now(launch, "laws.pd") == {"kind": "pd", "stiffness": 510.0, "damping": 3.0}
+        watched.write_text("coupling: {laws: {pd: {stiffness: 530.0}}, ramp: 5}\n")
+        wait_for(lambda: now(launch, "laws.pd.stiffness") == 530.0, "the saved stiffness")
         assert now(launch, "ramp") == 5
         assert now(launch, "laws.pd.damping") == 3.0
         for content, told in (
             (
-                "laws: {pd: {stiffness: 900.0, damping: -1.0}}",
+                "laws: {pd: {stiffness: 490.0, damping: -1.0}}",
                 "coupling.laws.pd.damping: expected 'float' >= 0.0, not -1.0",
             ),
-            ("laws: {pd: {stiffness: 900.0}", "not valid YAML"),
-            ("laws: {pd: {stiffness: 900.0}, pd: {stiffness: 900.0}}", "'pd' stands twice"),
+            ("laws: {pd: {stiffness: 490.0}", "not valid YAML"),
+            ("laws: {pd: {stiffness: 490.0}, pd: {stiffness: 490.0}}", "'pd' stands twice"),
             ("law: nix", "no law is named 'nix'"),
         ):
             watched.write_text(content)
             wait_for(lambda told=told: told in launch.errors, told)  # type: ignore[misc]
-            assert now(launch, "laws.pd.stiffness") == 1300.0
+            assert now(launch, "laws.pd.stiffness") == 530.0
         # A slow writer: nothing is applied until it has closed the file, then all of it.
         with open(watched, "w", encoding="utf-8") as file:
-            file.write("laws: {pd: {stiffness: 14")
+            file.write("laws: {pd: {stiffness: 54")
             file.flush()
             launch.wait_ticks(250)
-            assert now(launch, "laws.pd.stiffness") == 1300.0
-            file.write("00.0}}\n")
-        wait_for(lambda: now(launch, "laws.pd.stiffness") == 1400.0, "the slowly saved stiffness")
+            assert now(launch, "laws.pd.stiffness") == 530.0
+            file.write("0.0}}\n")
+        wait_for(lambda: now(launch, "laws.pd.stiffness") == 540.0, "the slowly saved stiffness")
         figures = launch.finish(signal.SIGINT, code=0)
     found = receipts(recorded(tmp_path, figures))
-    assert [json.loads(receipt.after)["stiffness"] for receipt in found] == [1300.0, 1400.0]
+    assert [json.loads(receipt.after)["stiffness"] for receipt in found] == [530.0, 540.0]
     refused = [event for event in recorded(tmp_path, figures).messages("/coupling/event") if event.kind == "refused"]
     assert len(refused) == 4
     assert all("the running parameters are untouched" in event.reason for event in refused)
