@@ -16,7 +16,8 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from sim.boundary import Device, k_max, with_spring, without_spring
-from sim.drop import Criterion, SearchInterrupted, SimulatedKMax, drop_scene, simulated_boundary
+from sim.drop import Criterion, drop_scene
+from sim.kmax_search import SearchInterrupted, SimulatedKMax, simulated_boundary
 from sim.plant import DeviceModel
 
 Step = Callable[[str, int], None]

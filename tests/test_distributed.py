@@ -24,7 +24,8 @@ from sim.distributed import (
     settles_launched,
     with_stiffness,
 )
-from sim.drop import Criterion, drop_scene, free_scene, settled, settles, simulated_k_max
+from sim.drop import Criterion, drop_scene, free_scene, settled, settles
+from sim.kmax_search import simulated_k_max
 from sim.loop import Scene, run
 from sim.plant import DeviceModel, Hand
 from tests.launching import haptic

@@ -18,15 +18,12 @@ from nodes.stability import closed_loop, pole_radius
 from sim.boundary import Device, k_max, with_spring, without_spring
 from sim.drop import (
     Criterion,
-    SearchInterrupted,
     drop_scene,
     free_scene,
     press_scene,
     settles,
-    simulated_boundary,
-    simulated_k_max,
-    swing_frequency,
 )
+from sim.kmax_search import SearchInterrupted, simulated_boundary, simulated_k_max, swing_frequency
 from sim.plant import DeviceModel, Hand
 
 PERIOD = 0.002

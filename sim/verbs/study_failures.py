@@ -42,7 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
         0; 1 when the two methods disagree anywhere.
     """
     from sim.claims import save, table
-    from sim.failures import MARGIN, edges, euler_bias, traps
+    from sim.failures import MARGIN, edges, traps
+    from sim.traps import euler_bias
 
     found = []
     for edge in edges():
@@ -88,6 +89,8 @@ def _draw(edges: list[Edge], bias: dict[int, tuple[float, float]]) -> Figure:
     right.plot(counts, [bias[n][1] for n in counts], "0.5", label="1/(1 − 1/n_sub)")
     right.plot(counts, [bias[n][0] for n in counts], "C1o", label="semi-implicit Euler, heavy device")
     right.set(xscale="log", xlabel="sub-steps per tick", ylabel="K_max over the exact one")
+    right.set_xticks(counts, [str(n) for n in counts])
+    right.minorticks_off()
     right.set_title("what an integrator adds to K_max", fontsize=9)
     right.legend(fontsize=8)
     return figure

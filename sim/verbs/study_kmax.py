@@ -166,7 +166,8 @@ def _scene(arguments: argparse.Namespace, device: Device, period: float) -> Scen
 
 def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Device, period: float) -> KMax:
     """Raise K until the drop no longer settles."""
-    from sim.drop import Criterion, simulated_k_max
+    from sim.drop import Criterion
+    from sim.kmax_search import simulated_k_max
 
     scene = _scene(arguments, device, period)
     found = simulated_k_max(lambda k: with_spring(derivative, k), scene, Criterion(ticks=arguments.horizon))
