@@ -359,6 +359,21 @@ SCHEDULED = (
 )
 
 
+@pytest.mark.parametrize("ramp", [0, 40])
+def test_a_scheduled_recursive_law_has_the_bits_of_one_process(tmp_path: Path, ramp: int) -> None:
+    # Long before the history is full, and when the swap replays less than all: memory is shorter than the run.
+    text = SCHEDULED.replace("fifo: 0", "fifo: 0, pace: lockstep").replace(
+        "law: recursive}", f"law: recursive, ramp: {ramp}}}"
+    )
+    (tmp_path / "recursive.yaml").write_text(text.replace("      fallback:", "      memory: 300\n      fallback:"))
+    figures = launch_json(tmp_path, "./recursive.yaml")
+    forces = {force.seq: force.force[2] for force in recorded(tmp_path, figures).messages("/coupling/force")}
+    scene = from_launch(read(str(tmp_path / "recursive.yaml"), {}))
+    assert scene.swaps[0].law.sections
+    expected = scene.play().force.tolist()
+    assert [forces[seq].hex() for seq in range(len(expected))] == [value.hex() for value in expected]
+
+
 def test_a_scheduled_law_runs_along_and_follows_a_change_before_its_time(tmp_path: Path) -> None:
     (tmp_path / "scheduled.yaml").write_text(SCHEDULED)
     with running(tmp_path, "./scheduled.yaml") as launch:
