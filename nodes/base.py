@@ -1,4 +1,4 @@
-"""The life of a node: sockets, ready, ticks, control requests, a clean stop on any signal.
+"""The base of all nodes: what a kind defines, and what every node can use.
 
 The main thread owns the loop's sockets and does nothing but ticks: blocking receive, plain floats, send. A second thread
 serves control requests on its own socket; what it prepares is handed over by one reference assignment and taken up between
@@ -7,104 +7,30 @@ two ticks, and what it wants published goes through an outbox that is emptied af
 
 from __future__ import annotations
 
-import contextlib
-import importlib
 import math
 import os
 import resource
-import signal
 import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 
 from messages import topics
 from messages.codec import Decoder, MessageRefusedError, encode
-from messages.sockets import Publisher, Subscription, move_aside, new_context
+from messages.sockets import Publisher, Subscription
 from messages.types import Event, Message, NodeStatus
 from nodes import realtime
+from nodes.change import Changes
 from nodes.parameters import ParameterError, ParameterStore
 from nodes.setup import Setup
-
-if TYPE_CHECKING:
-    from messages.gate import Gate
-    from messages.sockets import Context
-    from nodes.control import ControlServer
 
 M = TypeVar("M", bound=Message)
 IDLE_MS = 100
 """How long a blocking receive waits before it looks whether the node should stop [ms]."""
-
-REPORT_TIMEOUT = 3.0
-"""How long a node that was started by hand waits at its end for the launcher to fetch its report [s]."""
-
-
-class Change:
-    """Something prepared off the hot path, to be applied between two ticks.
-
-    Parameters
-    ----------
-    apply : callable
-        Called on the main thread with the tick number; its return value, or what it raises, goes back to whoever asked.
-    """
-
-    def __init__(self, apply: Callable[[int], Any]) -> None:
-        self._apply = apply
-        self._done = threading.Event()
-        self._result: Any = None
-        self._error: Exception | None = None
-
-    def run(self, seq: int) -> None:
-        """Apply it (main thread).
-
-        Parameters
-        ----------
-        seq : int
-            Tick number at which it takes effect.
-        """
-        try:
-            self._result = self._apply(seq)
-        except Exception as error:  # noqa: BLE001  # a change that fails must not end the loop; whoever asked is told
-            self._error = error
-        self._done.set()
-
-    def wait(self, timeout: float | None) -> bool:
-        """Wait until it was applied (control thread).
-
-        Parameters
-        ----------
-        timeout : float or None
-            Longest wait [s]; None waits as long as it takes.
-
-        Returns
-        -------
-        bool
-            Whether it was.
-        """
-        return self._done.wait(timeout)
-
-    def result(self) -> Any:
-        """Give what came of it (control thread, after `wait`).
-
-        Returns
-        -------
-        object
-            What the change returned.
-
-        Raises
-        ------
-        Exception
-            What the change raised.
-        """
-        if self._error is not None:
-            raise self._error
-        return self._result
 
 
 class Node:
@@ -130,6 +56,8 @@ class Node:
     listens_to: ClassVar[tuple[str, ...]] = ()
     relays: ClassVar[tuple[str, ...]] = ()
 
+    publisher: Publisher
+
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
         self.store = ParameterStore(setup.name, self.Parameters, setup.parameters)
@@ -137,7 +65,7 @@ class Node:
         self.stop_reason = ""
         self.stopping = False
         self.started = threading.Event()
-        self.changes: deque[Change] = deque()
+        self.changes = Changes(setup.name)
         self.inbox: Subscription | None = None
         self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
         self.seq = 0
@@ -370,8 +298,7 @@ class Node:
             The tick at which a change takes effect.
         """
         if self.changes:
-            with contextlib.suppress(IndexError):  # withdrawn at this very moment
-                self.changes.popleft().run(seq)
+            self.changes.apply_next(seq)
         if self.outbox:
             self.flush_outbox()
 
@@ -395,23 +322,7 @@ class Node:
         ParameterError
             When the loop did not take it up in time; it is withdrawn then, and will not be applied later.
         """
-        change = Change(apply)
-        self.changes.append(change)
-        deadline = time.monotonic() + timeout
-        while not change.wait(0.05):
-            if time.monotonic() < deadline and self.state not in ("finished", "failed"):
-                continue
-            try:
-                self.changes.remove(change)
-            except ValueError:
-                # Taken up just now: it is being applied.
-                change.wait(None)
-            else:
-                raise ParameterError(
-                    f"{self.setup.name}: not taken up by the loop within {timeout:g} s; nothing was changed; "
-                    "is the node stopping?"
-                )
-        return change.result()
+        return self.changes.hand_over(apply, lambda: self.state not in ("finished", "failed"), timeout)
 
     def change_parameters(
         self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None
@@ -485,124 +396,14 @@ class Node:
             clock_error=self.clock_error,
         )
 
-    # -- life --------------------------------------------------------------------------------------------------------
+    def deny(self, reason: str) -> None:
+        """Count and tell a peer that was turned away.
 
-    def _await_listeners(self) -> None:
-        deadline = time.monotonic() + self.setup.patience
-        self.state = "waiting"
-        while self.publisher.listeners() < self.setup.listeners and not self.stopping:
-            if time.monotonic() > deadline:
-                self.tell(
-                    "listeners",
-                    f"{self.publisher.listeners()} of {self.setup.listeners} listeners within "
-                    f"{self.setup.patience:g} s; going on without",
-                )
-                return
-            time.sleep(0.002)
-
-    def live(self) -> int:
-        """Run the node from start to end.
-
-        Returns
-        -------
-        int
-            Exit code: 0 after a clean stop, 1 after a failure.
+        Parameters
+        ----------
+        reason : str
+            Who, where and why.
         """
-        signal.signal(signal.SIGINT, self._on_signal)
-        signal.signal(signal.SIGTERM, self._on_signal)
-        signal.signal(signal.SIGHUP, self._on_signal)
-        # Sent when somebody opens a watched file that is being read under a lease; its default is to end the process.
-        signal.signal(signal.SIGIO, signal.SIG_IGN)
-        refused = realtime.apply(self.setup.scheduling)
-        try:
-            self.configure()
-        except (ParameterError, ValueError, OSError) as error:
-            self.say(f"cannot start: {error}")
-            self.stop_reason, self.state = str(error), "failed"
-            self._write_report({})
-            return 1
-        context = new_context(aside=True)
-        try:
-            control, gate = self._make_sockets(context)
-        except ValueError as error:
-            self.say(f"cannot start: {error}")
-            self.stop_reason, self.state = str(error), "failed"
-            context.destroy(linger=0)
-            self._write_report({})
-            return 1
-        move_aside()
-        code = 1
-        try:
-            if gate is not None:
-                gate.start()
-            control.start()
-            for text in refused:
-                self.tell("realtime", text)
-            self._await_listeners()
-            self.state = "ready"
-            realtime.quiet_interpreter()
-            self.loop()
-            code = 0
-        except (ParameterError, OSError) as error:
-            # What a device or a disk says is no fault of the program: one line, no traceback.
-            self.stop_reason = self.stop_reason or str(error)
-            self.say(f"ended: {error}")
-        finally:
-            # Whatever ended the loop, an exception included: first the device is made safe, then all is told and closed.
-            try:
-                self.finish()
-            finally:
-                self.state = "finished" if code == 0 else "failed"
-                if self.setup.lease and not self.stop_reason.startswith("launcher lost"):
-                    control.await_fetch(REPORT_TIMEOUT)
-                if gate is not None:
-                    gate.stop()
-                control.stop()
-                # Emptied first, so that the last status tells exactly what was sent before it.
-                self.flush_outbox()
-                self.post(topics.status(self.setup.name), self.status())
-                self.flush_outbox()
-                if self.inbox is not None:
-                    self.inbox.close()
-                self.publisher.close()
-                context.term()
-                self._write_report(self.report())
-        return code
-
-    def _make_sockets(self, context: Context) -> tuple[ControlServer, Gate | None]:
-        """Make all sockets, and the gate where one of them is encrypted."""
-        from nodes.control import ControlServer
-
-        setup = self.setup
-        gate: Gate | None = None
-        if any("#" in place for place in (setup.publish, setup.reach, setup.listen_reach, *setup.sources.values())):
-            # Only a node with peers on other machines needs it.
-            from messages.gate import Gate
-
-            gate = Gate(context, self._deny)
-        try:
-            hops, listeners = [setup.reach], [setup.listen, setup.listen_reach]
-            self.publisher = Publisher(context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)))
-            subscriptions: list[Subscription] = []
-
-            def subscribe(endpoints: Iterable[str], topics: Iterable[str], queue: int) -> Subscription:
-                subscriptions.append(Subscription(context, endpoints, topics, queue))
-                return subscriptions[-1]
-
-            self.connect(subscribe)
-            control = ControlServer(self, context)
-            if gate is not None:
-                self.publisher.watched_by(gate)
-                control.watched_by(gate)
-                for subscription in subscriptions:
-                    subscription.watched_by(gate)
-        except ValueError:
-            if gate is not None:
-                gate.stop()
-            raise
-        return control, gate
-
-    def _deny(self, reason: str) -> None:
         self.denied += 1
         self.tell("denied", reason)
 
@@ -626,57 +427,6 @@ class Node:
                 f"{self.setup.name}: clock.set {offset!r} {error!r}: expected two finite numbers of seconds"
             )
         self.clock_offset, self.clock_error = offset, error
-
-    def _write_report(self, figures: Mapping[str, Any]) -> None:
-        path = Path(self.setup.run_dir) / f"{self.setup.name}.report.json"
-        draft = path.with_suffix(".draft")
-        draft.write_bytes(msgspec.json.encode({"status": msgspec.to_builtins(self.status()), **figures}))
-        draft.replace(path)
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del frame
-        self.stop(signal.Signals(number).name)
-
-
-def load(factory: str) -> type[Node]:
-    """Import the class of a node kind.
-
-    Parameters
-    ----------
-    factory : str
-        ``module:Class``.
-
-    Returns
-    -------
-    type of Node
-        The class.
-    """
-    module, _, name = factory.partition(":")
-    found: type[Node] = getattr(importlib.import_module(module), name)
-    return found
-
-
-def start(arguments: list[str]) -> int:
-    """Run one node as this process: ``python -m nodes.base SETUP_FILE``.
-
-    Parameters
-    ----------
-    arguments : list of str
-        The path of the node's setup file, written by the launcher.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
-    realtime.die_with_parent()
-    setup = msgspec.json.decode(Path(arguments[0]).read_bytes(), type=Setup)
-    try:
-        node = load(setup.factory)(setup)
-    except ParameterError as error:
-        print(f"[{setup.name}] cannot start: {error}", file=sys.stderr, flush=True)
-        return 1
-    return node.live()
 
 
 def describe(parameters: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ import zmq
 
 from messages.control import ControlError, call
 from messages.topics import DEVICE_STATE
-from nodes.base import load
+from nodes.kinds import load
 from nodes.setup import Setup
 
 START_TIMEOUT = 30.0

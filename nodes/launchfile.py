@@ -10,17 +10,16 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 
+from nodes.kinds import node_kinds
 from nodes.parameters import ParameterError, convert, merge, of_node
 from nodes.setup import Apply, Axis, Pace
 from nodes.yamlfile import parse_yaml, read_yaml
 
-NODE_GROUP = "haptic.nodes"
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
 _NAME = re.compile(r"^[a-z][a-z0-9_]{0,31}$")
@@ -352,17 +351,6 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str) -> Any:
             return values[whole.group(1)]
         return _WITHIN.sub(lambda match: str(values[match.group(1)]), data)
     return data
-
-
-def node_kinds() -> dict[str, str]:
-    """Find all installed kinds of node.
-
-    Returns
-    -------
-    dict of str to str
-        Kind to ``module:Class``.
-    """
-    return {point.name: point.value for point in entry_points(group=NODE_GROUP)}
 
 
 def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) -> Launch:

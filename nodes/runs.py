@@ -68,7 +68,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         dict of str to str
             Topic to endpoint.
         """
-        from nodes.base import load
+        from nodes.kinds import load
 
         found = {}
         for name, setup in self.nodes.items():
@@ -123,7 +123,7 @@ def new_run_dir(run: str) -> Path:
         When the name is taken or the path is too long for a socket.
     """
     path = runtime_dir() / run
-    longest = len(os.fsencode(path / ("n" * 32 + ".pub")))
+    longest = len(os.fsencode(path / ("n" * 32 + ".listen")))
     if longest > MAX_IPC_PATH:
         raise RunError(
             f"{path}: socket paths could reach {longest} bytes, limit {MAX_IPC_PATH}; set HAPTIC_RUNTIME_DIR to a shorter path"

@@ -14,6 +14,6 @@ def _end(number: int, frame: FrameType | None) -> None:
 if __name__ == "__main__":
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _end)
-    from nodes.base import start
+    from nodes.life import start
 
     sys.exit(start(sys.argv[1:]))

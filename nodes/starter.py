@@ -25,8 +25,8 @@ from messages.gate import Gate
 from messages.keys import identity
 from messages.sockets import new_context
 from nodes import runs
-from nodes.base import load
-from nodes.launchfile import node_kinds
+from nodes.kinds import load, node_kinds
+from nodes.life import live
 from nodes.parameters import ParameterError, convert
 from nodes.setup import Scheduling, Setup
 
@@ -56,7 +56,7 @@ def start_here(run: runs.RunInfo, name: str) -> int:
         raise ParameterError(
             f"{name}: the launch does not wait for it here; its launch file says so with by_hand: true"
         )
-    return load(setup.factory)(setup).live()
+    return live(load(setup.factory)(setup))
 
 
 class Starter:
@@ -233,6 +233,6 @@ def start_for(name: str, host: str, port: int, curve: bool = False) -> int:
     if setup is None:
         return 130
     try:
-        return load(setup.factory)(setup).live()
+        return live(load(setup.factory)(setup))
     finally:
         shutil.rmtree(setup.run_dir, ignore_errors=True)

@@ -125,7 +125,7 @@ class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
             The proxy is the point, always, and both sides touch.
         """
         anchor = self.position
-        return lambda position: (anchor, ZERO, 0.0, True)
+        return lambda _: (anchor, ZERO, 0.0, True)
 
 
 def surface_kinds() -> dict[str, type[Surface]]:

@@ -10,9 +10,10 @@ import msgspec
 from messages import topics
 from messages.endpoints import is_remote
 from messages.keys import KeyRefusedError, identity, key_of
-from nodes.base import Node, load
+from nodes.base import Node
 from nodes.byhand import LEASE, PATIENCE
-from nodes.launchfile import Launch, node_kinds
+from nodes.kinds import load, node_kinds
+from nodes.launchfile import Launch
 from nodes.parameters import ParameterError, convert
 from nodes.setup import Scheduling, Setup
 
