@@ -32,7 +32,9 @@ def functions(module: ModuleType) -> Iterator[tuple[str, FunctionType]]:
     for name, thing in own(module):
         thing = inspect.unwrap(getattr(thing, "py_func", thing))
         if isinstance(thing, FunctionType):
-            yield name, thing
+            # A compiled form of a private function is as private as that.
+            if not thing.__name__.startswith("_"):
+                yield name, thing
         elif inspect.isclass(thing):
             for member, value in vars(thing).items():
                 value = getattr(value, "__func__", value)
