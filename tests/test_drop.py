@@ -5,11 +5,13 @@ from __future__ import annotations
 import cmath
 import dataclasses
 import itertools
+import json
 import math
 
 import numpy as np
 import pytest
 
+from nodes.cli import main
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.multi_term import MultiTerm, Term
 from nodes.laws.pd import PD
@@ -201,3 +203,16 @@ def test_frequency_of_a_sine() -> None:
 def test_wrong_criteria_are_refused(fields: dict[str, float], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         Criterion(**fields)  # type: ignore[arg-type]
+
+
+def test_study_presses_with_the_grip_it_is_given(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --method simulation --scene press --json"
+    found = []
+    for hand in (100.0, 4000.0):
+        assert main([*words.split(), "--hand", str(hand)]) == 0
+        found.append(json.loads(capsys.readouterr().out.splitlines()[-1])["k_max_n_per_m"])
+        exact = k_max(without_spring(PD(stiffness=1.0, damping=3.0), PERIOD), PERIOD, Device(0.1, 1.0, 0.0, hand))
+        assert exact.k_max_n_per_m is not None
+        assert 0.7 < found[-1] / exact.k_max_n_per_m < 0.99
+    # The hand's own spring is in the loop too: what it takes is not left for the wall.
+    assert found[1] < found[0]

@@ -34,7 +34,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="default: the closed form where there is one, else the pole radius; lockstep drops it through real processes",
     )
     parser.add_argument(
-        "--scene", choices=("drop", "free"), default="drop", help="what a simulation plays (default: %(default)s)"
+        "--scene", choices=("drop", "press", "free"), default="drop", help="what is played (default: %(default)s)"
     )
     parser.add_argument(
         "--history",
@@ -154,14 +154,19 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Device,
 
 
 def _scene(arguments: argparse.Namespace, device: Device, period: float) -> Scene:
-    """Set up the experiment; a grip is held where the floor is."""
-    from sim.drop import drop_scene, free_scene
+    """Set up the experiment; a grip is held where the floor is, and behind the wall to press."""
+    from sim.drop import drop_scene, free_scene, press_scene
 
+    raw = arguments.history == "position"
+    if arguments.scene == "press":
+        pressed = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay)
+        grip = Hand(stiffness=device.stiffness, path=[(0.0, -0.01)]) if device.stiffness > 0.0 else None
+        return press_scene(pressed, period, raw=raw, clamp=True, hand=grip)
     hand = Hand(stiffness=device.stiffness, path=[(0.0, 0.0)]) if device.stiffness > 0.0 else None
     model = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay, hand=hand)
     if arguments.scene == "free":
         return free_scene(model, period)
-    return drop_scene(model, period, raw=arguments.history == "position", clamp=True)
+    return drop_scene(model, period, raw=raw, clamp=True)
 
 
 def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Device, period: float) -> KMax:
