@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable
-from itertools import zip_longest
 
 from nodes.kernels import cross_fade, fir, push, sections, warm_up
 from nodes.laws import CompiledLaw
@@ -280,9 +279,12 @@ def weighted_taps(laws: list[tuple[tuple[float, ...], float]]) -> tuple[float, .
         for taps, weight in laws:
             mixed[: len(taps)] += weight * np.array(taps)
         return tuple(mixed.tolist())
-    weights = [weight for _, weight in laws]
-    columns = zip_longest(*(taps for taps, _ in laws), fillvalue=0.0)
-    return tuple(sum(weight * tap for weight, tap in zip(weights, column, strict=True)) for column in columns)
+    # Added in order, as numpy does above; the built-in sum rounds otherwise from Python 3.12 on.
+    total = [0.0] * max(len(taps) for taps, _ in laws)
+    for taps, weight in laws:
+        for m, tap in enumerate(taps):
+            total[m] += weight * tap
+    return tuple(total)
 
 
 class Fade:

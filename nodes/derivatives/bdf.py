@@ -49,15 +49,18 @@ def lubich(order: float, taps: int, period: float, degree: int) -> CompiledLaw:
             f"taps = {taps}: BDF{degree} of order {order:g} needs at least {least} (p⌈α⌉ + 1, its length at whole "
             "orders); take more taps, a lower p, or gl"
         )
+    # Sums are rounded once (fsum): the built-in sum rounds otherwise from Python 3.12 on, and taps would differ.
     # Power of a polynomial a_0 + a_1 w + ...: c_m = Σ_j ((α+1) j/m − 1) a_j c_{m−j} / a_0 (Euler; J. C. P. Miller).
     polynomial = [
-        sum((-1.0) ** i * math.comb(j, i) / j for j in range(max(i, 1), degree + 1)) for i in range(degree + 1)
+        math.fsum((-1.0) ** i * math.comb(j, i) / j for j in range(max(i, 1), degree + 1)) for i in range(degree + 1)
     ]
     lead = polynomial[0]
     series = [lead**order]
     for m in range(1, taps):
         series.append(
-            sum(((order + 1.0) * j / m - 1.0) * polynomial[j] * series[m - j] for j in range(1, min(degree, m) + 1))
+            math.fsum(
+                ((order + 1.0) * j / m - 1.0) * polynomial[j] * series[m - j] for j in range(1, min(degree, m) + 1)
+            )
             / lead
         )
     gain = float(period) ** -order

@@ -122,7 +122,7 @@ def parallel(
         # Amplitude of the tail, counted from tick 1, after k differences.
         amplitude = residue * ((1.0 - 1.0 / pole) / period) ** times if times else residue
         for m in range(1, times + 1):
-            early = sum(binomial[j] * residue * pole ** (m - j - 1) for j in range(m))
+            early = math.fsum(binomial[j] * residue * pole ** (m - j - 1) for j in range(m))
             _add(taps, m, early - amplitude * pole ** (m - 1))
         shifted.append((pole, amplitude))
     sections = _paired(shifted, taps)
