@@ -141,6 +141,13 @@ class PassivityGuard:
         Sampling period T [s].
     axes : list of int
         Axes that the scene computes.
+
+    Attributes
+    ----------
+    lowered, raised : int
+        Forces lowered because not enough was in store, and raised to take back what was owed.
+    highest : float
+        Most that was owed on one axis [J].
     """
 
     def __init__(self, parameters: PassivityParameters, period: float, axes: list[int]) -> None:

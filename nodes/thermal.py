@@ -31,6 +31,11 @@ class Motor:
         Sampling period T [s].
     slew : float or None
         Largest change of force per tick s [N]; None for no limit.
+
+    Attributes
+    ----------
+    heat : float
+        Mean square of the force, forgotten with τ [N²].
     """
 
     def __init__(self, continuous: float, thermal_time: float, period: float, slew: float | None) -> None:

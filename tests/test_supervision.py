@@ -27,6 +27,8 @@ import os, signal, time
 from typing import ClassVar
 import msgspec
 from nodes.base import IDLE_MS, Node
+from nodes.device import DeviceLimits
+from nodes.driver import Driver, DriverParameters
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     after: int = 0
@@ -58,6 +60,38 @@ class Stubborn(Node):
         while True:
             time.sleep(1.0)
 
+class Arm:
+    """Held 1 mm inside the floor; writes down every force, and fails after 100 ticks in the way it is told to."""
+    limits = DeviceLimits()
+    def __init__(self, path, fails):
+        self.diary, self.fails, self.ticks = open(path, "a"), fails, 0
+    def open(self):
+        self.write("open")
+    def write(self, text):
+        self.diary.write(f"{text}\\n")
+        self.diary.flush()
+    def read_position(self, seq):
+        self.ticks += 1
+        if self.ticks > 100 and self.fails == "device":
+            raise OSError("the cable is out; plug it in")
+        if self.ticks > 100 and self.fails == "bug":
+            return 1 / 0
+        return (0.0, 0.0, -0.001)
+    def write_force(self, force, seq, offset):
+        self.write(force[2])
+    def close(self):
+        self.write("close")
+
+class ArmParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    diary: str
+    fails: str
+
+class Arms(Driver):
+    """A driver of such an arm."""
+    Parameters = ArmParameters
+    def make_device(self):
+        return Arm(self.store.current.diary, self.store.current.fails)
+
 class Broken(Node):
     """Cannot be configured."""
     listens_to = ("/device/state",)
@@ -68,7 +102,7 @@ class Broken(Node):
 DIST_INFO = {
     "METADATA": "Metadata-Version: 2.1\nName: odd-nodes\nVersion: 0\n",
     "entry_points.txt": "[haptic.nodes]\n"
-    + "".join(f"{kind.lower()} = odd_nodes:{kind}\n" for kind in ("Crasher", "Stubborn", "Broken")),
+    + "".join(f"{kind.lower()} = odd_nodes:{kind}\n" for kind in ("Crasher", "Stubborn", "Broken", "Arms")),
 }
 
 
@@ -206,6 +240,32 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
         assert time.monotonic() - begun < INT_TIMEOUT
         assert launch.errors.index("deaf: does not end; SIGTERM") < launch.errors.index("deaf: does not end; SIGKILL")
         assert figures["nodes"]["driver"]["state"] == "finished"
+
+
+@pytest.mark.parametrize("fails", ["device", "bug", "signal"])
+def test_on_every_way_out_the_force_goes_down_to_zero_and_the_device_is_closed(
+    tmp_path: Path, odd_nodes: dict[str, str], fails: str
+) -> None:
+    diary = tmp_path / "diary"
+    path = scenario(tmp_path, arm={"kind": "arms", "parameters": {"diary": str(diary), "fails": fails}})
+    content = msgspec.json.decode(Path(path).read_bytes())
+    del content["nodes"]["driver"]
+    Path(path).write_bytes(msgspec.json.encode(content))
+    with running(tmp_path, path, environment=odd_nodes, ready=False) as launch:
+        if fails == "signal":
+            wait_for(lambda: diary.exists() and diary.read_text().count("\n") > 100, "forces are written")
+            os.kill(pid(launch, "arm"), signal.SIGTERM)
+        launch.finish(code=0 if fails == "signal" else 1)
+        assert fails != "device" or "[arm] ended: the cable is out; plug it in" in launch.errors
+    first, *forces, last = diary.read_text().split()
+    assert (first, last) == ("open", "close")
+    pressed = [float(force) for force in forces]
+    assert 1.0 in {round(force, 9) for force in pressed}
+    # From wherever it was (a busy machine may have let it go already) it goes down step by step, to zero.
+    down = pressed[-10:]
+    assert down[-1] == 0.0
+    assert all(later <= earlier for earlier, later in pairwise(down))
+    assert all(earlier - later <= 0.1 + 1e-9 for earlier, later in pairwise(down))
 
 
 # -- failures at the start --------------------------------------------------------------------------------------------
