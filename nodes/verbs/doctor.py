@@ -31,8 +31,8 @@ LATE = 200e-6
 OPEN_FILES = 256
 """Descriptors that a node needs at most, encrypted connections to many listeners included."""
 
-RUN_NAME = 56
-"""Longest name of a run's directory and a socket in it [characters]."""
+RUN_NAME = 78
+"""What a run adds to the runtime directory's path: its name, of a scenario of 16 characters and the time, and a socket's."""
 
 
 @dataclass(frozen=True)
