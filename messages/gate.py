@@ -48,6 +48,7 @@ class Gate(threading.Thread):
         self._context = context
         self._denied = denied
         self._me = identity().public
+        self._folder = key_dir()
         self._seen = -1
         self._known: dict[bytes, str] = {}
         self._monitors: list[tuple[Socket, str, Socket]] = []
@@ -104,10 +105,10 @@ class Gate(threading.Thread):
 
     def _who(self, key: bytes) -> str:
         with contextlib.suppress(FileNotFoundError):
-            changed = (key_dir() / "allowed").stat().st_mtime_ns
+            changed = (self._folder / "allowed").stat().st_mtime_ns
             if changed != self._seen:
                 try:
-                    self._known = {bytes.fromhex(public): name for name, public in allowed().items()}
+                    self._known = {bytes.fromhex(public): name for name, public in allowed(self._folder).items()}
                 except KeyRefusedError as error:
                     # Nobody is let in by a directory that others can write to.
                     self._known = {}

@@ -29,7 +29,7 @@ class KeyRefusedError(ValueError):
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """This machine's key pair.
+    """Key pair of this machine.
 
     Attributes
     ----------
@@ -199,8 +199,13 @@ def allow(name: str, key: str, replace: bool = False) -> Path:
     return path
 
 
-def allowed() -> dict[str, str]:
+def allowed(folder: Path | None = None) -> dict[str, str]:
     """List the machines that are let in.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Directory of the keys, when it is not that of `key_dir`.
 
     Returns
     -------
@@ -213,7 +218,7 @@ def allowed() -> dict[str, str]:
         When a file is damaged or open to others.
     """
     found = {}
-    for path in sorted((key_dir() / "allowed").glob("*.key")):
+    for path in sorted(((folder or key_dir()) / "allowed").glob("*.key")):
         words = _read(path)
         if len(words) != 1:
             raise KeyRefusedError(f"{path}: not one public key; remove it, and: haptic keys allow {path.stem} KEY")
