@@ -228,11 +228,12 @@ def measure(ticks: int, rounds: int, step: Callable[[str], None] | None = None) 
     Parameters
     ----------
     ticks : int
-        Length of a run; short enough that its record stays in the cache, or memory is what is timed.
+        Length of a run; short enough that its record stays in the cache, or memory is what is timed, and that it mostly ends
+        before another process of a shared machine cuts in.
     rounds : int
         Interleaved rounds.
     step : callable, optional
-        Told after every round.
+        Told after every round, twice as often as there are rounds.
 
     Returns
     -------
@@ -260,13 +261,18 @@ def measure(ticks: int, rounds: int, step: Callable[[str], None] | None = None) 
                         f"C and the simulator give different bits with {n} taps; the timing would mean nothing"
                     )
         cores = numba.get_num_threads()
-        many = [with_spring(laws()[4], float(k)) for k in range(16 * cores)]
-        jobs["one"] = _spread(many, ticks, 1), ticks * len(many)
-        jobs["all"] = _spread(many, ticks, cores), ticks * len(many)
         found = interleaved(jobs, rounds, step)
+        # As a search for K_max uses it: drops of the usual horizon, many at once. Apart from the others, because worker
+        # threads go on spinning for a while after each batch.
+        horizon = min(ticks, Criterion().ticks)
+        many = [with_spring(laws()[4], 10.0 * k) for k in range(16 * cores)]
+        work = horizon * len(many)
+        spread = interleaved(
+            {"one": (_spread(many, horizon, 1), work), "all": (_spread(many, horizon, cores), work)}, rounds, step
+        )
     simulator = {n: found[f"ours|{n}"] for n in laws()}
     plain_c = {} if play is None else {n: found[f"c|{n}"] for n in laws()}
-    return Speed(simulator, plain_c, found["one"], found["all"], cores, reason)
+    return Speed(simulator, plain_c, spread["one"], spread["all"], cores, reason)
 
 
 def _spread(many: list[CompiledLaw], ticks: int, threads: int) -> Callable[[], object]:

@@ -15,8 +15,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of the benchmark.
     """
-    parser.add_argument("--rounds", type=int, default=15, help="interleaved rounds (default: %(default)s)")
-    parser.add_argument("--ticks", type=int, default=20_000, help="length of a run (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=101, help="interleaved rounds (default: %(default)s)")
+    parser.add_argument("--ticks", type=int, default=2500, help="length of a run (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
     parser.set_defaults(run=run)
 
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.simulator_speed import FLAGS, measure
     from sim.stopwatch import Progress, machine
 
-    speed = measure(arguments.ticks, arguments.rounds, Progress(arguments.rounds).step)
+    speed = measure(arguments.ticks, arguments.rounds, Progress(2 * arguments.rounds).step)
     lines = ["taps   ticks/s and core         plain C   ours/C"]
     points = []
     for taps, timing in speed.simulator.items():
@@ -68,6 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
         f"many runs at once: {1e-6 / speed.one_core.median:.1f} M ticks/s on 1 core, {1e-6 / speed.all_cores.median:.1f} M "
         f"on {speed.cores}: {scaling:.2f} times"
     )
+    here = machine()
+    if here["load_1min"] is not None and here["load_1min"] > 0.5 * speed.cores:
+        lines.append(f"others were at work here (load {here['load_1min']}): scaling over the cores cannot be trusted")
     figures = {
         "points": points,
         "one_core_ticks_per_s": 1.0 / speed.one_core.median,
@@ -77,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
         "no_c_because": speed.reason or None,
         "c_flags": list(FLAGS),
         "rounds": arguments.rounds,
-        "machine": machine(),
+        "machine": here,
     }
     answer(arguments.json, figures, "\n".join(lines))
     return 0
