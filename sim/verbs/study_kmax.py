@@ -126,7 +126,9 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Device,
         guess = _simulated(arguments, without_spring(law, period), device, period).k_max_n_per_m
         if guess is None or not math.isfinite(guess):
             raise UsageError("--method lockstep: the simulation found no K_max to look around")
-        grid = (guess * np.geomspace(0.5, 2.0, arguments.grid)).tolist()
+        steps = np.geomspace(0.5, 2.0, arguments.grid)
+        # Not at the guess itself: what is found must be decided by the runs.
+        grid = (guess * steps * (steps[1] / steps[0]) ** (1 / 3)).tolist()
         bar = Progress(2 + math.ceil(math.log2(arguments.grid - 1)))
         found = same_k_max(law, _scene(arguments, device, period), Criterion(ticks=arguments.horizon), grid, bar.step)
     except (ValueError, MeasurementError) as error:
