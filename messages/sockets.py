@@ -31,14 +31,11 @@ SEND_QUEUE = 4096
 _MORE = int(zmq.RCVMORE)
 _EVENTS = int(zmq.EVENTS)
 
-IO_ABOVE = 5
-"""By how much an I/O thread's SCHED_FIFO priority is above its node's: what is sent leaves before the sender goes on."""
-
 
 def new_context(aside: bool = False) -> Context:
     """Make a context whose sockets never delay its end.
 
-    The I/O thread inherits the affinity of the calling thread, and under SCHED_FIFO runs above it: set both first.
+    The I/O threads inherit affinity and priority of the calling thread: set both first.
 
     Parameters
     ----------
@@ -52,9 +49,6 @@ def new_context(aside: bool = False) -> Context:
     """
     context: Context = zmq.Context(io_threads=2 if aside else 1)
     context.linger = 0
-    if os.sched_getscheduler(0) == os.SCHED_FIFO:
-        context.set(zmq.THREAD_SCHED_POLICY, os.SCHED_FIFO)
-        context.set(zmq.THREAD_PRIORITY, os.sched_getparam(0).sched_priority + IO_ABOVE)
     return context
 
 
