@@ -134,6 +134,7 @@ class ForeignCoupling(threading.Thread):
         self.start()
 
     def run(self) -> None:
+        """Answer until asked to stop."""
         with zmq.Context() as context:
             pub, sub, rep = context.socket(zmq.PUB), context.socket(zmq.SUB), context.socket(zmq.REP)
             for socket in (pub, sub, rep):

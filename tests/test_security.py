@@ -270,7 +270,7 @@ def test_a_forger_bound_in_a_nodes_place_is_not_heard(context: Context, me: Iden
     told: list[str] = []
     forgeries = new_context()
     with as_somebody_else(tmp_path / "forger") as forger:
-        gate = Gate(forgeries, [].append)
+        gate = Gate(forgeries, list[str]().append)
         keys.allow("victim", me.public)
         fake = Publisher(forgeries, f"tcp://127.0.0.1:{port}#{forger.public}")
         gate.start()
