@@ -95,7 +95,7 @@ class Pair:
             )
 
     def errors(self, host: int) -> str:
-        """What one of them wrote to standard error."""
+        """Read what one of them wrote to standard error."""
         return (self.folder / f"{('near', 'far')[host]}.err").read_text()
 
 

@@ -29,7 +29,7 @@ _UP_AND_RUNNING = 0x41
 
 
 class NoRightsError(RuntimeError):
-    """This machine does not let us make network namespaces or TUN devices; the text says which."""
+    """No rights to make network namespaces or TUN devices on this machine; the text says which."""
 
 
 def _address(text: str) -> bytes:
@@ -117,7 +117,7 @@ class Host:
                     stdout=out,
                     stderr=err,
                     process_group=0,
-                )  # fmt: skip
+                )
             )
 
         starter = threading.Thread(target=start)

@@ -11,6 +11,7 @@ import argparse
 from sim.verbs.dispatch import dispatch
 
 BENCHMARKS: dict[str, str] = {
+    "curve": "sim.verbs.bench_curve",
     "loop": "sim.verbs.bench_loop",
     "listeners": "sim.verbs.bench_listeners",
     "swaps": "sim.verbs.bench_swaps",
