@@ -197,7 +197,8 @@ def _account(rig: Rig, found: Soak, names: list[str]) -> None:
             for topic in LOOP:
                 own = _ticks(recording, topic)
                 # What one logger got between two messages of another, that one must have got too.
-                missing = {seq for seq in everything[topic] if min(own) <= seq <= max(own)} - own
+                low, high = min(own), max(own)
+                missing = {seq for seq in everything[topic] if low <= seq <= high} - own
                 found.shared += len(own)
                 if missing:
                     found.reasons.append(f"{name}: {len(missing)} messages of {topic} that the launch's logger has")
