@@ -156,7 +156,7 @@ def _spring_on(derivative: CompiledLaw) -> Family:
     return lambda stiffness: with_spring(derivative, stiffness)
 
 
-def boundaries(setting: Setting, step: Step) -> list[Curve]:
+def boundaries(setting: Setting, step: Step) -> tuple[list[Curve], bool]:
     """Find all boundaries of the figure.
 
     Parameters
@@ -168,15 +168,18 @@ def boundaries(setting: Setting, step: Step) -> list[Curve]:
 
     Returns
     -------
-    list of Curve
-        Law by law, delay by delay, without and with the Touch X's sensor; fewer, or a shorter last one, after Ctrl-C.
+    curves : list of Curve
+        Law by law, delay by delay, without and with the Touch X's sensor; fewer, or a shorter last one, after Ctrl-C. There
+        is no designed law where no law keeps its demand.
+    complete : bool
+        False after Ctrl-C.
     """
     curves: list[Curve] = []
     try:
         _fill(curves, setting, step)
     except KeyboardInterrupt:
-        return curves
-    return curves
+        return curves, False
+    return curves, True
 
 
 def _fill(curves: list[Curve], setting: Setting, step: Step) -> None:

@@ -82,7 +82,9 @@ def setting() -> Setting:
 
 @pytest.fixture(scope="module")
 def curves(setting: Setting) -> list[Curve]:
-    return boundaries(setting, quiet)
+    curves, complete = boundaries(setting, quiet)
+    assert complete
+    return curves
 
 
 def test_figure_4_has_every_law_delay_and_sensor(setting: Setting, curves: list[Curve]) -> None:
@@ -125,7 +127,8 @@ def test_interruption_leaves_a_shorter_figure(setting: Setting) -> None:
     def step(what: str, count: int) -> None:
         raise KeyboardInterrupt
 
-    found = boundaries(setting, step)
+    found, complete = boundaries(setting, step)
+    assert not complete
     assert len(found) == 1
     assert json.dumps(as_json(setting, found), allow_nan=False)
 

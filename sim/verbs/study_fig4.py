@@ -84,8 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
         criterion,
     )
     progress = Progress(steps() * len(gains))
-    curves = boundaries(setting, progress.step)
-    complete = len(curves) == 12 and all(len(curve.found) == len(gains) for curve in curves)
+    curves, complete = boundaries(setting, progress.step)
     claims = []
     if complete:
         claims = claims_4(setting, curves, spread_of_conventions(setting, curves, progress.step))
@@ -123,7 +122,8 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
         stiffness.set_title(f"d = {delay:g}: H(1) full, nominal K dashed, Touch X sensor ×", fontsize=9)
         stiffness.legend(fontsize=8)
         frequency.set(xlabel="B [N s/m]", ylabel="measured swing at the limit [Hz]")
-        frequency.legend(fontsize=8)
+        if frequency.lines:
+            frequency.legend(fontsize=8)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
     figure.suptitle(
