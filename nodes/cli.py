@@ -48,12 +48,21 @@ def _parser(verbs: Mapping[str, EntryPoint], chosen: str | None) -> argparse.Arg
         if chosen is not None and name != chosen:
             sub.add_parser(name)
             continue
+        if chosen is None:
+            sub.add_parser(name, help=_help_line(verbs[name]))
+            continue
         module = verbs[name].load()
-        help_line = (module.__doc__ or "").strip().splitlines()[0]
-        verb = sub.add_parser(name, help=help_line, description=help_line)
-        if name == chosen:
-            module.add(verb)
+        verb = sub.add_parser(name, description=(module.__doc__ or "").strip().splitlines()[0])
+        module.add(verb)
     return parser
+
+
+def _help_line(point: EntryPoint) -> str:
+    try:
+        text = point.load().__doc__
+    except Exception as error:  # noqa: BLE001  # a broken verb of another package must not hide the others
+        return f"(cannot be loaded: {type(error).__name__}: {error})".replace("%", "%%")
+    return (text or "").strip().partition("\n")[0].replace("%", "%%")
 
 
 def main(argv: list[str] | None = None) -> int:
