@@ -9,13 +9,8 @@ HDAPI counts in millimetres with +x right, +y up, +z towards the user; here +x i
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import math
-import os
-import shutil
-import subprocess
 import time
-from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import msgspec
@@ -23,23 +18,28 @@ import msgspec
 from messages.types import Vector
 from nodes.device import Device, DeviceLimits, Workspace
 from nodes.driver import Driver, DriverParameters
+from nodes.hdapi import (
+    AUTOMATIC,
+    CALIBRATION_NEEDS_MANUAL,
+    CALIBRATION_NEEDS_UPDATE,
+    CALIBRATION_OK,
+    CALIBRATION_STYLE,
+    ENCODER_RESET,
+    ERRORS,
+    FORCE_OUTPUT,
+    INKWELL,
+    INVALID_HANDLE,
+    MAX_CONTINUOUS_FORCE,
+    MAX_FORCE,
+    MAX_WORKSPACE,
+    UPDATE_RATE,
+    Servo,
+    build_servo,
+    load_library,
+    to_ours,
+    to_theirs,
+)
 
-FORCE_OUTPUT = 0x4000
-CALIBRATION_OK, CALIBRATION_NEEDS_UPDATE, CALIBRATION_NEEDS_MANUAL = 0x5000, 0x5001, 0x5002
-MAX_WORKSPACE, UPDATE_RATE, MAX_FORCE, MAX_CONTINUOUS_FORCE = 0x2550, 0x2600, 0x2603, 0x2604
-CALIBRATION_STYLE = 0x2555
-"""Which ways of calibrating the device has, one bit each."""
-
-AUTOMATIC, INKWELL, ENCODER_RESET = 2, 4, 1
-"""The ways, the best first, as the vendor's examples prefer them."""
-
-INVALID_HANDLE = 0xFFFFFFFF
-ERRORS = {
-    0x0100: "invalid enum", 0x0101: "invalid value", 0x0102: "invalid operation", 0x0103: "invalid input type",
-    0x0104: "bad handle", 0x0200: "warm motors", 0x0201: "exceeded maximum force", 0x0202: "exceeded maximum force impulse",
-    0x0203: "exceeded maximum velocity", 0x0204: "force error", 0x0300: "device fault", 0x0302: "communication error",
-    0x0304: "timer error", 0x0402: "frame error", 0x0501: "scheduler full",
-}  # fmt: skip
 PRIORITY = 65535
 SILENCE = 0.1
 """Longest watchdog that a launch file may ask for on this device [s]."""
@@ -81,98 +81,6 @@ class TouchDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields
     touch: TouchParameters = TouchParameters()
 
 
-class _Error(ctypes.Structure):
-    _fields_: ClassVar[list[tuple[str, Any]]] = [
-        ("error", ctypes.c_uint),
-        ("internal", ctypes.c_int),
-        ("device", ctypes.c_uint),
-    ]
-
-
-class _Servo(ctypes.Structure):
-    """As in nodes/servo.c."""
-
-    _fields_: ClassVar[list[tuple[str, Any]]] = [
-        *((name, ctypes.c_void_p) for name in ("begin_frame", "end_frame", "get_double", "set_double", "get_error")),
-        ("device", ctypes.c_uint),
-        ("deadline", ctypes.c_uint),
-        ("commands", ctypes.c_uint),
-        ("force", ctypes.c_double * 3),
-        ("stop", ctypes.c_uint),
-        ("samples", ctypes.c_uint),
-        ("position", ctypes.c_double * 3),
-        *((name, ctypes.c_uint) for name in ("ticks", "let_go", "errors", "fault", "last_command", "silent")),
-        ("held", ctypes.c_double * 3),
-    ]
-
-
-def to_ours(vector: tuple[float, float, float]) -> Vector:
-    """Turn a position of HDAPI into ours.
-
-    Parameters
-    ----------
-    vector : tuple of float, shape (3,)
-        Right, up, towards the user [mm].
-
-    Returns
-    -------
-    tuple of float, shape (3,)
-        Forward, left, up [m].
-    """
-    x, y, z = vector
-    return (-z * 1e-3, -x * 1e-3, y * 1e-3)
-
-
-def to_theirs(force: Vector) -> tuple[float, float, float]:
-    """Turn a force of ours into HDAPI's axes.
-
-    Parameters
-    ----------
-    force : tuple of float, shape (3,)
-        Forward, left, up [N].
-
-    Returns
-    -------
-    tuple of float, shape (3,)
-        Right, up, towards the user [N].
-    """
-    x, y, z = force
-    return (-y, z, -x)
-
-
-def build_servo() -> Path:
-    """Compile the servo loop, once per version of its source.
-
-    Returns
-    -------
-    Path
-        The library, in the user's cache.
-
-    Raises
-    ------
-    OSError
-        When there is no C compiler or it fails; the text says what to install.
-    """
-    source = Path(__file__).with_name("servo.c")
-    digest = hashlib.sha256(source.read_bytes()).hexdigest()[:16]
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "haptic-nodes"
-    library = cache / f"servo-{digest}.so"
-    if library.exists():
-        return library
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
-        raise OSError("no C compiler: the servo loop of the Touch is compiled once at first use; install gcc or clang")
-    cache.mkdir(parents=True, exist_ok=True)
-    draft = library.with_suffix(f".{os.getpid()}")
-    done = subprocess.run(
-        [compiler, "-O2", "-shared", "-fPIC", "-o", draft, source], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise OSError(f"{compiler} cannot compile {source}: {done.stderr[-1000:]}")
-    draft.replace(library)
-    return library
-
-
 class TouchDevice:
     """One device. `connect` takes hold of it with forces off; `open` calibrates it and lets forces through.
 
@@ -203,18 +111,10 @@ class TouchDevice:
         OSError
             When the library, the compiler or the device is missing; the text says what to do.
         """
-        name = self._parameters.library
-        try:
-            self._hd: Any = ctypes.CDLL(name)
-        except OSError as error:
-            raise OSError(
-                f"{name} cannot be loaded ({error}): install OpenHaptics and the Touch device driver of 3D Systems, or give "
-                "the library's path as touch.library; without a device, use kind sim_driver"
-            ) from error
-        self._declare()
+        self._hd: Any = load_library(self._parameters.library)
         self._code: Any = ctypes.CDLL(str(build_servo()))
         self._code.servo_size.restype = ctypes.c_size_t
-        if self._code.servo_size() != ctypes.sizeof(_Servo):
+        if self._code.servo_size() != ctypes.sizeof(Servo):
             raise OSError(
                 "nodes/servo.c and nodes/touch.py disagree about their shared structure; reinstall haptic-nodes"
             )
@@ -228,31 +128,6 @@ class TouchDevice:
         self._hd.hdDisable(FORCE_OUTPUT)
         self._check("forces cannot be switched off")
         self._limits = self._read_limits()
-
-    def _declare(self) -> None:
-        uint, void = ctypes.c_uint, None
-        doubles = ctypes.POINTER(ctypes.c_double)
-        for name, result, arguments in (
-            ("hdInitDevice", uint, [ctypes.c_char_p]),
-            ("hdDisableDevice", void, [uint]),
-            ("hdEnable", void, [uint]),
-            ("hdDisable", void, [uint]),
-            ("hdGetDoublev", void, [uint, doubles]),
-            ("hdGetIntegerv", void, [uint, ctypes.POINTER(ctypes.c_int)]),
-            ("hdGetError", _Error, []),
-            ("hdSetSchedulerRate", void, [ctypes.c_ulong]),
-            ("hdScheduleAsynchronous", ctypes.c_ulong, [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ushort]),
-            ("hdStartScheduler", void, []),
-            ("hdStopScheduler", void, []),
-            ("hdUnschedule", void, [ctypes.c_ulong]),
-            ("hdCheckCalibration", uint, []),
-            ("hdUpdateCalibration", void, [uint]),
-        ):
-            try:
-                function = getattr(self._hd, name)
-            except AttributeError as error:
-                raise OSError(f"{self._parameters.library} has no {name}: it is not HDAPI's library (libHD)") from error
-            function.restype, function.argtypes = result, arguments
 
     def _errors(self) -> list[str]:
         found: list[str] = []
@@ -303,7 +178,7 @@ class TouchDevice:
             hd.hdGetIntegerv(UPDATE_RATE, rates)
             self._check(f"{parameters.servo_rate} Hz is refused and the device's own rate cannot be read")
             rate = float(rates[0])
-        self._servo = _Servo()
+        self._servo = Servo()
         servo = self._servo
         for field, name in (
             ("begin_frame", "hdBeginFrame"),

@@ -13,9 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nodes.hdapi import build_servo, to_ours, to_theirs
 from nodes.limits import SafetyParameters, lower
 from nodes.recording import Recording
-from nodes.touch import TouchDevice, TouchParameters, build_servo, to_ours, to_theirs
+from nodes.touch import TouchDevice, TouchParameters
 from tests.launching import launch_json, running, wait_for
 
 needs_cc = pytest.mark.skipif(
