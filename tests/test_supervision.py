@@ -149,10 +149,15 @@ def pid(launch: RunningLaunch, node: str) -> int:
     return int(launch.call(node, "status")["pid"])
 
 
+def guards(launch: RunningLaunch) -> list[int]:
+    return [number for number, line in processes_of(launch.runtime_dir).items() if "guard.py" in line]
+
+
 def guard(launch: RunningLaunch) -> int:
-    found = [number for number, line in processes_of(launch.runtime_dir).items() if "guard.py" in line]
+    # Between fork and exec a new one does not show its command line yet.
+    found = wait_for(lambda: guards(launch), "a guard")
     assert len(found) == 1
-    return found[0]
+    return int(found[0])
 
 
 # -- every end leaves nothing behind ----------------------------------------------------------------------------------
