@@ -14,6 +14,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+import struct
 from pathlib import Path
 
 import msgspec
@@ -115,7 +116,7 @@ def parse_key(text: str) -> str:
     if len(text) == 40:
         try:
             return bytes(z85.decode(text)).hex()
-        except (ValueError, KeyError) as error:
+        except (ValueError, KeyError, struct.error) as error:
             raise KeyRefusedError(f"{text!r}: 40 characters that are not Z85") from error
     key = text.lower()
     if not _KEY.match(key):

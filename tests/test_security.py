@@ -142,7 +142,7 @@ def test_names_that_are_paths_are_refused(me: Identity, name: str) -> None:
         keys.allow(name, me.public)
 
 
-@pytest.mark.parametrize("key", ["", "00", "g" * 64, "0" * 63, "0" * 65, "\x00" * 40])
+@pytest.mark.parametrize("key", ["", "00", "g" * 64, "0" * 63, "0" * 65, "\x00" * 40, "#" * 40])
 def test_what_is_no_key_is_refused(me: Identity, key: str) -> None:
     with pytest.raises(KeyRefusedError):
         keys.allow("robot", key)

@@ -1,0 +1,319 @@
+"""Every parser against damaged input: it may only raise the error it documents.
+
+Valid inputs of each parser are cut, spliced, repeated, flipped and sprinkled with the values at which formats break. The test
+set does a few hundred per parser; a long run is asked for with::
+
+    HAPTIC_FUZZ_SECONDS=600 pytest tests/test_fuzz.py
+
+which shares the seconds among the parsers, and with HAPTIC_FUZZ_SEED=… repeats or varies it. What breaks a parser is shown
+as a Python literal, to become a test of that parser.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from messages import topics
+from messages.codec import Decoder, MessageRefusedError, encode
+from messages.control import Reply, Request, decode_reply, decode_request
+from messages.endpoints import EndpointRefusedError, split
+from messages.keys import KeyRefusedError, parse_key
+from messages.types import Event, NodeStatus
+from nodes import launchfile, mcapfile
+from nodes.laws.parse import LawRefusedError, parse_law
+from nodes.parameters import ParameterError
+from nodes.record import RecordError, RecordWriter
+from nodes.recording import Recording
+from nodes.recover import recover
+from nodes.runs import RunError
+from nodes.setup import Setup
+from nodes.starter import Starter
+from nodes.yamlfile import parse_yaml
+from tests.launching import private_runtime_dir
+from tests.recorded import drop
+
+SECONDS = float(os.environ.get("HAPTIC_FUZZ_SECONDS", "0"))
+SEED = int(os.environ.get("HAPTIC_FUZZ_SEED", "1"))
+EXAMPLES = 200
+
+TELLING = [
+    *(bytes([value]) * count for value in (0x00, 0xFF, 0x7F, 0x80, 0xC1) for count in (1, 2, 4, 8)),
+    *(value.to_bytes(8, order) for value in (1, 2**31, 2**32 - 1, 2**63 - 1, 2**63) for order in ("little", "big")),
+    b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00", b"\xcb\x7f\xf0\x00\x00\x00\x00\x00\x00", b"\x91" * 2000, b"\xdd\xff\xff\xff\xff",
+    b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xd9\xff", b"[" * 200, b"{" * 200, b"- " * 50, b"&a *a", b"<<: ",
+    b"!!python/object/apply:os.system", b"!!binary x", b"!!timestamp 1", b"2026-13-45", b"1:99:99", b".nan", b"-.inf",
+    b"1e400", b"0o99", b"0x", b"? ", b"\t", b"\r", b"\xef\xbb\xbf", b"\xed\xa0\x80", b"$(var x)", b"---\n", b"...\n",
+    b"%YAML 9.9\n",
+]  # fmt: skip
+"""What formats break at: limits of integers, longest lengths, deep nests, tags, marks, halves of characters."""
+
+
+def damage(luck: random.Random, corpus: list[bytes]) -> bytes:
+    """Damage one of some valid inputs in one to six ways."""
+    found = bytearray(luck.choice(corpus))
+    for _ in range(luck.randint(1, 6)):
+        at = luck.randint(0, len(found))
+        to = min(len(found), at + luck.choice((1, 2, 4, 8, 40, 1000)))
+        way = luck.randrange(7)
+        if way == 0 and found:
+            found[at % len(found)] ^= 1 << luck.randrange(8)
+        elif way == 1:
+            del found[at:to]
+        elif way == 2:
+            found[at:at] = found[at:to] * luck.choice((1, 2, 30))
+        elif way == 3:
+            piece = luck.choice(TELLING)
+            found[at : at + len(piece)] = piece
+        elif way == 4:
+            found[at:at] = luck.choice(TELLING)
+        elif way == 5:
+            other = luck.choice(corpus)
+            start = luck.randint(0, len(other))
+            found[at:to] = other[start : start + luck.choice((1, 4, 40, 1000))]
+        else:
+            del found[at:]
+    return bytes(found)
+
+
+class Target(NamedTuple):
+    """A parser, valid inputs of it, and what it may raise."""
+
+    name: str
+    corpus: list[bytes]
+    parse: Callable[[bytes], object]
+    error: tuple[type[Exception], ...]
+
+
+def _recording() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "drop.mcap"
+        with RecordWriter(str(path), {"run": "r"}, launch_file="x: 1\n", parameters={"driver": "{}"}) as writer:
+            for topic, message in drop(40, switch=20):
+                writer.write(topic, message, 1.0 + message.stamp)
+        return path.read_bytes()
+
+
+@contextlib.contextmanager
+def _file(content: bytes) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
+        path = Path(folder) / "damaged.mcap"
+        path.write_bytes(content)
+        yield path
+
+
+def _read(content: bytes) -> None:
+    with _file(content) as path:
+        for entry in Recording(path).entries():
+            assert entry.topic
+
+
+def _recover(content: bytes) -> None:
+    with _file(content) as path:
+        recover(path, path.with_name("saved.mcap"))
+        # What was saved is a complete recording, or the promise of recover is broken.
+        saved = Recording(path.with_name("saved.mcap"))
+        for topic in saved.topics:
+            with contextlib.suppress(RecordError):
+                saved.messages(topic)
+
+
+def _parts(recording: bytes) -> list[Target]:
+    """Each kind of record by itself: what a checksum hides from the fuzzing of whole files."""
+    kinds: dict[str, tuple[int, Callable[[Path, mcapfile.Record], object]]] = {
+        "channel": (4, mcapfile.parse_channel),
+        "schema": (3, mcapfile.parse_schema),
+        "metadata": (12, mcapfile.parse_metadata),
+        "message": (5, mcapfile.parse_message),
+        "chunk": (6, mcapfile.unpack_chunk),
+    }
+    with _file(recording) as path:
+        records = list(mcapfile.walk(path))
+        for record in [record for record in records if record.opcode == mcapfile.CHUNK]:
+            records += mcapfile.unpack_chunk(path, record)
+    targets = []
+    for name, (opcode, parse) in kinds.items():
+        corpus = [bytes(record.content) for record in records if record.opcode == opcode][:20]
+        assert corpus, name
+
+        def attempt(
+            content: bytes, opcode: int = opcode, parse: Callable[[Path, mcapfile.Record], object] = parse
+        ) -> object:
+            return parse(Path("x.mcap"), mcapfile.Record(0, opcode, content))
+
+        targets.append(Target(f"mcap {name}", corpus, attempt, (RecordError,)))
+    return targets
+
+
+def _launch_file(content: bytes) -> None:
+    with _file(content) as path:
+        scene = path.with_name("scene.yaml")
+        scene.write_bytes(content)
+        launchfile.read(str(scene), {})
+
+
+def _text(parse: Callable[[str], object]) -> Callable[[bytes], object]:
+    return lambda content: parse(content.decode("utf-8", "replace"))
+
+
+def _law(text: str) -> None:
+    parse_law(parse_yaml(text, "fuzz"), "fuzz")
+
+
+def _starter(name: str) -> Callable[[bytes], object]:
+    """Judge what a launcher on another machine hands over."""
+    starter = Starter(name, "127.0.0.1", 5000)
+
+    def accept(content: bytes) -> None:
+        try:
+            data = msgspec.json.decode(content)
+        except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+            raise ParameterError(str(error)) from error
+        setup = starter.accept(data)
+        Path(setup.run_dir).rmdir()
+
+    return accept
+
+
+def _setup() -> bytes:
+    return msgspec.json.encode(
+        Setup(
+            run="r-1",
+            run_dir="",
+            name="environment",
+            kind="environment",
+            factory="",
+            period=0.002,
+            pace="realtime",
+            apply="on_arrival",
+            axes=["z"],
+            ticks=0,
+            publish="tcp://127.0.0.1:5000",
+            control="tcp://127.0.0.1:5001",
+            sources={"/device/state": "tcp://127.0.0.1:5600"},
+            lease=10.0,
+            by_hand=True,
+            parameters={"surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}},
+        )
+    )
+
+
+def targets() -> list[Target]:
+    """List every parser of the project that reads what others wrote."""
+    wire = [(topic, encode(message)) for topic, message in drop(12, switch=5)]
+    wire += [("/a/event", encode(Event(seq=1, stamp=0.1, node="a", kind="k", reason="r")))]
+    wire += [("/a/status", encode(NodeStatus(seq=1, stamp=0.1, node="a", kind="k", state="ready", pid=1)))]
+    requests = [
+        Request("param.set", {"values": {"laws.pd.stiffness": 1e3}}),
+        Request("status"),
+        Request("law.switch", {"law": "pd"}),
+    ]
+    replies = [Reply(True, {"a": [1, 2.5, None, {"b": "c"}]}), Reply(False, error="no")]
+    scenes = [path.read_bytes() for path in launchfile.scenarios().values()]
+    laws = [
+        b"{kind: pd, stiffness: 1000.0, damping: 3.0}",
+        b"{kind: pd_alpha, stiffness: 1000.0, damping: 3.0, order: 1.2, taps: 10, gains: normalised}",
+        b"{kind: multi_term, stiffness: 9.0, damping: 1.0, terms: [{gain: 1.0, order: 0.5}], taps: 4, gains: physical}",
+        b"{kind: fir, taps: [1000.0, -3.0]}",
+    ]
+    recording = _recording()
+    found = []
+    for topic in {topic for topic, _ in wire}:
+        kind = topics.message_type(topic)
+        assert kind is not None
+        corpus = [payload for name, payload in wire if name == topic]
+        found.append(Target(f"wire {topic}", corpus, Decoder(kind).decode, (MessageRefusedError,)))
+    found += [
+        Target(
+            "request",
+            list(map(msgspec.msgpack.encode, requests)),
+            lambda b: decode_request([b]),
+            (MessageRefusedError,),
+        ),
+        Target(
+            "reply", list(map(msgspec.msgpack.encode, replies)), lambda b: decode_reply([b]), (MessageRefusedError,)
+        ),
+        Target(
+            "setup from another machine",
+            [_setup()],
+            _starter("environment"),
+            (ParameterError, EndpointRefusedError, KeyRefusedError, RunError),
+        ),
+        Target("yaml", [*scenes, *laws], _text(lambda text: parse_yaml(text, "fuzz")), (ParameterError,)),
+        Target("launch file", scenes, _launch_file, (ParameterError,)),
+        Target("law", laws, _text(_law), (ParameterError, LawRefusedError)),
+        Target("key", [b"ab" * 32, b"0" * 40], _text(parse_key), (KeyRefusedError,)),
+        Target(
+            "endpoint",
+            [b"tcp://127.0.0.1:1#" + b"ab" * 32, b"ipc:///x"],
+            _text(split),
+            (EndpointRefusedError, KeyRefusedError),
+        ),
+        Target("recording", [recording], _read, (RecordError,)),
+        Target("recover", [recording], _recover, (RecordError,)),
+        *_parts(recording),
+    ]
+    return sorted(found, key=lambda target: target.name)
+
+
+TARGETS = targets()
+
+
+def attempt(target: Target, luck: random.Random) -> bool:
+    """Damage an input and parse it; True when it was still valid."""
+    content = damage(luck, target.corpus)
+    try:
+        target.parse(content)
+    except target.error:
+        return False
+    except Exception as error:
+        raise AssertionError(f"{target.name}: {type(error).__name__}: {error}; input: {content!r}") from error
+    return True
+
+
+@pytest.fixture(autouse=True)
+def _private(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with private_runtime_dir() as folder:
+        monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(folder))
+        yield
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+def test_the_valid_inputs_are_valid(target: Target) -> None:
+    for content in target.corpus:
+        target.parse(content)
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+@given(luck=st.randoms(use_true_random=False))
+@settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+def test_damaged_input_raises_the_documented_error_only(target: Target, luck: random.Random) -> None:
+    attempt(target, luck)
+
+
+@pytest.mark.skipif(not SECONDS, reason="a long run is asked for with HAPTIC_FUZZ_SECONDS=600")
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+def test_long_run(target: Target) -> None:
+    until = time.monotonic() + SECONDS / len(TARGETS)
+    count = 0
+    while time.monotonic() < until:
+        attempt(target, random.Random(f"{SEED} {count}"))  # noqa: S311  # to be repeated
+        count += 1
+    assert count
