@@ -28,6 +28,7 @@ from messages.control import ControlError, call
 from messages.sockets import Subscription, new_context
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
+from nodes.realtime import die_with_parent
 from nodes.runs import RunInfo, alive
 
 START = 30.0
@@ -66,9 +67,10 @@ class Rig:
     """
 
     def __init__(self, content: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="haptic-drill-"))
         # Short, because the paths of sockets are.
-        self._runtime = Path(tempfile.mkdtemp(prefix="hd-", dir=Path("/tmp")))  # noqa: S108
+        self.folder = Path(tempfile.mkdtemp(prefix="hd-", dir=Path("/tmp")))  # noqa: S108
+        self._runtime = self.folder / "run"
+        self._runtime.mkdir(mode=0o700)
         launch = self.folder / "drill.yaml"
         launch.write_bytes(msgspec.json.encode(content))  # JSON is YAML
         self.environment = {**os.environ, **(environment or {}), "HAPTIC_RUNTIME_DIR": str(self._runtime)}
@@ -89,6 +91,8 @@ class Rig:
                 stdout=out,
                 stderr=err,
                 process_group=0,
+                # A drill that is killed must not leave its launch behind.
+                preexec_fn=die_with_parent,
             )
 
     def __enter__(self) -> Self:
@@ -266,6 +270,14 @@ class Rig:
         """
         if self._ending.is_set():
             return
+        try:
+            self._end()
+            if look is not None:
+                look()
+        finally:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _end(self) -> None:
         if self.launcher.poll() is None:
             self.launcher.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -283,9 +295,3 @@ class Rig:
         if self._listener is not None:
             self._listener.join()
         self._context.term()
-        shutil.rmtree(self._runtime, ignore_errors=True)
-        try:
-            if look is not None:
-                look()
-        finally:
-            shutil.rmtree(self.folder, ignore_errors=True)

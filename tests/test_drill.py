@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import shutil
+import signal
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +17,14 @@ from nodes import launchfile
 from nodes.device import DeviceLimits
 from nodes.limits import lower
 from nodes.parameters import convert
+from nodes.runs import alive
 from nodes.setup import Setup
 from sim import drill
 from sim.driver import SimDriverParameters, TimedDevice
 from sim.faults import faults
 from sim.rig import Rig
 from sim.soak import soak
-from tests.launching import haptic
+from tests.launching import HAPTIC, haptic, wait_for
 
 HELD = (0.0, 0.0, 1.0)
 
@@ -170,3 +175,32 @@ def test_soak_accounts_for_every_message_and_keeps_its_memory() -> None:
     assert all(one["lost"] == 0 for one in found.accounts.values())
     assert found.accounts["driver"]["sent"] > 1000
     assert found.shared > 1000
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(tmp_path: Path, number: signal.Signals) -> None:
+    drilling = subprocess.Popen([*HAPTIC, "drill", "soak"], cwd=tmp_path, stderr=subprocess.DEVNULL)
+
+    def children(parents: set[int]) -> set[int]:
+        found = set()
+        for path in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+                if int(path.read_text().rsplit(")", 1)[1].split()[1]) in parents:
+                    found.add(int(path.parent.name))
+        return found
+
+    try:
+        # The drill's child is the launcher; the launcher's are the guard and four nodes.
+        launcher = wait_for(lambda: children({drilling.pid}), "the launcher starts")
+        nodes = wait_for(lambda: found if len(found := children(launcher)) >= 5 else None, "nodes start")
+        folder = Path(f"/proc/{min(launcher)}/cwd").resolve()
+        drilling.send_signal(number)
+        drilling.wait()
+        wait_for(lambda: not any(map(alive, launcher | nodes)), "launcher, guard and nodes end")
+        # What was killed cannot tidy up its own working folder; the sockets in it are gone all the same.
+        assert folder.exists() == (number == signal.SIGKILL)
+        assert not list(folder.glob("run/*"))
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        drilling.kill()
+        drilling.wait()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 
 import msgspec
@@ -56,6 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     UsageError
         When there is no such fault.
     """
+    # Ended by SIGTERM, it ends its launch first, as after Ctrl-C.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     if arguments.faults == ["soak"]:
         return _soak(arguments)
     known = {fault.name: fault for fault in faults()}
