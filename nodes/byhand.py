@@ -30,7 +30,7 @@ PATIENCE = 120.0
 LOST = 5.0
 """After so long without an answer a node that was there is taken as lost [s]."""
 
-LEASE = 10.0
+LEASE = 6.0
 """After so long without a request such a node takes its launcher as lost, and stops [s]."""
 
 PERIOD = 0.5

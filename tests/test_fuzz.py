@@ -46,7 +46,7 @@ from tests.recorded import drop
 
 SECONDS = float(os.environ.get("HAPTIC_FUZZ_SECONDS", "0"))
 SEED = int(os.environ.get("HAPTIC_FUZZ_SEED", "1"))
-EXAMPLES = 200
+EXAMPLES = 100
 
 TELLING = [
     *(bytes([value]) * count for value in (0x00, 0xFF, 0x7F, 0x80, 0xC1) for count in (1, 2, 4, 8)),

