@@ -25,6 +25,9 @@ SHORTER = {
     "haptic launch --show-args": "",
     "haptic bench loop": "--rounds 1 --seconds 1 --ticks 2000",
     "haptic bench listeners": "--rounds 1 --seconds 1",
+    "haptic study design": "--mass 0.1 --taps 2",
+    "haptic study design --compare": "--mass 0.1 --taps 2 --delays 0 --margins 0",
+    "haptic study fig4": "--points 3 --horizon 500",
 }
 """What makes a command short enough for a test, by its first words."""
 
