@@ -61,7 +61,7 @@ def test_list(launch: RunningLaunch) -> None:
 def test_info(launch: RunningLaunch) -> None:
     found = told(launch, "topic", "info", FORCE)
     assert (found["type"], found["node"], found["per_tick"]) == ("Force", "coupling", True)
-    assert found["endpoint"] == launch.run.nodes["coupling"].publish
+    assert found["endpoint"] == launch.run.nodes["coupling"].listen
     assert "[N]" in found["schema"]["properties"]["force"]["description"]
     assert "published by coupling" in launch.haptic("topic", "info", FORCE).stdout
 
