@@ -247,6 +247,7 @@ class Node:
             topic, payload = self.outbox.popleft()
             self.publisher.send_aside(topic, payload)
             self.sent += 1
+        self.publisher.flush()
 
     def take(self, decoder: Decoder[M], frames: tuple[bytes, bytes], topic: bytes) -> M | None:
         """Decode a received message; count and tell what is refused.

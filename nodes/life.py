@@ -28,6 +28,12 @@ from nodes.setup import Setup
 if TYPE_CHECKING:
     from messages.sockets import Context
 
+LISTENERS_WAIT = 0.002
+"""How long messages for listeners may be collected in real time, one period or more [s]."""
+
+LOCKSTEP_BATCH = 8
+"""How many are collected in lockstep."""
+
 REPORT_TIMEOUT = 3.0
 """How long a node that was started by hand waits at its end for the launcher to fetch its report [s]."""
 
@@ -65,7 +71,10 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
         gate = Gate(context, node.deny)
     try:
         hops, listeners = [setup.reach], [setup.listen, setup.listen_reach]
-        node.publisher = Publisher(context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)))
+        batch = LOCKSTEP_BATCH if setup.pace == "lockstep" else max(1, int(LISTENERS_WAIT / setup.period))
+        node.publisher = Publisher(
+            context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)), batch
+        )
         subscriptions: list[Subscription] = []
 
         def subscribe(endpoints: Iterable[str], wanted: Iterable[str], queue: int) -> Subscription:
