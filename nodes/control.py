@@ -17,7 +17,7 @@ import zmq
 
 from messages import topics
 from messages.codec import MessageRefusedError
-from messages.control import Reply, decode_request
+from messages.control import Reply, Request, decode_request
 from messages.endpoints import bind, remove_ipc
 from nodes import realtime
 from nodes.parameters import ParameterError
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 STATUS_PERIOD = 0.5
 WATCH_PERIOD = 0.1
+
+WAKE = "inproc://control-wake"
+"""Where a request of the node's own process arrives: the one that ends the thread."""
 
 
 class ControlServer(threading.Thread):
@@ -50,12 +53,16 @@ class ControlServer(threading.Thread):
         self._socket = context.socket(zmq.REP)
         try:
             bind(self._socket, node.setup.control)
+            self._socket.bind(WAKE)
         except ValueError:
             self._socket.close(linger=0)
             raise
         self._asked = time.monotonic()
         self._fetched = threading.Event()
-        self._socket.rcvtimeo = int(WATCH_PERIOD * 1000)
+        # Each time it wakes up for nothing, it takes the interpreter's lock from the loop for some 100 µs.
+        often = node.setup.watch or node.setup.lease
+        self._socket.rcvtimeo = int((WATCH_PERIOD if often else STATUS_PERIOD) * 1000)
+        self._context = context
         self._watched = WatchedFile(node.setup.watch) if node.setup.watch else None
         self._operations: dict[str, Callable[..., Any]] = {
             "status": lambda: msgspec.to_builtins(node.status()),
@@ -192,6 +199,10 @@ class ControlServer(threading.Thread):
         """Stop serving and wait for the thread."""
         self._ending.set()
         if self.is_alive():
-            self.join()
+            with self._context.socket(zmq.REQ) as waker:
+                waker.linger = 0
+                waker.connect(WAKE)
+                waker.send(msgspec.msgpack.encode(Request("clock")))
+                self.join()
         else:
             self._socket.close(linger=0)

@@ -57,10 +57,12 @@ def step_aside() -> None:
     For the control thread: were it a normal one, anything could hold it up while it holds the interpreter's lock, and the
     loop would wait for both.
     """
+    others = set(range(os.cpu_count() or 1)) - os.sched_getaffinity(0)
+    if others:
+        os.sched_setaffinity(0, others)
     if os.sched_getscheduler(0) == os.SCHED_FIFO:
         priority = max(1, os.sched_getparam(0).sched_priority - 10)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        os.sched_setaffinity(0, range(os.cpu_count() or 1))
 
 
 def quiet_interpreter() -> None:
