@@ -82,6 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
     """
     if not 1 <= arguments.taps <= 12:
         raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
+    if arguments.compare and arguments.taps < 2:
+        raise UsageError(f"--taps {arguments.taps} --compare: PD and PDα have at least 2 taps")
     if arguments.radius > 1.0:
         raise UsageError(f"--radius {arguments.radius:g}: above 1 is unstable")
     if not arguments.mass[0] > 0.0:

@@ -87,7 +87,13 @@ def run(arguments: argparse.Namespace) -> int:
     curves, complete = boundaries(setting, progress.step)
     claims = []
     if complete:
-        claims = claims_4(setting, curves, spread_of_conventions(setting, curves, progress.step))
+        try:
+            claims = claims_4(setting, curves, spread_of_conventions(setting, curves, progress.step))
+        except ValueError as error:
+            raise UsageError(
+                f"--horizon {arguments.horizon} --points {arguments.points}: too little settles to judge the claims ({error}); "
+                "give a longer horizon or more points"
+            ) from error
     saved = save(
         "fig4", as_json(setting, curves) | {"complete": complete}, claims, _draw(setting, curves), arguments.out
     )
