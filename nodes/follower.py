@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Generic, TypeVar
 
-from messages.codec import Decoder, MessageRefusedError
+from messages.codec import Decoder
 from messages.sockets import Subscription
 from messages.types import Message
 from nodes.base import Node
@@ -33,9 +33,8 @@ class Follower(Generic[M]):
 
     def __init__(self, node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> None:
         self._node = node
-        self._inbox = inbox
         self._receive = inbox.receive_tick
-        self._decode = decoder.decode
+        self._decoder = decoder
         self._topic = topic.encode()
         self._realtime = node.setup.pace == "realtime"
         self._period = node.setup.period
@@ -58,7 +57,7 @@ class Follower(Generic[M]):
         frames = self._receive(timeout_ms)
         if frames is None:
             return None
-        message = self._judge(frames)
+        message = node.take(self._decoder, frames, self._topic)
         if message is None:
             return None
         if self._realtime and time.monotonic() + node.clock_offset - message.stamp > self._period:
@@ -69,22 +68,9 @@ class Follower(Generic[M]):
         self._last = node.seq = seq
         return message
 
-    def _judge(self, frames: tuple[bytes, bytes]) -> M | None:
-        if frames[0] != self._topic:
-            self._inbox.resynchronise()
-            self._node.refuse(f"a message on {frames[0][:64]!r} where {self._topic.decode()} was expected")
-            return None
-        try:
-            message = self._decode(frames[1])
-        except MessageRefusedError as error:
-            self._node.refuse(str(error))
-            return None
-        self._node.received += 1
-        return message
-
     def _newest(self, message: M) -> M:
         while (frames := self._receive(0)) is not None:
-            newer = self._judge(frames)
+            newer = self._node.take(self._decoder, frames, self._topic)
             if newer is not None:
                 self._node.skipped += 1
                 message = newer
