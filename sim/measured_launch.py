@@ -10,6 +10,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from sim import stopwatch
+
 
 class MeasurementError(RuntimeError):
     """A launch or a yardstick that was to be measured failed; the text holds what it said."""
@@ -118,15 +120,9 @@ def machine() -> str:
     str
         Processor, number of cores, kernel, Python.
     """
-    import platform
-
-    model = platform.processor() or platform.machine()
-    for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-        if line.startswith("model name"):
-            model = line.partition(":")[2].strip()
-            break
+    here = stopwatch.machine()
     cores = len(os.sched_getaffinity(0))
-    return f"{model}, {cores} cores, Linux {platform.release()}, Python {platform.python_version()}"
+    return f"{here['cpu']}, {cores} cores, {here['system']}, Python {here['python']}"
 
 
 def fifo_granted() -> bool:
