@@ -8,6 +8,7 @@ meaning and the unit of a field are written once, in messages/types.py, and trav
 from __future__ import annotations
 
 import re
+import sys
 from functools import cache
 from typing import Any
 
@@ -57,7 +58,8 @@ def _inline(info: msgspec.inspect.Type, path: str) -> dict[str, Any]:
     found: dict[str, Any] = {"type": _SCALARS[type(info)]}
     for limit, keyword in _LIMITS.items():
         value = getattr(info, limit, None)
-        if value is not None:
+        # JSON has no infinity to exclude.
+        if value is not None and abs(value) != sys.float_info.max:
             found[keyword] = value
     return found
 

@@ -10,11 +10,15 @@ listeners go on working.
 
 from __future__ import annotations
 
+import sys
 from typing import Annotated, TypeAlias
 
 import msgspec
 
-Vector: TypeAlias = tuple[float, float, float]
+Real: TypeAlias = Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
+"""A finite number. MessagePack carries NaN and infinity too, which a haptic device must never see: no bound holds for them."""
+
+Vector: TypeAlias = tuple[Real, Real, Real]
 MAX_COUNT = 2**53 - 1
 """Largest counter: exact as a double, so exact in JSON and in any language."""
 
@@ -37,7 +41,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """
 
     seq: Count
-    stamp: float
+    stamp: Real
 
 
 class DeviceState(Message, frozen=True, kw_only=True, gc=False):
@@ -76,14 +80,14 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     force: Vector = ZERO
     force_seq: Annotated[int, msgspec.Meta(ge=-1, le=MAX_COUNT)] = -1
     age: Count = 0
-    response: float = 0.0
-    lateness: float = 0.0
+    response: Real = 0.0
+    lateness: Real = 0.0
     missed: Count = 0
     overruns: Count = 0
     safety: Name = "active"
-    energy: float = 0.0
-    delay: float = 0.0
-    guard: float = 0.0
+    energy: Real = 0.0
+    delay: Real = 0.0
+    guard: Real = 0.0
 
 
 class Proxy(Message, frozen=True, kw_only=True, gc=False):
@@ -108,9 +112,9 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
     position: Vector
     proxy: Vector
     normal: Vector = ZERO
-    distance: float = 0.0
+    distance: Real = 0.0
     contact: bool = False
-    delay: float = 0.0
+    delay: Real = 0.0
 
 
 class Force(Message, frozen=True, kw_only=True, gc=False):
@@ -168,11 +172,11 @@ class NodeStatus(Message, frozen=True, kw_only=True, gc=False):
     skipped: Count = 0
     gaps: Count = 0
     reason: Text = ""
-    memory: float = 0.0
-    cpu: float = 0.0
+    memory: Real = 0.0
+    cpu: Real = 0.0
     denied: Count = 0
-    clock_offset: float = 0.0
-    clock_error: float = 0.0
+    clock_offset: Real = 0.0
+    clock_error: Real = 0.0
 
 
 class Receipt(Message, frozen=True, kw_only=True, gc=False):
@@ -197,7 +201,7 @@ class Receipt(Message, frozen=True, kw_only=True, gc=False):
     action: Name
     before: Text
     after: Text
-    force_step: float = 0.0
+    force_step: Real = 0.0
     ramp: Count = 0
     reason: Text = ""
     revision: Count = 0
