@@ -48,6 +48,10 @@ class Argument(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     choices: list[str] = []
 
 
+AWAKE_RATE = 1000.0
+"""From this rate on a tick is too short for processors that sleep between ticks [Hz]."""
+
+
 class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How the loop runs.
 
@@ -62,10 +66,12 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     axes : list of str
         Axes that the scene computes.
     cpu : int or str
-        Core of the chain driver-environment-coupling; ``auto`` takes the last one where there are several, ``any`` does not
-        pin.
+        Core of the chain driver-environment-coupling; ``auto`` takes the one that devices interrupt least where there are
+        several, ``any`` does not pin.
     fifo : int or str
         SCHED_FIFO priority of the chain; ``auto`` takes 50 in real time, 0 none.
+    awake : bool or str
+        Whether idle processors are kept from going to sleep (`nodes.realtime.awake`); ``auto``: in real time from 1 kHz up.
     host : str
         Address under which other machines reach this one; needed when nodes run elsewhere.
     port : int
@@ -79,6 +85,7 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     axes: Annotated[list[Axis], msgspec.Meta(min_length=1, max_length=3)] = msgspec.field(default_factory=lambda: ["z"])
     cpu: int | Literal["auto", "any"] = "auto"
     fifo: Annotated[int, msgspec.Meta(ge=0, le=90)] | Literal["auto"] = "auto"
+    awake: bool | Literal["auto"] = "auto"
     host: str = ""
     port: Annotated[int, msgspec.Meta(ge=1, le=65000)] = 5600
 
@@ -86,6 +93,13 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def period(self) -> float:
         """Sampling period T [s]."""
         return 1.0 / self.rate
+
+    @property
+    def stays_awake(self) -> bool:
+        """Whether idle processors are kept from going to sleep."""
+        if self.awake == "auto":
+            return self.pace == "realtime" and self.rate >= AWAKE_RATE
+        return self.awake
 
     @property
     def ticks(self) -> int:

@@ -7,16 +7,21 @@ inherited by threads made later, so they are set before the ZeroMQ context.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
 import signal
 import sys
 import time
+from collections.abc import Iterator
 
 from nodes.setup import Scheduling
 
 PR_SET_PDEATHSIG = 1
+
+WAKE_LATENCY = "/dev/cpu_dma_latency"
+"""How long waking a processor may take [µs], as long as somebody holds this file open (the kernel's PM QoS interface)."""
 
 
 def apply(scheduling: Scheduling) -> list[str]:
@@ -49,6 +54,61 @@ def apply(scheduling: Scheduling) -> list[str]:
     except OSError as error:
         refused.append(f"timer slack 1 ns: {error.strerror}; ticks come about 50 µs later")
     return refused
+
+
+def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
+    """Find the processor for the chain: of those this process may use, the one that devices interrupt least.
+
+    A disk to which a logger writes, or a network card, interrupts one processor all the time; a tick there waits for it.
+
+    Parameters
+    ----------
+    interrupts : str
+        The kernel's table: a heading with the processors, then a line for each interrupt.
+
+    Returns
+    -------
+    int
+        Its number; the last of equals, as the first one does the kernel's housekeeping.
+    """
+    available = os.sched_getaffinity(0)
+    counts = dict.fromkeys(sorted(available), 0)
+    try:
+        with open(interrupts, encoding="ascii", errors="replace") as table:
+            columns = [int(name.removeprefix("CPU")) for name in table.readline().split()]
+            for line in table:
+                name, *numbers = line.split()[: len(columns) + 1]
+                # Timers and calls between processors, which have names, follow the load.
+                if name.rstrip(":").isdigit():
+                    for processor, number in zip(columns, numbers, strict=False):
+                        if processor in counts:
+                            counts[processor] += int(number)
+    except OSError:
+        return max(available)
+    return min(reversed(counts), key=counts.__getitem__)
+
+
+@contextlib.contextmanager
+def awake() -> Iterator[str]:
+    """Keep idle processors from going to sleep, which makes each wake-up of a tick 10 µs later; costs their power.
+
+    However the process ends, the kernel takes it back.
+
+    Yields
+    ------
+    str
+        Why it was refused; empty when it was granted.
+    """
+    try:
+        held = os.open(WAKE_LATENCY, os.O_WRONLY)
+    except OSError as error:
+        yield f"{WAKE_LATENCY}: {error.strerror}; processors sleep between ticks, and answer later; see haptic doctor"
+        return
+    try:
+        os.write(held, (0).to_bytes(4, sys.byteorder))
+        yield ""
+    finally:
+        os.close(held)
 
 
 def step_aside() -> None:

@@ -24,7 +24,7 @@ from messages.endpoints import bind, is_remote, split
 from messages.gate import Gate
 from messages.keys import identity
 from messages.sockets import new_context
-from nodes import runs
+from nodes import realtime, runs
 from nodes.kinds import load, node_kinds
 from nodes.life import live
 from nodes.parameters import ParameterError, convert
@@ -187,7 +187,7 @@ class Starter:
             raise ParameterError(
                 f"setup.kind: {setup.kind!r} is not installed here; there is: {', '.join(sorted(kinds))}"
             )
-        cpus = sorted(os.sched_getaffinity(0))[-1:] if setup.scheduling.cpus else []
+        cpus = [realtime.quietest_processor()] if setup.scheduling.cpus else []
         scheduling = Scheduling(cpus=cpus, fifo=setup.scheduling.fifo)
         made = msgspec.structs.replace(setup, factory=kinds[setup.kind], run_dir="", scheduling=scheduling)
         kind = load(made.factory)

@@ -23,7 +23,7 @@ import zmq
 
 from messages.control import ControlError, call
 from messages.sockets import new_context
-from nodes import guard, runs
+from nodes import guard, realtime, runs
 from nodes.byhand import ByHand
 from nodes.child import Child
 from nodes.launchfile import Launch
@@ -85,6 +85,12 @@ class Supervisor:
         LaunchFailedError
             When a node could not be started.
         """
+        with contextlib.ExitStack() as held:
+            if self._launch.run.stays_awake and (refused := held.enter_context(realtime.awake())):
+                self._say(refused)
+            self._supervise(progress)
+
+    def _supervise(self, progress: Callable[[Supervisor], None] | None) -> None:
         self._begun = time.monotonic()
         runs.sweep()
         run_dir = runs.new_run_dir(self.run)

@@ -10,6 +10,7 @@ import msgspec
 from messages import topics
 from messages.endpoints import is_remote
 from messages.keys import KeyRefusedError, identity, key_of
+from nodes import realtime
 from nodes.base import Node
 from nodes.byhand import LEASE, PATIENCE
 from nodes.kinds import load, node_kinds
@@ -27,7 +28,7 @@ def _scheduling(launch: Launch, kind: type[Node]) -> Scheduling:
     if run.cpu == "any" or (run.cpu == "auto" and len(available) < 2):
         core = None
     elif run.cpu == "auto":
-        core = available[-1]
+        core = realtime.quietest_processor()
     elif run.cpu in available:
         core = run.cpu
     else:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from nodes import realtime
 from nodes.cli import main
 from nodes.verbs.doctor import OPEN_FILES, wake_ups
 from tests.launching import haptic, private_runtime_dir
@@ -67,3 +68,21 @@ def test_too_few_open_files_are_told_at_the_edge(capsys: pytest.CaptureFixture[s
 def test_wake_ups_are_ordered() -> None:
     late = wake_ups(period=0.0005, count=20)
     assert 0.0 < late["p50"] <= late["p99"] <= late["max"]
+
+
+@pytest.mark.parametrize(
+    ("counts", "expected"),
+    [((5, 900), 0), ((900, 5), 1), ((7, 7), 1), ((0, 1), 0)],
+)
+def test_the_chain_gets_the_processor_that_devices_interrupt_least(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, counts: tuple[int, int], expected: int
+) -> None:
+    # Timers and calls between processors do not count, and processor 2 is not ours.
+    table = tmp_path / "interrupts"
+    table.write_text(
+        f"           CPU0       CPU1       CPU2\n 36: {counts[0]} {counts[1]} 0  PCI-MSIX virtio1-req.0\n"
+        " 38: 1 1 0 PCI-MSIX virtio2-input.0\nLOC: 1 99999 5 Local timer interrupts\nERR: 0\n"
+    )
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    assert realtime.quietest_processor(str(table)) == expected
+    assert realtime.quietest_processor(str(tmp_path / "none")) == 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ import msgspec
 import pytest
 
 from messages.control import ControlError
+from nodes import realtime
 from nodes.recording import Recording
 from nodes.runs import alive
 from nodes.supervisor import INT_TIMEOUT
@@ -367,3 +369,37 @@ def test_a_logger_that_is_not_required_may_be_killed(tmp_path: Path) -> None:
         os.kill(pid(launch, "logger"), signal.SIGKILL)
         figures = launch.finish()
         assert figures["exit_reason"] == "done"
+
+
+def wake_latency() -> int:
+    """Read what the kernel allows now: the least of all that is asked for [µs]."""
+    latency = os.open(realtime.WAKE_LATENCY, os.O_RDONLY)
+    try:
+        return int.from_bytes(os.read(latency, 4), sys.byteorder, signed=True)
+    finally:
+        os.close(latency)
+
+
+@pytest.mark.skipif(
+    not os.access(realtime.WAKE_LATENCY, os.R_OK | os.W_OK), reason=f"no rights to {realtime.WAKE_LATENCY}"
+)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    before = wake_latency()
+    with running(tmp_path, "floor_drop", "duration:=0") as launch:
+        assert wake_latency() == before
+    with running(tmp_path, "floor_drop_fast", "duration:=0") as launch:
+        assert wake_latency() == 0
+        launch.process.send_signal(number)
+        wait_for(lambda: wake_latency() == before, "processors may sleep again")
+
+
+def test_where_processors_cannot_be_kept_awake_the_reason_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(realtime, "WAKE_LATENCY", str(tmp_path / "none"))
+        with realtime.awake() as refused:
+            assert refused.startswith(f"{tmp_path}/none: No such file or directory; ")

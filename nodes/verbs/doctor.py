@@ -135,11 +135,11 @@ def _processors() -> Finding:
             f"{text}; pinning refused: {error.strerror}",
             "allow sched_setaffinity in the container",
         )
-    return Finding("processors", "ok", f"{text}; the chain is pinned to {available[-1]}")
+    return Finding("processors", "ok", f"{text}; the chain is pinned to {realtime.quietest_processor()}")
 
 
 def _governor() -> Finding:
-    core = max(os.sched_getaffinity(0))
+    core = realtime.quietest_processor()
     governor = _read(f"/sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor")
     if governor is None:
         return Finding("CPU governor", "ok", "not readable here (a virtual machine, or fixed by the firmware)")
@@ -150,6 +150,18 @@ def _governor() -> Finding:
         "limited",
         f"{governor} on processor {core}",
         "sudo cpupower frequency-set -g performance: a core that clocks down between ticks answers late",
+    )
+
+
+def _sleep() -> Finding:
+    with realtime.awake() as refused:
+        if not refused:
+            return Finding("idle processors", "ok", f"can be kept awake ({realtime.WAKE_LATENCY})")
+    return Finding(
+        "idle processors",
+        "limited",
+        refused.partition(";")[0],
+        f"write access to {realtime.WAKE_LATENCY} (a udev rule, or root): without, answers come some 10 µs later",
     )
 
 
@@ -299,13 +311,14 @@ def _findings(measured: dict[str, dict[str, float]]) -> Iterator[Finding]:
         _fifo,
         _throttling,
         _governor,
+        _sleep,
         _preemption,
         _memlock,
     )
     for check in checks:
         yield check()
     # As a node of the chain would run: pinned, and with FIFO where it is granted.
-    cpus = sorted(os.sched_getaffinity(0))[-1:]
+    cpus = [realtime.quietest_processor()]
     realtime.apply(Scheduling(cpus=cpus))
     measured["normal"] = wake_ups()
     yield _slack()

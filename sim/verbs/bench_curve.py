@@ -63,7 +63,7 @@ class _Loop:
     def __init__(self, context: Context, folder: Path, name: str, key: str, period: float, stack: ExitStack) -> None:
         suffix = f"#{key}" if key else ""
         state, proxy, force = (f"tcp://127.0.0.1:{_free_port()}{suffix}" for _ in range(3))
-        cpus = sorted(os.sched_getaffinity(0))[-1:]
+        cpus = [realtime.quietest_processor()]
         self._publisher = Publisher(context, state)
         stack.callback(self._publisher.close, 0)
         self._inbox = Subscription(context, [force], [topics.FORCE])

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
 from typing import Any
 
 from nodes.cli import answer
+from nodes.realtime import quietest_processor
 from sim.measured_launch import bare_loop, fifo_granted, launch, machine
 from sim.stopwatch import Progress
 
@@ -46,7 +46,7 @@ def lockstep(rounds: int, ticks: int, progress: Progress) -> dict[str, Any]:
     dict
         Medians, and the median of the ratios bare / ours pair by pair.
     """
-    core = str(max(os.sched_getaffinity(0)))
+    core = str(quietest_processor())
     ours, bare, ratios, last = [], [], [], {}
     for _ in range(rounds):
         bare.append(bare_loop(ticks, core)["ticks_per_s"])
@@ -81,7 +81,7 @@ def realtime(rounds: int, seconds: float, progress: Progress) -> dict[str, Any]:
     dict
         Per rate: median percentiles of the rounds, share of missed ticks; CPU and memory by node.
     """
-    core = str(max(os.sched_getaffinity(0)))
+    core = str(quietest_processor())
     fifo = 50 if fifo_granted() else 0
     found: dict[int, list[dict[str, Any]]] = {rate: [] for rate in RATES}
     yard: dict[int, list[dict[str, Any]]] = {rate: [] for rate in RATES}
