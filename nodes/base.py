@@ -47,6 +47,10 @@ class Node:
         The struct of the node's parameters.
     publishes, listens_to : tuple of str
         The loop topics that the kind binds and takes; ``"*"`` listens to everything.
+    answers : bool
+        Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only what comes on top.
+    called : bool
+        Whether something waits to be done between two ticks: the one thing that a loop looks at.
     serving : int
         Counts each beginning and each end of the control thread's work: odd while it works.
     """
@@ -55,6 +59,7 @@ class Node:
     publishes: ClassVar[tuple[str, ...]] = ()
     listens_to: ClassVar[tuple[str, ...]] = ()
     relays: ClassVar[tuple[str, ...]] = ()
+    answers: ClassVar[bool] = False
 
     publisher: Publisher
 
@@ -70,6 +75,7 @@ class Node:
         self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
         self.seq = 0
         self.ticks = self.sent = self.received = self.refused = self.skipped = self.gaps = 0
+        self.called = False
         self.serving = 0
         self.denied = 0
         self.clock_offset = self.clock_error = 0.0
@@ -240,6 +246,7 @@ class Node:
             The message.
         """
         self.outbox.append((topic.encode(), encode(message)))
+        self.called = True
 
     def flush_outbox(self) -> None:
         """Send what is queued (main thread)."""
@@ -267,9 +274,7 @@ class Node:
             None when it was refused.
         """
         if frames[0] != topic:
-            if self.inbox is not None:
-                self.inbox.resynchronise()
-            self.refuse(f"a message on {frames[0][:64]!r} where {topic.decode()} was expected")
+            self.out_of_step(frames[0], topic)
             return None
         try:
             message = decoder.decode(frames[1])
@@ -278,6 +283,20 @@ class Node:
             return None
         self.received += 1
         return message
+
+    def out_of_step(self, frame: bytes, topic: bytes) -> None:
+        """Refuse a message whose first frame is not the topic expected, and find the beginning of the next one.
+
+        Parameters
+        ----------
+        frame : bytes
+            Its first frame.
+        topic : bytes
+            The topic expected.
+        """
+        if self.inbox is not None:
+            self.inbox.resynchronise()
+        self.refuse(f"a message on {frame[:64]!r} where {topic.decode()} was expected")
 
     def refuse(self, reason: str) -> None:
         """Count and tell a message that was refused.
@@ -291,17 +310,21 @@ class Node:
         self.tell("refused", reason[:1000])
 
     def between_ticks(self, seq: int) -> None:
-        """Take up what the control thread prepared, and send what is queued (main thread, after the tick).
+        """Take up what the control thread prepared, and send what is queued (main thread, after a tick, when `called`).
 
         Parameters
         ----------
         seq : int
             The tick at which a change takes effect.
         """
+        # Before looking: what comes in between calls again.
+        self.called = False
         if self.changes:
             self.changes.apply_next(seq)
         if self.outbox:
             self.flush_outbox()
+        if self.changes:
+            self.called = True
 
     def hand_over(self, apply: Callable[[int], Any], timeout: float = 2.0) -> Any:
         """Hand a prepared change to the loop and wait until it was applied (control thread).
@@ -323,7 +346,10 @@ class Node:
         ParameterError
             When the loop did not take it up in time; it is withdrawn then, and will not be applied later.
         """
-        return self.changes.hand_over(apply, lambda: self.state not in ("finished", "failed"), timeout)
+        return self.changes.hand_over(apply, self._call, lambda: self.state not in ("finished", "failed"), timeout)
+
+    def _call(self) -> None:
+        self.called = True
 
     def change_parameters(
         self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None
@@ -375,6 +401,7 @@ class Node:
         NodeStatus
             State and counters.
         """
+        answered = self.ticks if self.answers else 0
         usage = resource.getrusage(resource.RUSAGE_SELF)
         return NodeStatus(
             seq=self.seq,
@@ -384,8 +411,8 @@ class Node:
             state=self.state,
             pid=os.getpid(),
             ticks=self.ticks,
-            sent=self.sent,
-            received=self.received,
+            sent=self.sent + answered,
+            received=self.received + answered,
             refused=self.refused,
             skipped=self.skipped,
             gaps=self.gaps,

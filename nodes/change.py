@@ -104,13 +104,17 @@ class Changes:
             return
         change.run(seq)
 
-    def hand_over(self, apply: Callable[[int], Any], lives: Callable[[], bool], timeout: float = 2.0) -> Any:
+    def hand_over(
+        self, apply: Callable[[int], Any], call: Callable[[], None], lives: Callable[[], bool], timeout: float = 2.0
+    ) -> Any:
         """Hand a prepared change to the loop and wait until it was applied (control thread).
 
         Parameters
         ----------
         apply : callable
             Called on the main thread with the tick number.
+        call : callable
+            Calls the loop's attention.
         lives : callable
             Whether the loop can still take it up.
         timeout : float
@@ -128,6 +132,7 @@ class Changes:
         """
         change = Change(apply)
         self._waiting.append(change)
+        call()
         deadline = time.monotonic() + timeout
         while not change.wait(0.05):
             if time.monotonic() < deadline and lives():

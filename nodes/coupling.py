@@ -16,9 +16,9 @@ import msgspec
 from messages import topics
 from messages.codec import Decoder, encode
 from messages.types import Force, Proxy, Receipt, Vector
-from nodes.base import IDLE_MS, Node
+from nodes.base import Node
 from nodes.coupling_parameters import CouplingParameters
-from nodes.follower import Follower
+from nodes.follower import follow
 from nodes.lawbook import LawBook
 from nodes.parameters import ParameterError, convert
 from nodes.rendering import History
@@ -46,6 +46,7 @@ class Coupling(Node):
     Parameters: ClassVar[type[msgspec.Struct]] = CouplingParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.FORCE, topics.RECEIPT)
     listens_to: ClassVar[tuple[str, ...]] = (topics.PROXY,)
+    answers: ClassVar[bool] = True
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -304,13 +305,13 @@ class Coupling(Node):
         """Answer until stopped."""
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        follower = Follower(self, self.inbox, Decoder(Proxy), topics.PROXY)
-        topic = topics.FORCE.encode()
-        send, take, renderer = self.publisher.send, follower.take, self._renderer
+        take = follow(self, self.inbox, Decoder(Proxy), topics.PROXY)
+        topic, send, simulated = topics.FORCE.encode(), self.publisher.send, self._simulated
+        renderer, finite = self._renderer, math.isfinite
         last = -1
         payload = b""
         while not self.stopping:
-            proxy = take(IDLE_MS)
+            proxy = take()
             if proxy is not None:
                 seq = proxy.seq
                 # A repeated tick (lockstep, after a lost answer) gets the same answer; the history must not see it twice.
@@ -322,13 +323,13 @@ class Coupling(Node):
                     last = seq
                     self._delay += (proxy.delay - self._delay) * SMOOTHING
                     force = self._guarded(proxy) if renderer.guarded else renderer.render(proxy)
-                    if not math.isfinite(force[0] + force[1] + force[2]):
+                    if not finite(force[0] + force[1] + force[2]):
                         force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
+                    stamp = proxy.stamp if simulated else self.now()
                     payload = encode(
-                        Force(seq=seq, stamp=self.now(), force=force, law=renderer.law.name, revision=self._revision)
+                        Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=self._revision)
                     )
                 send(topic, payload)
-                self.sent += 1
                 self.ticks += 1
-            if self.changes or self.outbox:
+            if self.called:
                 self.between_ticks(self.seq + 1)

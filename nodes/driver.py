@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import time
-from array import array
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,6 +17,7 @@ import msgspec
 
 from messages import topics
 from messages.codec import Decoder, encode
+from messages.sockets import TimedOut
 from messages.types import ZERO, DeviceState, Force, Vector
 from nodes import realtime
 from nodes.acting import Split
@@ -32,9 +32,6 @@ from nodes.timing import ResponseTimes
 
 ASK_AGAIN = 0.5
 """In lockstep, a tick without an answer for so long is published again: its answer was lost with a node [s]."""
-
-RECENT = 512
-"""Response times kept for the status line."""
 
 
 class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -131,7 +128,6 @@ class Driver(Node):
         self._response = self._lateness = self._delay = self._energy = 0.0
         self._age = self._missed = self._overruns = 0
         self._responses = ResponseTimes()
-        self._recent = array("d", [0.0]) * RECENT
         self._oldest_age = 0
         self._highest_energy = 0.0
         self._first_stamp = self._last_stamp = 0.0
@@ -160,7 +156,7 @@ class Driver(Node):
             "safety": self._safety.state,
             "missed": self._missed,
             "overruns": self._overruns,
-            "recent_s": self._recent.tobytes(),
+            "recent_s": self._responses.recent.tobytes(),
             "answered": self._responses.count,
         }
 
@@ -241,11 +237,6 @@ class Driver(Node):
         if self.publisher.apart:
             self.publisher.send_aside(self._topic, self._unlistened)
 
-    def _answered(self, response: float) -> None:
-        self._response = response
-        self._responses.add(response)
-        self._recent[self._responses.count % RECENT] = response
-
     def loop(self) -> None:
         """Tick until stopped or done."""
         self._topic = topics.DEVICE_STATE.encode()
@@ -271,7 +262,9 @@ class Driver(Node):
     def _lockstep(self, end: int) -> None:
         inbox = self.inbox
         assert inbox is not None  # noqa: S101
-        receive, device, safety, period = inbox.receive_tick, self._device, self._safety, self.setup.period
+        next_frame, device, safety, period = inbox.next_frame, self._device, self._safety, self.setup.period
+        inbox.set_timeout(IDLE_MS)
+        clock, note = time.monotonic, self._responses.add
         late = 1 if self.setup.apply == "next_tick" else 0
         guard = self._guard
         self._first_stamp = time.monotonic()
@@ -280,8 +273,9 @@ class Driver(Node):
         while seq < end and not self.stopping:
             sent = asked = self._sample(seq, seq * period)
             while not self.stopping:
-                frames = receive(IDLE_MS)
-                if frames is None:
+                try:
+                    frames = next_frame(), next_frame()
+                except TimedOut:
                     if time.monotonic() - asked > ASK_AGAIN:
                         asked = time.monotonic()
                         self.tell("unanswered", f"tick {seq} has no answer; asking again")
@@ -290,7 +284,8 @@ class Driver(Node):
                     continue
                 force = self.take(self._decoder, frames, self._expected)
                 if force is not None and force.seq == seq and safety.admit(force, seq):
-                    self._answered(time.monotonic() - sent)
+                    self._response = response = clock() - sent
+                    note(response)
                     wanted = force.force if guard is None else guard.control(force.force, acting, float(late))
                     command = safety.command(wanted, seq, seq)
                     device.write_force(command, seq + late, 0.0)
@@ -302,7 +297,7 @@ class Driver(Node):
                     break
                 self.skipped += 1
             self._tell_listeners()
-            if self.changes or self.outbox:
+            if self.called:
                 self.between_ticks(seq)
         self._last_stamp = time.monotonic()
         self._sample(seq, seq * period)
@@ -331,6 +326,8 @@ class Driver(Node):
         seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
         acting = ZERO
         following_command: Vector | None = None
+        belated: tuple[tuple[bytes, bytes], float] | None = None
+        heard = False
         while seq < end and not self.stopping:
             deadline = epoch + seq * period
             now = realtime.sleep_until(deadline)
@@ -353,17 +350,28 @@ class Driver(Node):
                 self._first_stamp = now
             following = deadline + period
             self._age = seq - safety.force_seq if safety.force_seq >= 0 else 0
-            answered = False
+            # An answer that comes a little late is waited for, and the next tick sampled late: sampled on time, it would take
+            # the processor from that answer and be answered late itself, and so would the next. Not so when nothing came.
+            receive = inbox.receive_soon if heard else inbox.receive_until
+            answered = heard = False
             split = Split(safety.force, acting if next_tick else None)
             while not answered:
-                frames = inbox.receive_until(following)
-                if frames is None:
-                    break
-                arrival = time.monotonic()
+                if belated is not None:
+                    frames, arrival = belated
+                    belated = None
+                else:
+                    received = receive(following)
+                    if received is None:
+                        break
+                    frames, arrival, heard = received, time.monotonic(), True
+                    if arrival >= following:
+                        # Nor must whoever floods the topic keep the driver from its next tick.
+                        belated = frames, arrival
+                        break
                 force = self.take(self._decoder, frames, self._expected)
                 if force is None or not safety.admit(force, seq):
                     self.skipped += 1
-                elif arrival < following:
+                else:
                     answered = force.seq == seq
                     self._age = seq - force.seq
                     offset = min(max((arrival - deadline) / period, 0.0), 1.0)
@@ -380,10 +388,8 @@ class Driver(Node):
                         split.change(command, offset)
                         self._delay = offset + self._age
                     if answered:
-                        self._answered(arrival - sent)
-                if arrival >= following:
-                    # Whoever floods the topic must not keep the driver from its next tick.
-                    break
+                        self._response = arrival - sent
+                        self._responses.add(self._response)
             if self._age > self._oldest_age:
                 self._oldest_age = self._age
             if not answered:
@@ -402,7 +408,7 @@ class Driver(Node):
             self.ticks += 1
             seq += 1
             self._tell_listeners()
-            if self.changes or self.outbox:
+            if self.called:
                 self.between_ticks(seq)
         self._last_stamp = realtime.sleep_until(epoch + seq * period)
         self._sample(seq, self._last_stamp + self.clock_offset)

@@ -14,8 +14,8 @@ import msgspec
 from messages import topics
 from messages.codec import Decoder, encode
 from messages.types import DeviceState, Proxy
-from nodes.base import IDLE_MS, Node
-from nodes.follower import Follower
+from nodes.base import Node
+from nodes.follower import follow
 from nodes.setup import Setup
 from nodes.surfaces import parse_surface
 
@@ -38,6 +38,7 @@ class Environment(Node):
     Parameters: ClassVar[type[msgspec.Struct]] = EnvironmentParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
+    answers: ClassVar[bool] = True
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -84,17 +85,16 @@ class Environment(Node):
         """Answer until stopped."""
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        follower = Follower(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
-        topic = topics.PROXY.encode()
-        send, take = self.publisher.send, follower.take
+        take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
+        topic, send, simulated = topics.PROXY.encode(), self.publisher.send, self._simulated
         while not self.stopping:
-            state = take(IDLE_MS)
+            state = take()
             if state is not None:
                 position = state.position
                 proxy, normal, distance, contact = self._meet(position)
                 message = Proxy(
                     seq=state.seq,
-                    stamp=self.now(),
+                    stamp=state.stamp if simulated else self.now(),
                     position=position,
                     proxy=proxy,
                     normal=normal,
@@ -103,7 +103,6 @@ class Environment(Node):
                     delay=state.delay,
                 )
                 send(topic, encode(message))
-                self.sent += 1
                 self.ticks += 1
-            if self.changes or self.outbox:
+            if self.called:
                 self.between_ticks(self.seq + 1)

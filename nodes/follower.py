@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from typing import Generic, TypeVar
+from collections.abc import Callable
+from typing import TypeVar
 
-from messages.codec import Decoder
-from messages.sockets import Subscription
+from messages.codec import Decoder, MessageRefusedError
+from messages.sockets import Subscription, TimedOut
 from messages.types import Message
-from nodes.base import Node
+from nodes.base import IDLE_MS, Node
 
 M = TypeVar("M", bound=Message)
 
 
-class Follower(Generic[M]):
-    """Takes one loop topic for a node.
+def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> Callable[[], M | None]:
+    """Follow one loop topic for a node that answers it.
 
     In real time a message that is older than a period when it arrives is skipped if a newer one is already there: a
     node that was stalled goes on with the present, not with what piled up. In lockstep every message is taken.
@@ -29,56 +30,58 @@ class Follower(Generic[M]):
         For the topic's type.
     topic : str
         The topic.
+
+    Returns
+    -------
+    callable
+        Waits for the next message; None when nothing valid came within `IDLE_MS`. A closure: what a tick looks up through
+        attributes, it waits for.
     """
+    expected = topic.encode()
+    realtime, period = node.setup.pace == "realtime", node.setup.period
+    next_frame, decode, clock = inbox.next_frame, decoder.decode, time.monotonic
+    last = -1
 
-    def __init__(self, node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> None:
-        self._node = node
-        self._receive = inbox.receive_tick
-        self._decoder = decoder
-        self._topic = topic.encode()
-        self._realtime = node.setup.pace == "realtime"
-        self._period = node.setup.period
-        self._last = -1
-
-    def take(self, timeout_ms: int) -> M | None:
-        """Wait for the next message.
-
-        Parameters
-        ----------
-        timeout_ms : int
-            Longest wait [ms].
-
-        Returns
-        -------
-        Message or None
-            None when nothing valid came in time.
-        """
-        node = self._node
-        frames = self._receive(timeout_ms)
-        if frames is None:
-            return None
-        message = node.take(self._decoder, frames, self._topic)
-        if message is None:
-            return None
-        if self._realtime and time.monotonic() + node.clock_offset - message.stamp > self._period:
-            message = self._newest(message)
-        seq = message.seq
-        if seq != self._last + 1:
-            self._out_of_order(seq)
-        self._last = node.seq = seq
-        return message
-
-    def _newest(self, message: M) -> M:
-        while (frames := self._receive(0)) is not None:
-            newer = self._node.take(self._decoder, frames, self._topic)
+    def newest(message: M) -> M:
+        while (frames := inbox.receive(0)) is not None:
+            newer = node.take(decoder, frames, expected)
             if newer is not None:
-                self._node.skipped += 1
+                node.skipped += 1
                 message = newer
+        inbox.set_timeout(IDLE_MS)
         return message
 
-    def _out_of_order(self, seq: int) -> None:
-        missing = seq - self._last - 1
-        if missing > 0 and self._last >= 0:
-            self._node.gaps += missing
-        elif seq < self._last:
-            self._node.tell("restart", f"{self._topic.decode()} went back from tick {self._last} to {seq}")
+    def out_of_order(seq: int) -> None:
+        missing = seq - last - 1
+        if missing > 0 and last >= 0:
+            node.gaps += missing
+        elif seq < last:
+            node.tell("restart", f"{topic} went back from tick {last} to {seq}")
+
+    def take() -> M | None:
+        nonlocal last
+        try:
+            frame = next_frame()
+        except TimedOut:
+            return None
+        if frame != expected:
+            node.out_of_step(frame, expected)
+            return None
+        try:
+            message = decode(next_frame())
+        except TimedOut:
+            node.refuse(f"a message on {topic} without a payload")
+            return None
+        except MessageRefusedError as error:
+            node.refuse(str(error))
+            return None
+        if realtime and clock() + node.clock_offset - message.stamp > period:
+            message = newest(message)
+        node.seq = seq = message.seq
+        if seq != last + 1:
+            out_of_order(seq)
+        last = seq
+        return message
+
+    inbox.set_timeout(IDLE_MS)
+    return take

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import cast
 
-from nodes.kernels import cross_fade, fir, push, sections, warm_up
+from nodes.kernels import cross_fade, push, sections, warm_up
 from nodes.laws import CompiledLaw
 
 PLAIN_TAPS = 24
@@ -93,6 +95,33 @@ class History:
         return copy
 
 
+@cache
+def _written_out(taps: int) -> Callable[..., Callable[[int], float]]:
+    terms = ["0.0", *(f"tap_{m} * values[head + {m}]" for m in range(taps))]
+    names = ["values", *(f"tap_{m}" for m in range(taps))]
+    # Made of our own names only. The first term is the kernel's own start: it turns −0.0 into 0.0.
+    made = eval(f"lambda {', '.join(names)}: lambda head: {' + '.join(terms)}")  # noqa: S307
+    return cast(Callable[..., Callable[[int], float]], made)
+
+
+def unrolled(taps: tuple[float, ...], values: Sequence[float]) -> Callable[[int], float]:
+    """Write out the sum of `kernels.fir`, term by term: the same additions in the same order, without a loop.
+
+    Parameters
+    ----------
+    taps : tuple of float, shape (n + 1,)
+        The law [N/m].
+    values : sequence of float
+        The history that it reads [m].
+
+    Returns
+    -------
+    callable
+        From the index of the newest value to the force [N].
+    """
+    return _written_out(len(taps))(values, *taps)
+
+
 def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], float]:
     """Choose the fastest way to add the taps that gives the bits of `kernels.fir`.
 
@@ -110,7 +139,7 @@ def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], fl
     """
     values = history.values
     if len(taps) <= PLAIN_TAPS:
-        return lambda head: fir(taps, values, head)
+        return unrolled(taps, values)
     import numpy as np
 
     n = len(taps)
@@ -143,6 +172,8 @@ class LawOnAxis:
         Its taps [N/m].
     plain : bool
         Whether it is nothing but taps.
+    sum_of_taps : callable
+        Adds them, from the history's head to the force [N].
 
     Raises
     ------
@@ -159,7 +190,7 @@ class LawOnAxis:
         self._pushes = history.pushes
         self.taps = law.taps
         self.plain = not law.sections and law.evaluate is None
-        self._taps = sum_of_taps(law.taps, history)
+        self.sum_of_taps = sum_of_taps(law.taps, history)
         self._own = law.evaluate
 
     def of_taps(self, taps: tuple[float, ...]) -> LawOnAxis:
@@ -225,7 +256,7 @@ class LawOnAxis:
         """
         history = self._history
         head = history.head
-        force = self._taps(head)
+        force = self.sum_of_taps(head)
         if self._state:
             force = force + sections(self._coefficients, self._state, history.values[head], history.values[head + 1])
             self._pushes = history.pushes
@@ -241,7 +272,7 @@ class LawOnAxis:
         float
             Force [N].
         """
-        force = self._taps(self._history.head) + sum(self._state[::2])
+        force = self.sum_of_taps(self._history.head) + sum(self._state[::2])
         return force + self.own(self._history)
 
 

@@ -88,6 +88,8 @@ class Safety:
         self._motor = (
             None if continuous is None else Motor(continuous, parameters.thermal_time, period, self.limits.slew)
         )
+        # A device without limits needs none of what watches them.
+        self._unlimited = self._motor is None and self.limits.peak is None and self.limits.slew is None
         self._since = 0
         self._tick = -1
         self._slewed = [0.0, 0.0, 0.0]
@@ -178,9 +180,13 @@ class Safety:
         """
         self.force_seq = answers
         self._since = seq
+        return self._hand_over(wanted if self.state == "active" else self._become_active(wanted, seq), seq)
+
+    def _become_active(self, wanted: Vector, seq: int) -> Vector:
+        """Let forces in again: none in a fault, a growing share of them during the ramp."""
         if self.state == "fault":
-            return self._hand_over(ZERO, seq)
-        if self.state not in ("active", "ramp"):
+            return ZERO
+        if self.state != "ramp":
             self._ramp_from = seq
             reason = "the first force" if self.state == "waiting" else "fresh forces again"
             self._enter("ramp" if self._ramp_ticks else "active", seq, reason)
@@ -188,10 +194,9 @@ class Safety:
             done = seq - self._ramp_from + 1
             if done < self._ramp_ticks:
                 share = done / self._ramp_ticks
-                wanted = (wanted[0] * share, wanted[1] * share, wanted[2] * share)
-            else:
-                self._enter("active", seq, f"ramp of {self._ramp_ticks} ticks done")
-        return self._hand_over(wanted, seq)
+                return wanted[0] * share, wanted[1] * share, wanted[2] * share
+            self._enter("active", seq, f"ramp of {self._ramp_ticks} ticks done")
+        return wanted
 
     def missed(self, seq: int, velocity: Vector, held: Vector | None = None) -> Vector | None:
         """Decide about a tick that closes without the force that answers it.
@@ -261,6 +266,12 @@ class Safety:
 
     def _hand_over(self, wanted: Vector, seq: int) -> Vector:
         """Apply all limits, tick by tick: several forces in one tick share one slew."""
+        if self._unlimited:
+            force = [0.0, 0.0, 0.0]
+            for i in self._axes:
+                force[i] = wanted[i]
+            self.force = (force[0], force[1], force[2])
+            return self.force
         last, slewed, motor = self.force, self._slewed, self._motor
         peak, slew = self.limits.peak, self.limits.slew
         if seq != self._tick:

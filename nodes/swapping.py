@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 
 from messages.types import Proxy, Vector
-from nodes.kernels import deflection, one_sided
+from nodes.kernels import deflection, one_sided, push
 from nodes.laws import CompiledLaw
 from nodes.parameters import ParameterError
 from nodes.rendering import Fade, History, LawOnAxis
@@ -96,6 +96,10 @@ class Renderer:
         One per axis.
     law : ActiveLaw
         What renders now; set before the first tick.
+    name : str
+        Its name.
+    guarded : bool
+        Whether a tick runs a law's own code.
     fallback : ActiveLaw
         What renders when that fails; set before the first tick.
     standby : list of ActiveLaw
@@ -104,7 +108,6 @@ class Renderer:
         Contact conventions: see nodes/kernels.py.
     """
 
-    law: ActiveLaw
     fallback: ActiveLaw
 
     def __init__(self, axes: Sequence[int], memory: int) -> None:
@@ -112,14 +115,23 @@ class Renderer:
         self.histories = [History(memory) for _ in axes]
         self.standby: list[ActiveLaw] = []
         self._fades: list[Fade] = []
-        self._leaving_guarded = False
+        self.guarded = False
+        self.name = ""
         self.raw = False
         self.clamp = True
 
     @property
-    def guarded(self) -> bool:
-        """Whether a tick runs a law's own code."""
-        return self.law.compiled.evaluate is not None or self._leaving_guarded
+    def law(self) -> ActiveLaw:
+        """What renders now."""
+        return self._law
+
+    @law.setter
+    def law(self, law: ActiveLaw) -> None:
+        self._law = law
+        self.name = law.name
+        self.guarded = law.guarded
+        # Together, as a tick needs them.
+        self._lines = list(zip(range(len(self._axes)), self._axes, self.histories, law.axes, strict=True))
 
     def _deflection(self, proxy: Proxy, i: int) -> float:
         return deflection(proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, self.raw)
@@ -138,24 +150,26 @@ class Renderer:
             Force [N].
         """
         force = [0.0, 0.0, 0.0]
-        contact, distance, raw, clamp = proxy.contact, proxy.distance, self.raw, self.clamp
-        laws = self.law.axes
-        for n, i in enumerate(self._axes):
-            normal = proxy.normal[i]
-            self.histories[n].push(deflection(proxy.position[i], proxy.proxy[i], distance, normal, contact, raw))
-            value = laws[n].force()
-            if self._fades:
-                value = self._fades[n].mix(value)
+        position, surface, normals, contact = proxy.position, proxy.proxy, proxy.normal, proxy.contact
+        distance, raw, clamp, fades = proxy.distance, self.raw, self.clamp, self._fades
+        for n, i, history, law in self._lines:
+            normal = normals[i]
+            value = deflection(position[i], surface[i], distance, normal, contact, raw)
+            head = history.head = push(history.values, history.head, history.length, value)
+            history.pushes += 1
+            value = law.sum_of_taps(head) if law.plain else law.force()
+            if fades:
+                value = fades[n].mix(value)
             force[i] = one_sided(value, normal, contact, raw, clamp)
-        if self._fades and self._fades[0].over:
+        if fades and fades[0].over:
             self._end_fades()
-        for law in self.standby:
-            law.catch_up()
+        for waiting in self.standby:
+            waiting.catch_up()
         return force[0], force[1], force[2]
 
     def _end_fades(self) -> None:
         self._fades = []
-        self._leaving_guarded = False
+        self.guarded = self._law.guarded
 
     def bridge(self, proxy: Proxy, missing: int) -> None:
         """Fill lost ticks by a straight line up to the present one, which is not yet rendered.
@@ -207,12 +221,12 @@ class Renderer:
             raise ParameterError(
                 f"law {law.name!r}: a force step of {step} N; its taps are too large for the present deflection"
             )
-        if ramp > 0:
-            self._leaving_guarded = self.guarded
-            self._fades = [Fade(shares, ramp) for shares in leaving]
-        else:
-            self._end_fades()
+        guarded = self.guarded
+        self._fades = [Fade(shares, ramp) for shares in leaving] if ramp > 0 else []
         self.law = law
+        if self._fades:
+            # As long as the laws that leave run their own code.
+            self.guarded = self.guarded or guarded
         return step
 
     def fall_back(self, proxy: Proxy, pushes: Sequence[int] | None = None) -> Vector:

@@ -1,10 +1,19 @@
-"""Counting response times: one bin per microsecond, so that percentiles of any length of run cost no memory."""
+"""Counting response times: one bin per microsecond, so that percentiles of any length of run cost no memory.
+
+The bins lie scattered over memory, and a tick that touches them waits for it. So a tick only writes its response next to the
+last one; every `BLOCK` ticks they are counted together.
+"""
 
 from __future__ import annotations
 
 from array import array
 
 BINS = 50_000
+RECENT = 512
+"""Newest response times that are kept as they are, for the status line."""
+
+BLOCK = 64
+"""Responses that are counted together; a divisor of RECENT."""
 
 
 class ResponseTimes:
@@ -12,53 +21,77 @@ class ResponseTimes:
 
     Attributes
     ----------
-    count : int
-        Ticks that were answered.
-    longest : float
-        Longest response [s].
+    recent : array of float, shape (RECENT,)
+        The newest responses [s], in no order; 0 where there was none yet.
     """
 
     def __init__(self) -> None:
         self._bins = array("Q", [0]) * (BINS + 1)
-        self.count = 0
-        self.longest = 0.0
+        self._counted = 0
+        self._longest = 0.0
+        self._at = 0
+        self.recent = array("d", [0.0]) * RECENT
 
     def add(self, response: float) -> None:
-        """Count one response.
+        """Note one response.
 
         Parameters
         ----------
         response : float
             From publishing the state to receiving its answer [s].
         """
-        bin_ = int(response * 1e6)
-        self._bins[bin_ if bin_ < BINS else BINS] += 1
-        self.count += 1
-        if response > self.longest:
-            self.longest = response
+        at = self._at
+        self.recent[at] = response
+        at += 1
+        if at % BLOCK == 0:
+            self._count(self._bins, at)
+            self._longest = max(self._longest, *self.recent[at - BLOCK : at])
+            self._counted += BLOCK
+            at %= RECENT
+        self._at = at
 
-    def percentile(self, share: float) -> float:
-        """Find the response that a share of the ticks did not exceed.
+    def _count(self, bins: array[int], end: int) -> None:
+        """Count the responses of a block that ends there."""
+        for response in self.recent[(end - 1) // BLOCK * BLOCK : end]:
+            bin_ = int(response * 1e6)
+            bins[bin_ if bin_ < BINS else BINS] += 1
 
-        Parameters
-        ----------
-        share : float
-            0 to 1.
+    @property
+    def count(self) -> int:
+        """Ticks that were answered."""
+        return self._counted + self._at % BLOCK
 
-        Returns
-        -------
-        float
-            Upper edge of the bin, to the microsecond, but never more than the longest response [s]; 0 without any ticks.
-        """
-        if self.count == 0:
-            return 0.0
+    @property
+    def longest(self) -> float:
+        """Longest response [s]."""
+        return max(self._longest, *self.recent)
+
+    def _percentile(self, bins: array[int], share: float) -> float:
         wanted = share * self.count
         seen = 0
-        for bin_, number in enumerate(self._bins):
+        for bin_, number in enumerate(bins):
             seen += number
             if number and seen >= wanted and bin_ < BINS:
                 return min((bin_ + 1) * 1e-6, self.longest)
         return self.longest
+
+    def percentiles(self, *shares: float) -> list[float]:
+        """Find the responses that shares of the ticks did not exceed.
+
+        Parameters
+        ----------
+        *shares : float
+            0 to 1.
+
+        Returns
+        -------
+        list of float
+            Upper edges of bins, to the microsecond, but never more than the longest response [s]; 0 without any ticks.
+        """
+        bins = self._bins[:]
+        if self._at % BLOCK:
+            self._count(bins, self._at)
+        return [self._percentile(bins, share) if self.count else 0.0 for share in shares]
 
     def summary_us(self) -> dict[str, float]:
         """Summarise in microseconds.
@@ -68,6 +101,6 @@ class ResponseTimes:
         dict of str to float
             ``p50 p99 p999 max``.
         """
-        shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
-        figures = {name: round(self.percentile(share) * 1e6, 1) for name, share in shares.items()}
+        named = zip(("p50", "p99", "p999"), self.percentiles(0.5, 0.99, 0.999), strict=True)
+        figures = {name: round(value * 1e6, 1) for name, value in named}
         return {**figures, "max": round(self.longest * 1e6, 1)}

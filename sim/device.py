@@ -43,6 +43,8 @@ class VirtualDevice:
         self._mass = model.moving_mass
         self._damping = model.moving_damping
         self._grip = model.grip
+        # Only a hand's pull changes from tick to tick.
+        self._weight = model.load(0, period) if model.hand is None else None
         whole, part = split_delay(model.delay + (1.0 if next_tick else 0.0))
         # Newest command first; before tick 0 nothing was commanded.
         self._commands: deque[float] = deque([0.0] * (whole + 2), maxlen=whole + 2)
@@ -61,6 +63,9 @@ class VirtualDevice:
         """
         return quantise(self.position, self.model.resolution)
 
+    def _load(self) -> float:
+        return self.model.load(self.ticks, self.period) if self._weight is None else self._weight
+
     def tick(self, force: float) -> None:
         """Go through one whole tick with the model's own delay.
 
@@ -73,7 +78,7 @@ class VirtualDevice:
         """
         self._commands.appendleft(force)
         peak = self.model.peak_force
-        load = self.model.load(self.ticks, self.period)
+        load = self._load()
         x, v = self.position, self.velocity
         if self._early > 0.0:
             u = saturate(self._commands[-1], peak) + load
@@ -100,7 +105,7 @@ class VirtualDevice:
         """
         if duration <= 0.0:
             return
-        u = saturate(force, self.model.peak_force) + self.model.load(self.ticks, self.period)
+        u = saturate(force, self.model.peak_force) + self._load()
         step = coefficients(self._mass, self._damping, self._grip, duration)
         self.position, self.velocity = move(
             self.position,

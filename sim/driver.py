@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 
@@ -87,7 +87,7 @@ class TimedDevice:
                 self._pass_tick()
         vector = [0.0, 0.0, 0.0]
         vector[self._axis] = self._device.measured()
-        return cast(Vector, tuple(vector))
+        return vector[0], vector[1], vector[2]
 
     def _pass_tick(self) -> None:
         start, now = float(self._tick), 0.0

@@ -292,7 +292,7 @@ class _Delay(_Measure):
             self._times.add(max(delay, 0.0))
 
     def figures(self) -> dict[str, Any]:
-        shares = {"p50": self._times.percentile(0.5), "p99": self._times.percentile(0.99)}
+        shares = dict(zip(("p50", "p99"), self._times.percentiles(0.5, 0.99), strict=True))
         return super().figures() | {"delay_s": self._delay.figures() | shares}
 
     def line(self) -> str:
