@@ -15,8 +15,8 @@ from typing import cast
 from nodes.kernels import cross_fade, push, sections, warm_up
 from nodes.laws import CompiledLaw
 
-PLAIN_TAPS = 24
-"""Up to so many taps a plain loop is fastest, beyond it numpy's multiply and running sum: ``haptic bench taps``."""
+UNROLLED_TAPS = 24
+"""Up to so many taps a written-out sum is fastest, beyond it numpy's multiply and running sum: ``haptic bench taps``."""
 
 MAX_LEAVING = 8
 """Laws that may fade out together when swaps come faster than their ramps; then some are joined, to bound a tick's work."""
@@ -138,7 +138,7 @@ def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], fl
         From the history's head to the force [N].
     """
     values = history.values
-    if len(taps) <= PLAIN_TAPS:
+    if len(taps) <= UNROLLED_TAPS:
         return unrolled(taps, values)
     import numpy as np
 
@@ -303,7 +303,7 @@ def weighted_taps(laws: list[tuple[tuple[float, ...], float]]) -> tuple[float, .
     tuple of float, shape (n + 1,)
         Weighted sum of the taps, as long as the longest [N/m].
     """
-    if max(len(taps) for taps, _ in laws) > PLAIN_TAPS:
+    if max(len(taps) for taps, _ in laws) > UNROLLED_TAPS:
         import numpy as np
 
         mixed = np.zeros(max(len(taps) for taps, _ in laws))

@@ -7,6 +7,7 @@ from that kill until forces flow again.
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from itertools import cycle
@@ -31,6 +32,10 @@ MISS_LIMIT = 1e-3
 """Largest share of missed ticks outside respawns."""
 
 
+BLAME = 1.0
+"""How long after something was done to the launch a missed tick may be its fault [s]."""
+
+
 class Soak(msgspec.Struct, kw_only=True):
     """What came of a long run.
 
@@ -42,6 +47,8 @@ class Soak(msgspec.Struct, kw_only=True):
         Rounds done; parameter changes and law switches; loggers attached; nodes killed.
     ticks, missed, excused : int
         Ticks; those without a timely answer outside respawns; those of the respawns, which are left out.
+    missed_after : dict of str to int
+        The missed ones, by what was last done to the launch within `BLAME` before; ``nothing`` for those left to the machine.
     growth_bytes : dict of str to float
         Growth of each node's memory within one process of it, the largest [bytes].
     accounts : dict of str to dict of str to int
@@ -62,6 +69,7 @@ class Soak(msgspec.Struct, kw_only=True):
     ticks: int = 0
     missed: int = 0
     excused: int = 0
+    missed_after: dict[str, int] = {}
     growth_bytes: dict[str, float] = {}
     accounts: dict[str, dict[str, int]] = {}
     shared: int = 0
@@ -125,6 +133,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
     law = cycle(("soft", "pd"))
     victims = cycle(("coupling", "environment", "driver"))
     excused: list[tuple[int, int]] = []
+    done: list[tuple[int, str]] = []
     complete: list[str] = []
     rig = Rig(content)
     with rig:
@@ -132,14 +141,17 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
         while time.monotonic() - begun < seconds and rig.launcher.poll() is None:
             part = min(round_seconds, max(seconds - (time.monotonic() - begun), 1.0)) / 6.0
             number = found.rounds = found.rounds + 1
+            done.append((rig.states[-1].seq, "loggers attached"))
             staying = rig.beside("bag", "record", "--out", f"round{number}.mcap")
             killed = rig.beside("bag", "record", "--out", f"killed{number}.mcap")
             found.loggers += 2
             for _ in range(4):
                 _pass_time(rig, part, memory)
+                done.append((rig.states[-1].seq, "parameters and law changed"))
                 rig.call("coupling", "param.set", values={"laws.pd.stiffness": next(stiffness)})
                 rig.call("coupling", "law.switch", law=next(law), ramp=20)
                 found.changes += 2
+            done.append((rig.states[-1].seq, "loggers killed and stopped"))
             killed.kill()
             staying.send_signal(signal.SIGINT)
             killed.wait()
@@ -156,11 +168,12 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
                 )
                 break
             excused.append((struck, rig.states[-1].seq))
+            done.append((rig.states[-1].seq, f"{victim} respawned"))
             _pass_time(rig, 2.0 * part, memory)
         found.duration_s = time.monotonic() - begun
         errors = rig.errors
         rig.end(lambda: _account(rig, found, complete))
-    _count(rig, found, excused)
+    _count(rig, found, excused, done)
     found.growth_bytes = memory.growth
     index = INDEX * sum(account["recorded"] for account in found.accounts.values())
     limits = {node: GROWTH + (index if node == "logger" else 0.0) for node in memory.growth}
@@ -217,7 +230,7 @@ def _ticks(recording: Recording, topic: str) -> set[int]:
     return {message.seq for message in recording.messages(topic)}
 
 
-def _count(rig: Rig, found: Soak, excused: list[tuple[int, int]]) -> None:
+def _count(rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tuple[int, str]]) -> None:
     states = rig.states
     found.ticks = states[-1].seq - states[0].seq
     answered = {state.seq for state in states if state.response > 0.0}
@@ -227,6 +240,9 @@ def _count(rig: Rig, found: Soak, excused: list[tuple[int, int]]) -> None:
                 found.excused += 1
             else:
                 found.missed += 1
+                last, what = max((event for event in done if event[0] <= seq), default=(-math.inf, ""))
+                blamed = what if seq - last <= BLAME * RATE else "nothing"
+                found.missed_after[blamed] = found.missed_after.get(blamed, 0) + 1
 
 
 def text(found: Soak) -> str:
@@ -247,7 +263,8 @@ def text(found: Soak) -> str:
     lines = [
         f"soak {'passed' if found.passed else 'FAILED'}: {found.duration_s:.0f} s at {RATE:g} Hz, {found.ticks} ticks",
         f"  {found.loggers} loggers attached, {found.changes} changes, {found.respawns} nodes killed and respawned",
-        f"  missed {found.missed} ticks outside the respawns, {found.excused} within them",
+        f"  missed {found.missed} ticks outside the respawns, {found.excused} within them"
+        + "".join(f"; {count} within {BLAME:g} s of: {what}" for what, count in found.missed_after.items()),
         f"  memory growth [MB]: {growth}",
         f"  {sent} messages sent by the nodes' own count, "
         f"{sum(one['lost'] for one in found.accounts.values())} of them not in the launch's recording; "

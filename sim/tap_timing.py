@@ -1,7 +1,7 @@
-"""Which way to add n taps is fastest per tick: a plain loop, numpy's running sum, or a compiled loop.
+"""Which way to add n taps is fastest per tick: a plain loop, a sum written out, numpy's running sum, or a compiled loop.
 
-All three add from the newest to the oldest and so give the same bits; numpy's own dot product does not, and is timed
-only to show what that costs. The choice of the coupling, `nodes.rendering.PLAIN_TAPS`, is made from this.
+All four add from the newest to the oldest and so give the same bits; numpy's own dot product does not, and is timed
+only to show what that costs. The choice of the coupling, `nodes.rendering.UNROLLED_TAPS`, is made from this.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ import numpy as np
 from nodes.derivatives import realise
 from nodes.kernels import fir
 from nodes.laws import CompiledLaw
-from nodes.rendering import PLAIN_TAPS
+from nodes.rendering import UNROLLED_TAPS, unrolled
 from sim.compiled import compiled
 from sim.stopwatch import Timing, interleaved
 
 LENGTHS = (4, 8, 16, 24, 32, 48, 64, 128, 256, 500, 1000, 2000)
-WAYS = ("plain", "numpy", "numba", "numpy_dot")
+WAYS = ("plain", "unrolled", "numpy", "numba", "numpy_dot")
 _CALLS = 200
 
 
@@ -37,7 +37,7 @@ class TapTimings:
     timings : dict of int to dict of str to Timing
         Number of taps, then way (see `WAYS`).
     same_bits : bool
-        Whether plain, numpy and numba gave the same bits at all lengths.
+        Whether all but ``numpy_dot`` gave the same bits at all lengths.
     """
 
     timings: dict[int, dict[str, Timing]]
@@ -77,9 +77,9 @@ class TapTimings:
         Returns
         -------
         str
-            ``plain``, ``numpy`` or ``numba``.
+            One of `WAYS`.
         """
-        return min(WAYS[:3], key=lambda way: self.timings[taps][way].median)
+        return min(WAYS[:-1], key=lambda way: self.timings[taps][way].median)
 
 
 _fir_compiled = compiled()(fir)
@@ -113,6 +113,7 @@ def evaluators(law: CompiledLaw, history: Sequence[float], ring: Any) -> dict[st
 
     return {
         "plain": lambda head: fir(taps, history, head),
+        "unrolled": unrolled(taps, history),
         "numpy": with_numpy,
         "numba": lambda head: _fir_compiled(weights, ring, head),
         "numpy_dot": lambda head: float(weights.dot(ring[head : head + n])),
@@ -142,7 +143,7 @@ def time_taps(lengths: Sequence[int], rounds: int, step: Callable[[str], None]) 
         history = array("d", np.random.default_rng(n).normal(scale=1e-3, size=2 * n).tolist())
         ways = evaluators(realise("gl", 0.5, n, 0.002), history, np.frombuffer(history))
         results = {way: evaluate(0) for way, evaluate in ways.items()}
-        same = same and results["plain"] == results["numpy"] == results["numba"]
+        same = same and len({results[way] for way in WAYS[:-1]}) == 1
         for way, evaluate in ways.items():
             calls = max(4, _CALLS * 32 // max(n, 32))
             jobs[f"{way}|{n}"] = (_repeat(evaluate, n, calls), calls)
@@ -194,7 +195,7 @@ def as_json(found: TapTimings, machine: dict[str, Any]) -> dict[str, Any]:
     -------
     dict
         ``points`` (``taps``, and ``<way>_us``, ``<way>_us_low``, ``<way>_us_high``), ``crossover_taps``, ``fastest``,
-        ``same_bits``, ``plain_taps`` (what the coupling does), ``import_s``, ``machine``.
+        ``same_bits``, ``unrolled_taps`` (what the coupling does), ``import_s``, ``machine``.
     """
     points = []
     for n, ways in sorted(found.timings.items()):
@@ -209,13 +210,13 @@ def as_json(found: TapTimings, machine: dict[str, Any]) -> dict[str, Any]:
     return {
         "points": points,
         "crossover_taps": {
-            "plain_to_numpy": found.crossover("plain", "numpy"),
-            "plain_to_numba": found.crossover("plain", "numba"),
+            "unrolled_to_numpy": found.crossover("unrolled", "numpy"),
+            "unrolled_to_numba": found.crossover("unrolled", "numba"),
             "numpy_to_numba": found.crossover("numpy", "numba"),
         },
         "fastest": {str(n): found.fastest(n) for n in sorted(found.timings)},
         "same_bits": found.same_bits,
-        "plain_taps": PLAIN_TAPS,
+        "unrolled_taps": UNROLLED_TAPS,
         "import_s": {module: import_seconds(module) for module in ("numpy", "numba")},
         "machine": machine,
     }

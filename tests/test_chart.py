@@ -272,5 +272,5 @@ def test_bench_taps_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert answer["same_bits"] is True
     assert [p["taps"] for p in answer["points"]] == [4, 300]
     # 300 taps in a Python loop against one call into numpy: a factor of ten or so, whatever the machine.
-    assert answer["fastest"]["300"] != "plain"
+    assert answer["fastest"]["300"] not in {"plain", "unrolled"}
     assert (tmp_path / "bench_taps.png").exists()

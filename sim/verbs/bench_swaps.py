@@ -250,7 +250,8 @@ def _steps_at_rest(states: list[DeviceState], receipts: list[Receipt]) -> list[f
     position = {state.seq: state.position[2] for state in states}
     steps = []
     for receipt in receipts:
-        recent = [position.get(receipt.seq - age, math.nan) for age in range(1, MEMORY + 1)]
+        recent = [position.get(receipt.seq - age, math.inf) for age in range(1, MEMORY + 1)]
+        # A tick that was left out is not known to have been at rest (and infinity less itself is not small either).
         if max(recent) - min(recent) <= STILL:
             steps.append(receipt.force_step)
     return steps

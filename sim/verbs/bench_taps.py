@@ -1,4 +1,4 @@
-"""Time per tick against the number of taps: plain loop, numpy, numba, and where each becomes the fastest."""
+"""Time per tick against the number of taps: plain loop, written out, numpy, numba, and where each becomes the fastest."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         lines.append(f"{pair.replace('_', ' ')}: {'never' if taps is None else f'from {taps:.0f} taps on'}")
     cost = figures["import_s"]
     lines.append(
-        f"the coupling changes from plain to numpy beyond {figures['plain_taps']} taps; importing numpy costs "
+        f"the coupling changes from the written-out sum to numpy beyond {figures['unrolled_taps']} taps; importing numpy costs "
         f"{cost['numpy']:.2f} s at its start, numba {cost['numba']:.2f} s"
     )
     lines.append(f"same bits: {'yes' if figures['same_bits'] else 'NO'}; {figures['machine']['cpu']}")
@@ -86,12 +86,12 @@ def _write(figures: dict[str, Any], folder: Path) -> list[Path]:
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.add_subplot(xlabel="taps", ylabel="time per tick [µs]", xscale="log", yscale="log")
     taps = [point["taps"] for point in figures["points"]]
-    for way, style in (("plain", "o-"), ("numpy", "s-"), ("numba", "^-"), ("numpy_dot", ":")):
+    for way, style in (("plain", "o-"), ("unrolled", "v-"), ("numpy", "s-"), ("numba", "^-"), ("numpy_dot", ":")):
         label = "numpy dot (other bits)" if way == "numpy_dot" else way
         axes.plot(taps, [point[f"{way}_us"] for point in figures["points"]], style, ms=4, label=label)
         low, high = ([point[f"{way}_us_{end}"] for point in figures["points"]] for end in ("low", "high"))
         axes.fill_between(taps, low, high, alpha=0.15)
-    axes.axvline(figures["plain_taps"], color="grey", lw=0.8, ls="--")
+    axes.axvline(figures["unrolled_taps"], color="grey", lw=0.8, ls="--")
     axes.set_title(f"Adding n taps, {figures['machine']['cpu']}", fontsize=9)
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3, which="both")
