@@ -26,7 +26,7 @@ from messages.sockets import new_context
 from nodes import guard, realtime, runs
 from nodes.byhand import ByHand
 from nodes.child import Child
-from nodes.launchfile import Launch
+from nodes.launchspec import Launch
 from nodes.wiring import manifest_of, wire
 
 INT_TIMEOUT = 3.0

@@ -14,7 +14,7 @@ from nodes import realtime
 from nodes.base import Node
 from nodes.byhand import LEASE, PATIENCE
 from nodes.kinds import load, node_kinds
-from nodes.launchfile import Launch
+from nodes.launchspec import Launch
 from nodes.parameters import ParameterError, convert
 from nodes.setup import Scheduling, Setup
 

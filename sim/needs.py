@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nodes.launchfile import Model
+from nodes.launchspec import Model
 from nodes.laws import CompiledLaw
 from sim.boundary import Device, k_max
 from sim.loop import Trace

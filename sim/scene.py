@@ -12,7 +12,7 @@ from typing import Any
 from nodes.coupling_parameters import CouplingParameters
 from nodes.device import DeviceLimits
 from nodes.environment import EnvironmentParameters
-from nodes.launchfile import Launch
+from nodes.launchspec import Launch
 from nodes.lawbook import LawBook
 from nodes.laws import CompiledLaw
 from nodes.limits import lower

@@ -14,7 +14,7 @@ import yaml
 
 from nodes import launchfile
 from nodes.cli import main
-from nodes.launchfile import Model
+from nodes.launchspec import Model
 from nodes.parameters import ParameterError
 from sim.loop import Trace
 from sim.needs import Needs, Outcome, movement, needs, outcome

@@ -16,7 +16,7 @@ from typing import Any
 from messages.control import ControlError, call
 from nodes import launchfile
 from nodes.cli import UsageError, answer
-from nodes.launchfile import Launch
+from nodes.launchspec import Launch
 from nodes.parameters import ParameterError
 from nodes.runs import RunError
 from nodes.supervisor import LaunchFailedError, Supervisor

@@ -8,7 +8,7 @@ import statistics
 from typing import Any
 
 from nodes.cli import answer
-from nodes.launchfile import AWAKE_RATE
+from nodes.launchspec import AWAKE_RATE
 from nodes.realtime import awake, quietest_processor
 from sim.measured_launch import bare_loop, fifo_granted, launch, machine
 from sim.stopwatch import Progress
