@@ -7,33 +7,29 @@ two ticks, and what it wants published goes through an outbox that is emptied af
 
 from __future__ import annotations
 
-import math
 import os
 import resource
-import sys
 import threading
-import time
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar, TypeVar
 
 import msgspec
 
-from messages import topics
-from messages.codec import Decoder, MessageRefusedError, encode
+from messages.codec import Decoder, MessageRefusedError
 from messages.sockets import Publisher, Subscription
-from messages.types import Event, Message, NodeStatus
+from messages.types import Message, NodeStatus
 from nodes import realtime
 from nodes.change import Changes
 from nodes.parameters import ParameterError, ParameterStore
 from nodes.setup import Setup
+from nodes.telling import Telling
 
 M = TypeVar("M", bound=Message)
 IDLE_MS = 100
 """How long a blocking receive waits before it looks whether the node should stop [ms]."""
 
 
-class Node:
+class Node(Telling):
     """Base of all nodes.
 
     Parameters
@@ -49,8 +45,6 @@ class Node:
         The loop topics that the kind binds and takes; ``"*"`` listens to everything.
     answers : bool
         Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only what comes on top.
-    called : bool
-        Whether something waits to be done between two ticks: the one thing that a loop looks at.
     serving : int
         Counts each beginning and each end of the control thread's work: odd while it works.
     """
@@ -64,7 +58,7 @@ class Node:
     publisher: Publisher
 
     def __init__(self, setup: Setup) -> None:
-        self.setup = setup
+        super().__init__(setup)
         self.store = ParameterStore(setup.name, self.Parameters, setup.parameters)
         self.state = "configuring"
         self.stop_reason = ""
@@ -72,16 +66,8 @@ class Node:
         self.started = threading.Event()
         self.changes = Changes(setup.name)
         self.inbox: Subscription | None = None
-        self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
-        self.seq = 0
-        self.ticks = self.sent = self.received = self.refused = self.skipped = self.gaps = 0
-        self.called = False
+        self.ticks = self.sent = self.received = self.skipped = self.gaps = 0
         self.serving = 0
-        self.denied = 0
-        self.clock_offset = self.clock_error = 0.0
-        self._period = setup.period
-        self._simulated = setup.pace == "lockstep"
-        self._told: dict[str, int] = {}
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -165,16 +151,6 @@ class Node:
 
     # -- what every node can use -------------------------------------------------------------------------------------
 
-    def now(self) -> float:
-        """Time for stamps: the monotonic clock of the launcher's host, or simulated time in lockstep.
-
-        Returns
-        -------
-        float
-            Seconds.
-        """
-        return self.seq * self._period if self._simulated else time.monotonic() + self.clock_offset
-
     def stop(self, reason: str) -> None:
         """Ask the loop to end after the present tick.
 
@@ -187,66 +163,6 @@ class Node:
             self.stop_reason = reason
             self.stopping = True
         self.started.set()
-
-    def say(self, text: str) -> None:
-        """Write one line to standard error, named.
-
-        Parameters
-        ----------
-        text : str
-            What to say.
-        """
-        print(f"[{self.setup.name}] {text}", file=sys.stderr, flush=True)
-
-    def tell(self, kind: str, reason: str, always: bool = False) -> None:
-        """Publish an event and say it; repeats of one kind at powers of two only.
-
-        Parameters
-        ----------
-        kind : str
-            Kind of event.
-        reason : str
-            One sentence with value and limit.
-        always : bool
-            Whether repeats are published all the same; said they are at powers of two even then.
-        """
-        count = self._told[kind] = self._told.get(kind, 0) + 1
-        seldom = count & (count - 1) == 0
-        if seldom:
-            repeat = f" ({count} times)" if count > 1 else ""
-            self.say(f"{kind}: {reason}{repeat}")
-        if seldom or always:
-            self._post_event(kind, reason)
-
-    def announce(self, kind: str, reason: str) -> None:
-        """Publish an event and say it, however often: for what people do, which cannot come in every tick.
-
-        Parameters
-        ----------
-        kind : str
-            Kind of event.
-        reason : str
-            One sentence with value and limit.
-        """
-        self.say(f"{kind}: {reason}")
-        self._post_event(kind, reason)
-
-    def _post_event(self, kind: str, reason: str) -> None:
-        message = Event(seq=self.seq, stamp=self.now(), node=self.setup.name, kind=kind, reason=reason[:4000])
-        self.post(topics.event(self.setup.name), message)
-
-    def post(self, topic: str, message: Message) -> None:
-        """Queue a message that is not part of the tick; it leaves after the tick's own.
-
-        Parameters
-        ----------
-        topic : str
-            Topic.
-        message : Message
-            The message.
-        """
-        self.outbox.append((topic.encode(), encode(message)))
-        self.called = True
 
     def flush_outbox(self) -> None:
         """Send what is queued (main thread)."""
@@ -297,17 +213,6 @@ class Node:
         if self.inbox is not None:
             self.inbox.resynchronise()
         self.refuse(f"a message on {frame[:64]!r} where {topic.decode()} was expected")
-
-    def refuse(self, reason: str) -> None:
-        """Count and tell a message that was refused.
-
-        Parameters
-        ----------
-        reason : str
-            What was wrong with it.
-        """
-        self.refused += 1
-        self.tell("refused", reason[:1000])
 
     def between_ticks(self, seq: int) -> None:
         """Take up what the control thread prepared, and send what is queued (main thread, after a tick, when `called`).
@@ -423,38 +328,6 @@ class Node:
             clock_offset=self.clock_offset,
             clock_error=self.clock_error,
         )
-
-    def deny(self, reason: str) -> None:
-        """Count and tell a peer that was turned away.
-
-        Parameters
-        ----------
-        reason : str
-            Who, where and why.
-        """
-        self.denied += 1
-        self.tell("denied", reason)
-
-    def set_clock(self, offset: float, error: float) -> None:
-        """Take over how far this host's clock is from the launcher's, as the launcher has measured it.
-
-        Parameters
-        ----------
-        offset : float
-            What to add to this host's monotonic clock to get the run's time [s].
-        error : float
-            How far off that may be [s].
-
-        Raises
-        ------
-        ParameterError
-            When it is not a number of seconds.
-        """
-        if not (isinstance(offset, float) and isinstance(error, float) and math.isfinite(offset) and error >= 0.0):
-            raise ParameterError(
-                f"{self.setup.name}: clock.set {offset!r} {error!r}: expected two finite numbers of seconds"
-            )
-        self.clock_offset, self.clock_error = offset, error
 
 
 def describe(parameters: Mapping[str, Any]) -> str:
