@@ -50,7 +50,9 @@ finite = st.floats(-1e6, 1e6)
 
 @settings(deadline=None)
 @given(st.lists(finite, max_size=80), st.lists(finite, max_size=90))
-def test_taps_written_out_and_added_by_numpy_have_the_bits_of_the_kernel(taps: list[float], values: list[float]) -> None:
+def test_taps_written_out_and_added_by_numpy_have_the_bits_of_the_kernel(
+    taps: list[float], values: list[float]
+) -> None:
     history = filled(values, 80)
     found = sum_of_taps(tuple(taps), history)(history.head)
     expected = kernels.fir(taps, history.values, history.head)
