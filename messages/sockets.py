@@ -20,6 +20,7 @@ from messages.endpoints import bind, connect, remove_ipc
 
 if TYPE_CHECKING:
     from messages.gate import Gate
+    from messages.waking import Waker
 
     Context = zmq.Context[zmq.Socket[bytes]]
     Socket = zmq.Socket[bytes]
@@ -276,6 +277,7 @@ class Subscription:
         self._socket.rcvhwm = queue
         self._socket.setsockopt(zmq.AFFINITY, 1)
         self._timeout_ms = -1
+        self._waker: Waker | None = None
         self.next_frame: Callable[..., bytes] = self._socket.recv
         self._get = self._socket.get
         self._fd = self._socket.FD
@@ -288,13 +290,24 @@ class Subscription:
         for topic in topics:
             self._socket.subscribe(topic)
 
+    def woken_by(self, waker: Waker) -> None:
+        """Let a waker end the waits of `next_frame`, which returns its frame then.
+
+        Parameters
+        ----------
+        waker : Waker
+            For a topic of this subscription; closed with it.
+        """
+        self._socket.connect(waker.endpoint)
+        self._waker = waker
+
     def set_timeout(self, timeout_ms: int) -> None:
         """Set how long `next_frame` waits.
 
         Parameters
         ----------
         timeout_ms : int
-            Longest wait [ms]; 0 does not wait.
+            Longest wait [ms]; 0 does not wait, -1 waits without end.
         """
         if timeout_ms != self._timeout_ms:
             self._socket.rcvtimeo = timeout_ms
@@ -315,12 +328,14 @@ class Subscription:
         Returns
         -------
         tuple of bytes or None
-            Topic and payload; None when the time was over, ``(b"", b"")`` for a message of one frame.
+            Topic and payload; None when the time was over or it was woken, ``(b"", b"")`` for a message of one frame.
         """
         self.set_timeout(timeout_ms)
         try:
             topic = self.next_frame()
         except TimedOut:
+            return None
+        if self._waker is not None and topic == self._waker.frame:
             return None
         return self._rest(topic)
 
@@ -393,4 +408,6 @@ class Subscription:
 
     def close(self) -> None:
         """Close the socket."""
+        if self._waker is not None:
+            self._waker.close()
         self._socket.close(linger=0)

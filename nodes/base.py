@@ -163,6 +163,7 @@ class Node(Telling):
             self.stop_reason = reason
             self.stopping = True
         self.started.set()
+        self.wake()
 
     def flush_outbox(self) -> None:
         """Send what is queued (main thread)."""
@@ -251,10 +252,7 @@ class Node(Telling):
         ParameterError
             When the loop did not take it up in time; it is withdrawn then, and will not be applied later.
         """
-        return self.changes.hand_over(apply, self._call, lambda: self.state not in ("finished", "failed"), timeout)
-
-    def _call(self) -> None:
-        self.called = True
+        return self.changes.hand_over(apply, self.call, lambda: self.state not in ("finished", "failed"), timeout)
 
     def change_parameters(
         self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None

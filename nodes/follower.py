@@ -34,13 +34,14 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
     Returns
     -------
     callable
-        Waits for the next message; None when nothing valid came within `IDLE_MS`. A closure: what a tick looks up through
-        attributes, it waits for.
+        Waits for the next message; None when it was woken, or what came was not valid. A closure: what a tick looks up
+        through attributes, it waits for.
     """
     expected = topic.encode()
     realtime, period = node.setup.pace == "realtime", node.setup.period
     next_frame, decode, clock = inbox.next_frame, decoder.decode, time.monotonic
-    last = -1
+    waker, last = node.waker, -1
+    patience = IDLE_MS if waker is None else -1
 
     def newest(message: M) -> M:
         while (frames := inbox.receive(0)) is not None:
@@ -48,7 +49,7 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
             if newer is not None:
                 node.skipped += 1
                 message = newer
-        inbox.set_timeout(IDLE_MS)
+        inbox.set_timeout(patience)
         return message
 
     def out_of_order(seq: int) -> None:
@@ -65,7 +66,8 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         except TimedOut:
             return None
         if frame != expected:
-            node.out_of_step(frame, expected)
+            if waker is None or frame != waker.frame:
+                node.out_of_step(frame, expected)
             return None
         try:
             message = decode(next_frame())
@@ -83,5 +85,5 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         last = seq
         return message
 
-    inbox.set_timeout(IDLE_MS)
+    inbox.set_timeout(patience)
     return take

@@ -18,6 +18,7 @@ import msgspec
 from messages import topics
 from messages.gate import Gate
 from messages.sockets import Publisher, Subscription, move_aside, new_context
+from messages.waking import Waker
 from nodes import realtime
 from nodes.base import Node
 from nodes.control import ControlServer
@@ -82,6 +83,9 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
             return subscriptions[-1]
 
         node.connect(subscribe)
+        if node.answers and node.inbox is not None:
+            node.waker = Waker(context, node.listens_to[0].encode())
+            node.inbox.woken_by(node.waker)
         control = ControlServer(node, context)
         if gate is not None:
             node.publisher.watched_by(gate)

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
 from collections import deque
 
 from messages import topics
 from messages.codec import encode
 from messages.types import Event, Message
+from messages.waking import Waker
 from nodes.parameters import ParameterError
 from nodes.setup import Setup
 
@@ -33,6 +35,8 @@ class Telling:
         Topics and payloads that wait for the end of the tick.
     called : bool
         Whether something waits to be done between two ticks: the one thing that a loop looks at.
+    waker : Waker or None
+        What ends the loop's wait; None for a loop that does not wait without end.
     refused, denied : int
         Messages refused; connections not let in.
     clock_offset, clock_error : float
@@ -44,6 +48,9 @@ class Telling:
         self.seq = 0
         self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
         self.called = False
+        self.waker: Waker | None = None
+        # Nodes are made on the thread that runs their loop.
+        self._loop_thread = threading.get_ident()
         self.refused = self.denied = 0
         self.clock_offset = self.clock_error = 0.0
         self._period = setup.period
@@ -139,7 +146,18 @@ class Telling:
             The message.
         """
         self.outbox.append((topic.encode(), encode(message)))
+        self.call()
+
+    def call(self) -> None:
+        """Call the loop's attention to what waits between two ticks; from any thread."""
         self.called = True
+        if threading.get_ident() != self._loop_thread:
+            self.wake()
+
+    def wake(self) -> None:
+        """End the loop's wait for a message, if it waits without end."""
+        if self.waker is not None:
+            self.waker.wake()
 
     def refuse(self, reason: str) -> None:
         """Count and tell a message that was refused.

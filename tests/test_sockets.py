@@ -17,6 +17,7 @@ import zmq
 
 from messages.endpoints import EndpointRefusedError, bind, connect, is_remote, split
 from messages.sockets import Publisher, Subscription, new_context
+from messages.waking import Waker
 from nodes.runs import RunError, new_run_dir, runtime_dir
 from tests.launching import private_runtime_dir, wait_for
 
@@ -243,3 +244,26 @@ def test_a_hostile_directory_made_before_is_refused(tmp_path: Path, monkeypatch:
         monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(trap))
         with pytest.raises(RunError, match="must be a directory of user"):
             runtime_dir()
+
+
+def test_a_wait_without_end_is_ended_from_another_thread_and_by_nobody_else(context: Context, place: str) -> None:
+    publisher, subscription = connected(context, place, "/t")
+    waker = Waker(context, b"/t")
+    subscription.woken_by(waker)
+    subscription.set_timeout(-1)
+    thread = threading.Thread(target=waker.wake)
+    thread.start()
+    assert subscription.next_frame() == waker.frame
+    thread.join()
+    # Waking is no message: neither for whoever takes whole ones, nor for those who count subscriptions.
+    waker.wake()
+    assert subscription.receive(1000) is None
+    assert publisher.listeners() == 1
+    # What another process publishes under that name is a message on another topic like any other.
+    publisher.send(waker.frame + b"!", b"payload")
+    publisher.send(b"/t", b"after")
+    assert subscription.receive(1000) == (waker.frame + b"!", b"payload")
+    assert subscription.receive(1000) == (b"/t", b"after")
+    subscription.close()
+    waker.wake()
+    publisher.close()

@@ -403,3 +403,17 @@ def test_where_processors_cannot_be_kept_awake_the_reason_is_told(
         patch.setattr(realtime, "WAKE_LATENCY", str(tmp_path / "none"))
         with realtime.awake() as refused:
             assert refused.startswith(f"{tmp_path}/none: No such file or directory; ")
+
+
+def test_a_loop_that_hears_nothing_takes_changes_and_ends_when_asked(tmp_path: Path) -> None:
+    with running(tmp_path, "floor_drop", "duration:=0") as launch:
+        launch.wait_ticks(10)
+        os.kill(pid(launch, "driver"), signal.SIGSTOP)
+        for stiffness in (900.0, 1100.0):
+            receipt = launch.call("coupling", "param.set", values={"laws.pd.stiffness": stiffness})
+            assert receipt["action"] == "set"
+        assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1100.0
+        for node in ("environment", "coupling"):
+            os.kill(pid(launch, node), signal.SIGTERM)
+        launch.finish(signal.SIGINT, code=None)
+    assert "SIGKILL" not in launch.errors
