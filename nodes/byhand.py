@@ -2,12 +2,14 @@
 
 The launcher waits for it on its control endpoint, hands it its setup, keeps measuring how far its clock is from the
 launcher's, takes it as lost when it stays silent, and asks it to stop at the end. What no signal can reach ends by itself: such
-a node has a lease, which every request of the launcher renews.
+a node has a lease, which every request of the launcher renews. One that is started once more in place of a lost one is a
+respawn like any other: the launch file says whether it is taken back.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import threading
 import time
@@ -35,6 +37,9 @@ LEASE = 6.0
 
 PERIOD = 0.5
 _QUICK = 0.05
+
+_ROUNDS = 8
+"""How often the clock is measured at once, before and after the start."""
 
 
 def command(setup: Setup) -> str:
@@ -101,6 +106,7 @@ class ByHand(Child):
         self._clock = ClockOffset()
         self._state = "not started"
         self._seen = 0.0
+        self._process = 0
         self._code: int | None = None
         self._end = ""
         self._stop = False
@@ -139,20 +145,22 @@ class ByHand(Child):
         self._thread = threading.Thread(target=self._watch, name=f"{self.setup.name}-watch", daemon=True)
         self._thread.start()
 
-    def state(self, context: zmq.Context[zmq.Socket[bytes]]) -> str:
+    def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
         """Tell its state as last heard.
 
         Parameters
         ----------
         context : zmq.Context
             Not used: a thread asks all the time.
+        timeout : float
+            Not used either.
 
         Returns
         -------
         str
             As in its status, or ``not started``.
         """
-        del context
+        del context, timeout
         return self._state
 
     def send(self, number: signal.Signals) -> None:
@@ -207,10 +215,16 @@ class ByHand(Child):
             self._ending.wait(PERIOD if ready and not self._stop else _QUICK)
 
     def _visit(self) -> None:
-        state = str(self._ask("status")["state"])
+        status = self._ask("status")
+        state, process = str(status["state"]), int(status.get("pid", 0))
+        if self._process and process != self._process:
+            # Faster than the loss was noticed; what is there now knows neither setup nor, as a driver, that it was started.
+            self._code, self._end = 1, f"process {process} in place of {self._process}"
+            return
+        self._process = process
         if state == "unconfigured":
             with self._refusal("configure"):
-                self._ask("configure", setup=msgspec.to_builtins(self.setup))
+                self._ask("configure", setup=msgspec.to_builtins(self._with_clock()))
             return
         if state in ("ready", "running") and self._state not in ("ready", "running"):
             self._arrive()
@@ -224,6 +238,15 @@ class ByHand(Child):
             self._code, self._end = (0, "a clean end") if state == "finished" else (1, "a failure")
         self._state = state
 
+    def _with_clock(self) -> Setup:
+        """Give the setup with the clock as measured, so that a node which answers at once stamps rightly from the first."""
+        for _ in range(_ROUNDS):
+            self._measure(tell=False)
+        offset, error = self._clock.best(time.monotonic())
+        if not math.isfinite(error):
+            return self.setup
+        return msgspec.structs.replace(self.setup, clock_offset=offset, clock_error=error)
+
     @contextlib.contextmanager
     def _refusal(self, what: str) -> Any:
         try:
@@ -236,13 +259,13 @@ class ByHand(Child):
     def _arrive(self) -> None:
         told = ""
         if self._far:
-            for _ in range(8):
+            for _ in range(_ROUNDS):
                 self._measure()
             offset, error = self._clock.best(time.monotonic())
             told = f"; its clock is {-offset:+.6f} s from here, known to ±{error * 1e6:.0f} µs"
         self._say(f"{self.setup.name}: is there{told}")
 
-    def _measure(self) -> None:
+    def _measure(self, tell: bool = True) -> None:
         """Measure the clock and tell the node; one that has no use for it (another language) may refuse."""
         asked = time.monotonic()
         try:
@@ -253,4 +276,5 @@ class ByHand(Child):
             return
         self._clock.add(asked, remote, time.monotonic())
         offset, bound = self._clock.best(time.monotonic())
-        self._ask("clock.set", offset=offset, error=bound)
+        if tell:
+            self._ask("clock.set", offset=offset, error=bound)

@@ -96,13 +96,15 @@ class Child:
         )
         self.again_at = None
 
-    def state(self, context: zmq.Context[zmq.Socket[bytes]]) -> str:
+    def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
         """Ask for its state.
 
         Parameters
         ----------
         context : zmq.Context
             The launcher's.
+        timeout : float
+            Longest wait [s].
 
         Returns
         -------
@@ -110,7 +112,7 @@ class Child:
             As in its status; ``starting`` while it does not answer.
         """
         try:
-            return str(call(context, self.setup.control, "status", timeout=0.25)["state"])
+            return str(call(context, self.setup.control, "status", timeout=timeout)["state"])
         except ControlError:
             return "starting"
 

@@ -6,6 +6,7 @@ one: a stalled logger loses messages beyond the publisher's queue, and the recor
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from collections.abc import Callable, Iterable
@@ -65,6 +66,8 @@ class Recorder:
     ----------
     recorded, refused : int
         Messages written, and messages that were not of the protocol.
+    clock_offset : float
+        What to add to this host's monotonic clock to get the time of the run, in which receipt is recorded [s].
     """
 
     def __init__(self, inbox: Subscription, writer: RecordWriter) -> None:
@@ -74,6 +77,7 @@ class Recorder:
         self._next_flush = time.monotonic() + FLUSH_PERIOD
         self.recorded = 0
         self.refused = 0
+        self.clock_offset = 0.0
 
     def take(self, timeout_ms: int) -> bool:
         """Wait for one message and record it; flush when it is time.
@@ -96,7 +100,7 @@ class Recorder:
         frames = self._inbox.receive(timeout_ms)
         now = time.monotonic()
         if frames is not None:
-            self._record(frames, now)
+            self._record(frames, now + self.clock_offset)
         if now >= self._next_flush:
             self._writer.flush()
             self._next_flush = now + FLUSH_PERIOD
@@ -198,11 +202,12 @@ class Logger(Node):
         Returns
         -------
         dict
-            ``recording``, ``recorded``, ``refused``.
+            ``recording``, ``recorded``, ``refused``. The path as it was given, or in full on another machine, where the
+            launcher's directory means nothing.
         """
         recorder = self._recorder
         return {
-            "recording": self._path,
+            "recording": os.path.abspath(self._path) if self.setup.control.startswith("tcp://") else self._path,
             "recorded": recorder.recorded if recorder else 0,
             "refused": recorder.refused if recorder else 0,
         }
@@ -214,6 +219,7 @@ class Logger(Node):
         assert recorder is not None  # noqa: S101  # connect() came first
         try:
             while not self.stopping:
+                recorder.clock_offset = self.clock_offset
                 recorder.take(50)
                 self.received = self.ticks = recorder.recorded
                 self.refused = recorder.refused

@@ -135,6 +135,43 @@ def new_run_dir(run: str) -> Path:
     return path
 
 
+OWNER = "owner"
+"""File that tells which process keeps a directory here for a run whose launcher is on another machine."""
+
+
+def new_node_dir(run: str) -> Path:
+    """Make the private directory of a node whose launcher is on another machine, or take over that of its killed predecessor.
+
+    Parameters
+    ----------
+    run : str
+        Name of the run and the node.
+
+    Returns
+    -------
+    Path
+        The directory, mode 0700. What a killed predecessor left (when tick 0 was) is still in it.
+
+    Raises
+    ------
+    RunError
+        When a live process keeps it, or the path is too long for a socket.
+    """
+    path = runtime_dir() / run
+    if not (path / OWNER).exists() or _is_kept(path):
+        new_run_dir(run)
+    (path / OWNER).write_text(str(os.getpid()), encoding="ascii")
+    return path
+
+
+def _is_kept(path: Path) -> bool:
+    """Whether a live process keeps a directory for a run of another machine."""
+    try:
+        return alive(int((path / OWNER).read_text(encoding="ascii")))
+    except (FileNotFoundError, ValueError):
+        return False
+
+
 def alive(pid: int) -> bool:
     """Whether a process exists and is not a zombie.
 
@@ -255,7 +292,7 @@ def sweep() -> list[str]:
         if not path.is_dir() or path.name in live or time.time() - path.stat().st_mtime < 60.0:
             continue
         pids = [int(entry) for entry in os.listdir("/proc") if entry.isdigit()]
-        if not any(belongs(pid, path) for pid in pids):
+        if not _is_kept(path) and not any(belongs(pid, path) for pid in pids):
             shutil.rmtree(path, ignore_errors=True)
             swept.append(path.name)
     return swept

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Annotated, Any, Literal
 
 import msgspec
+
+from messages.types import Real
 
 Pace = Literal["realtime", "lockstep"]
 Apply = Literal["on_arrival", "next_tick"]
@@ -68,6 +71,9 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         YAML file whose changes are applied while running; empty for none.
     manifest : dict of str to str
         What a logger writes into the recording: launch file, parameters, versions, clock offset.
+    clock_offset, clock_error : float
+        What to add to the monotonic clock of the node's host to get that of the launcher's, as measured before the start, and
+        how far off that may be [s]; both 0 on the launcher's host.
     """
 
     run: str
@@ -94,3 +100,5 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     parameters: dict[str, Any] = {}
     watch: str = ""
     manifest: dict[str, str] = {}
+    clock_offset: Real = 0.0
+    clock_error: Annotated[float, msgspec.Meta(ge=0.0, le=sys.float_info.max)] = 0.0

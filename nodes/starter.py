@@ -193,7 +193,7 @@ class Starter:
         kind = load(made.factory)
         kind.check(made)
         kind(made)
-        return msgspec.structs.replace(made, run_dir=str(runs.new_run_dir(f"{_plain(setup.run)}-{setup.name}")))
+        return msgspec.structs.replace(made, run_dir=str(runs.new_node_dir(f"{_plain(setup.run)}-{setup.name}")))
 
 
 def _plain(run: str) -> str:
@@ -232,7 +232,11 @@ def start_for(name: str, host: str, port: int, curve: bool = False) -> int:
     setup = starter.wait()
     if setup is None:
         return 130
+    # What earlier ones left that were killed and not started again.
+    runs.sweep()
     try:
-        return live(load(setup.factory)(setup))
+        node = load(setup.factory)(setup)
+        node.set_clock(setup.clock_offset, setup.clock_error)
+        return live(node)
     finally:
         shutil.rmtree(setup.run_dir, ignore_errors=True)

@@ -231,10 +231,12 @@ class Supervisor:
     def _restart_driver(self, child: Child) -> None:
         assert self.context is not None  # noqa: S101
         # It is not there yet at the first tries; the other nodes are looked after in between.
+        state = child.state(self.context, 0.05)
         with contextlib.suppress(ControlError):
-            if call(self.context, child.setup.control, "status", timeout=0.05)["state"] == "ready":
+            if state == "ready":
                 call(self.context, child.setup.control, "start", timeout=0.5)
-                child.to_start = False
+            # A lost answer shows as a driver that runs.
+            child.to_start = state not in ("ready", "running")
 
     # -- the end -----------------------------------------------------------------------------------------------------
 

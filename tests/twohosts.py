@@ -1,4 +1,4 @@
-"""Two machines for a test: two network namespaces, joined by a cable with delay, jitter and loss.
+"""Two machines for a test: two network namespaces, joined by a cable with delay, jitter and loss, and a clock each.
 
 The cable is a pair of TUN devices whose packets this process hands on, late or not at all, so it needs neither iproute2 nor
 the kernel's netem. No packet can leave: the namespaces have no other way out. Needs the right to make namespaces.
@@ -16,6 +16,7 @@ import select
 import socket
 import struct
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,6 +24,7 @@ from pathlib import Path
 from typing import IO
 
 CLONE_NEWNET = 0x40000000
+CLONE_NEWTIME = 0x00000080
 _TUNSETIFF, _IFF_TUN, _IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 _SIOCSIFADDR, _SIOCSIFNETMASK, _SIOCGIFFLAGS, _SIOCSIFFLAGS, _SIOCSIFMTU = 0x8916, 0x891C, 0x8913, 0x8914, 0x8922
 _UP_AND_RUNNING = 0x41
@@ -37,21 +39,26 @@ def _address(text: str) -> bytes:
 
 
 class Host:
-    """A network namespace with one cable.
+    """A network namespace with one cable, and a monotonic clock of its own.
 
     Parameters
     ----------
     address : str
         Its address in 10.77.0.0/24.
+    ahead : float
+        How far its monotonic clock is to be ahead of this process's, in whole seconds.
 
     Attributes
     ----------
     tun : int
         Descriptor of the cable's end.
+    ahead : float
+        How far its clock is ahead: 0 where this machine's kernel has no time namespaces.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, ahead: float = 0.0) -> None:
         self.address = address
+        self.ahead = ahead
         self.tun = -1
         self._namespace = -1
         self._error: Exception | None = None
@@ -79,8 +86,18 @@ class Host:
                 set_(_SIOCSIFNETMASK, b"cable", _address("255.255.255.0"))
                 for name in (b"cable", b"lo"):
                     set_(_SIOCSIFFLAGS, name, struct.pack("H", _UP_AND_RUNNING))
+            if self.ahead:
+                self.ahead = self.ahead if self._has_clock(libc) else 0.0
         except OSError as error:
             self._error = error
+
+    def _has_clock(self, libc: ctypes.CDLL) -> bool:
+        """Whether processes of this host get the clock that was asked for; not every kernel does it for all of them."""
+        with contextlib.suppress(OSError):
+            self._set_clock_of_children(libc)
+        words = [sys.executable, "-S", "-E", "-c", "import time; print(time.monotonic())"]
+        told = subprocess.run(words, capture_output=True, check=True, text=True).stdout
+        return float(told) > time.monotonic() + self.ahead / 2.0
 
     def popen(
         self, words: Sequence[str], environment: Mapping[str, str], folder: Path, out: IO[bytes], err: IO[bytes]
@@ -106,8 +123,11 @@ class Host:
         started: list[subprocess.Popen[bytes]] = []
 
         def start() -> None:
-            if ctypes.CDLL(None, use_errno=True).setns(self._namespace, CLONE_NEWNET):
+            libc = ctypes.CDLL(None, use_errno=True)
+            if libc.setns(self._namespace, CLONE_NEWNET):
                 raise OSError(ctypes.get_errno(), "setns")
+            if self.ahead:
+                self._set_clock_of_children(libc)
             started.append(
                 subprocess.Popen(
                     list(words),
@@ -124,6 +144,14 @@ class Host:
         starter.start()
         starter.join()
         return started[0]
+
+    def _set_clock_of_children(self, libc: ctypes.CDLL) -> None:
+        """Give the processes that this thread starts a clock of their own; the thread keeps its own."""
+        if libc.unshare(CLONE_NEWTIME):
+            raise OSError(ctypes.get_errno(), "unshare")
+        Path(f"/proc/{threading.get_native_id()}/timens_offsets").write_text(
+            f"monotonic {int(self.ahead)} 0\n", encoding="ascii"
+        )
 
     def close(self) -> None:
         """Let the namespace go when its last process has ended."""
@@ -192,13 +220,17 @@ class Cable(threading.Thread):
 
 
 @contextlib.contextmanager
-def two_hosts(delay: float = 0.0, jitter: float = 0.0, loss: float = 0.0) -> Iterator[tuple[Host, Host, Cable]]:
+def two_hosts(
+    delay: float = 0.0, jitter: float = 0.0, loss: float = 0.0, ahead: float = 0.0
+) -> Iterator[tuple[Host, Host, Cable]]:
     """Make two hosts and a cable for the length of a with block.
 
     Parameters
     ----------
     delay, jitter, loss : float
         See `Cable`.
+    ahead : float
+        How far the second one's monotonic clock is ahead of the first one's [s].
 
     Yields
     ------
@@ -207,8 +239,8 @@ def two_hosts(delay: float = 0.0, jitter: float = 0.0, loss: float = 0.0) -> Ite
     """
     with contextlib.ExitStack() as stack:
         hosts = []
-        for address in ("10.77.0.1", "10.77.0.2"):
-            hosts.append(Host(address))
+        for address, by in (("10.77.0.1", 0.0), ("10.77.0.2", ahead)):
+            hosts.append(Host(address, by))
             stack.callback(hosts[-1].close)
         cable = Cable((hosts[0], hosts[1]), delay, jitter, loss)
         cable.start()

@@ -14,6 +14,7 @@ from types import FrameType
 from typing import Any
 
 from messages.control import ControlError, call
+from messages.endpoints import is_remote
 from nodes import launchfile
 from nodes.cli import UsageError, answer
 from nodes.launchspec import Launch
@@ -125,6 +126,17 @@ def _signals(supervisor: Supervisor) -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def _recordings(launch: Launch, supervisor: Supervisor) -> list[tuple[str, str]]:
+    """Where the recordings are: ``host:`` (empty on this machine) and path, so that scp understands the two together."""
+    found = []
+    for name, report in supervisor.reports.items():
+        if "recording" in report:
+            host = launch.nodes[name].host
+            place = f"[{host}]:" if ":" in host else f"{host}:"
+            found.append((place if host and is_remote(f"tcp://{place}1") else "", report["recording"]))
+    return found
+
+
 def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
     """Collect the figures of a run from the reports of its nodes.
 
@@ -144,7 +156,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
     axis = "xyz".index(launch.run.axes[0])
     final = driver.get("final", {})
     single = len(launch.run.axes) == 1
-    recordings = [report["recording"] for report in supervisor.reports.values() if "recording" in report]
+    recordings = [place + path for place, path in _recordings(launch, supervisor)]
     return {
         "scenario": launch.scenario,
         "run": supervisor.run,
@@ -264,14 +276,16 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             say(str(error))
     status.clear()
     figures = summarise(launch, supervisor)
-    if figures["recording"] and not arguments.no_plot and figures["ticks"]:
+    # One on another machine is drawn there: haptic bag plot.
+    here = [path for place, path in _recordings(launch, supervisor) if not place]
+    if here and not arguments.no_plot and figures["ticks"]:
         from nodes.plot import plot
         from nodes.record import RecordError
         from nodes.recording import Recording
 
-        picture = Path(figures["recording"]).with_suffix(".png")
+        picture = Path(here[0]).with_suffix(".png")
         try:
-            plot(Recording(figures["recording"]), picture, overwrite=True)
+            plot(Recording(here[0]), picture, overwrite=True)
             figures["plot"] = str(picture)
         except RecordError as error:
             say(f"no plot: {error}")
