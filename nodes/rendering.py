@@ -15,7 +15,7 @@ from typing import cast
 from nodes.kernels import cross_fade, push, sections, warm_up
 from nodes.laws import CompiledLaw
 
-UNROLLED_TAPS = 24
+UNROLLED_TAPS = 30
 """Up to so many taps a written-out sum is fastest, beyond it numpy's multiply and running sum: ``haptic bench taps``."""
 
 MAX_LEAVING = 8
