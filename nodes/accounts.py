@@ -1,4 +1,4 @@
-"""Every message accounted for: what the nodes say they sent, what was recorded, and what was left out on purpose."""
+"""Every message accounted for: what nodes say they sent, what was recorded, what was left out on purpose, and their clocks."""
 
 from __future__ import annotations
 
@@ -33,6 +33,48 @@ class Account(msgspec.Struct):
     lost: int
     since: int
     finished: bool
+
+
+class Clock(msgspec.Struct):
+    """How far the clock of a node's host was from the launcher's; its stamps are corrected by that already.
+
+    Attributes
+    ----------
+    offset : float
+        What was added to that clock to get the time of the run, as measured last [s]; 0 on the launcher's host.
+    error : float
+        How far off that was at most, the largest bound of the whole recording [s]; 0 on the launcher's host.
+    """
+
+    offset: float
+    error: float
+
+
+def clocks(recording: Recording) -> dict[str, Clock]:
+    """Tell how far the nodes' clocks were from the launcher's, by the recorded statuses: a manifest is written too early.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    dict of str to Clock
+        By node name, for each node whose status was recorded.
+
+    Raises
+    ------
+    RecordError
+        When a status does not fit its type.
+    """
+    found: dict[str, Clock] = {}
+    for entry in recording.entries(topic for topic in recording.topics if message_type(topic) is NodeStatus):
+        status = entry.message
+        if isinstance(status, NodeStatus):
+            before = found.get(status.node)
+            found[status.node] = Clock(status.clock_offset, max(status.clock_error, before.error if before else 0.0))
+    return found
 
 
 def _tick_topics(kind: str) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,9 @@ PATIENCE = 120.0
 
 LOST = 5.0
 """After so long without an answer a node that was there is taken as lost [s]."""
+
+UNREPORTED = 2.0
+"""After so long without an answer a node that has said it is finished is believed to be gone, report or not [s]."""
 
 LEASE = 6.0
 """After so long without a request such a node takes its launcher as lost, and stops [s]."""
@@ -109,6 +112,7 @@ class ByHand(Child):
         self._process = 0
         self._code: int | None = None
         self._end = ""
+        self._over: tuple[int, str] | None = None
         self._stop = False
         self._report: dict[str, Any] = {}
 
@@ -172,7 +176,7 @@ class ByHand(Child):
             SIGKILL gives it up.
         """
         if number == signal.SIGKILL or not self._seen:
-            self._code, self._end = 1, self._end or "given up"
+            self._code, self._end = self._over or (1, self._end or "given up")
         self._stop = True
 
     def release(self) -> None:
@@ -209,7 +213,10 @@ class ByHand(Child):
             try:
                 self._visit()
             except ControlError as error:
-                if self._seen and time.monotonic() - self._seen > LOST:
+                silent = time.monotonic() - self._seen if self._seen else 0.0
+                if self._over and silent > UNREPORTED:
+                    self._code, self._end = self._over
+                elif silent > LOST:
                     self._code, self._end = 1, f"no answer for {LOST:g} s ({error})"
             ready = self._state in ("ready", "running")
             self._ending.wait(PERIOD if ready and not self._stop else _QUICK)
@@ -233,9 +240,10 @@ class ByHand(Child):
         if self._stop and state not in ("finished", "failed"):
             self._ask("stop")
         if state in ("finished", "failed"):
-            with contextlib.suppress(ControlError):
+            self._over = (0, "a clean end") if state == "finished" else (1, "a failure")
+            with self._optional():
                 self._report = dict(self._ask("report"))
-            self._code, self._end = (0, "a clean end") if state == "finished" else (1, "a failure")
+            self._code, self._end = self._over
         self._state = state
 
     def _with_clock(self) -> Setup:
@@ -248,13 +256,22 @@ class ByHand(Child):
         return msgspec.structs.replace(self.setup, clock_offset=offset, clock_error=error)
 
     @contextlib.contextmanager
-    def _refusal(self, what: str) -> Any:
+    def _refusal(self, what: str) -> Iterator[None]:
         try:
             yield
         except ControlError as error:
             if "no answer" in str(error):
                 raise
             self._code, self._end = 1, f"{what} refused: {error}"
+
+    @contextlib.contextmanager
+    def _optional(self) -> Iterator[None]:
+        """Let a node refuse what it need not know; an answer that was lost on the way is asked for again."""
+        try:
+            yield
+        except ControlError as error:
+            if "no answer" in str(error):
+                raise
 
     def _arrive(self) -> None:
         told = ""
@@ -268,13 +285,12 @@ class ByHand(Child):
     def _measure(self, tell: bool = True) -> None:
         """Measure the clock and tell the node; one that has no use for it (another language) may refuse."""
         asked = time.monotonic()
-        try:
+        with self._optional():
             remote = float(self._ask("clock")["monotonic_s"])
-        except ControlError as error:
-            if "no answer" in str(error):
-                raise
+            self._clock.add(asked, remote, time.monotonic())
+        if not math.isfinite(self._clock.best(asked)[1]):
             return
-        self._clock.add(asked, remote, time.monotonic())
         offset, bound = self._clock.best(time.monotonic())
         if tell:
-            self._ask("clock.set", offset=offset, error=bound)
+            with self._optional():
+                self._ask("clock.set", offset=offset, error=bound)

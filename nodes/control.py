@@ -121,8 +121,10 @@ class ControlServer(threading.Thread):
 
     def _watch_lease(self, now: float) -> None:
         lease = self._node.setup.lease
-        if lease and now - self._asked > lease:
-            self._node.stop(f"launcher lost: no request for {lease:g} s")
+        if lease and now - self._asked > lease and not self._node.stopping:
+            reason = f"launcher lost: no request for {lease:g} s"
+            self._node.say(f"{reason}; stopping")
+            self._node.stop(reason)
 
     def _answer(self, frames: list[bytes]) -> Reply:
         name = self._node.setup.name

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from nodes.cli import UsageError, answer
 
 if TYPE_CHECKING:
-    from nodes.accounts import Account
+    from nodes.accounts import Account, Clock
     from nodes.recording import Recording
 
 PLAY_ENDPOINT = "tcp://127.0.0.1:9872"
@@ -123,7 +123,7 @@ def _record(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _info_text(recording: Recording, nodes: Mapping[str, Account], left_out: int) -> str:
+def _info_text(recording: Recording, nodes: Mapping[str, Account], left_out: int, remote: Mapping[str, Clock]) -> str:
     lines = [str(recording.path)]
     facts = dict(recording.manifest)
     with contextlib.suppress(KeyError, ValueError, OverflowError):
@@ -144,15 +144,21 @@ def _info_text(recording: Recording, nodes: Mapping[str, Account], left_out: int
         told = "all there" if not account.lost else f"{account.lost} lost"
         late = f", recorded from seq {account.since} on" if account.since else ""
         lines.append(f"  {node}: sent {account.sent}, recorded {account.recorded}: {told}{late}")
+    for node, clock in remote.items():
+        lines.append(
+            f"  {node}: clock {-clock.offset:+.6f} s from the launcher's, known to ±{clock.error * 1e6:.0f} µs"
+        )
     return "\n".join(lines)
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    from nodes.accounts import accounts, overruns
+    from nodes.accounts import accounts, clocks, overruns
     from nodes.recording import Recording
 
     recording = Recording(arguments.file)
     nodes, left_out = accounts(recording), overruns(recording)
+    times = clocks(recording)
+    remote = {node: clock for node, clock in times.items() if clock.error}
     figures = {
         "file": str(recording.path),
         "duration_s": recording.duration,
@@ -172,13 +178,14 @@ def _info(arguments: argparse.Namespace) -> int:
             node: {"sent": account.sent, "recorded": account.recorded, "lost": account.lost}
             for node, account in nodes.items()
         },
+        "clocks": {node: {"offset_s": clock.offset, "error_s": clock.error} for node, clock in times.items()},
         "overruns": left_out,
         "recovered": recording.recovered,
         "complete": recording.complete,
         "cut": recording.cut,
         "manifest": recording.manifest,
     }
-    answer(arguments.json, figures, _info_text(recording, nodes, left_out))
+    answer(arguments.json, figures, _info_text(recording, nodes, left_out, remote))
     return 0
 
 

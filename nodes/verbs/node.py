@@ -73,13 +73,16 @@ def _info(arguments: argparse.Namespace) -> int:
         "control": setup.control,
         **info,
     }
-    counters = ("ticks", "sent", "received", "refused", "skipped", "gaps")
+    counters = ("ticks", "sent", "received", "refused", "skipped", "gaps", "denied")
+    offset, error = status["clock_offset"], status["clock_error"]
+    known = f"{-offset:+.6f} s from the launcher's, known to ±{error * 1e6:.0f} µs" if error else "the launcher's own"
     lines = [
         f"/{name}: {status['kind']}, {status['state']}, process {status['pid']}",
         f"  {setup.pace} at {1.0 / setup.period:g} Hz, processors {setup.scheduling.cpus or 'any'}, "
         f"FIFO {setup.scheduling.fifo or 'no'}",
         "  " + ", ".join(f"{key} {status[key]}" for key in counters),
         f"  memory {status['memory'] / 1e6:.1f} MB, processor time {status['cpu']:.2f} s",
+        f"  clock {known}",
         "  publishes:",
         *(f"    {topic}" for topic in info["publishes"]),
         "  listens to:",
