@@ -10,6 +10,7 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.sockets import Subscription, new_context
 from messages.topics import message_type
 from messages.types import Message
+from nodes import realtime
 from nodes.runs import RunInfo, alive
 
 QUIET_MS = 100
@@ -57,6 +58,12 @@ def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iter
     Heard or None
         Each message; None about ten times a second while none comes, so that the caller can look up too.
     """
+    # The socket's threads inherit it.
+    with realtime.off(run.processors):
+        yield from _listen(run, topics, duration)
+
+
+def _listen(run: RunInfo, topics: Collection[str], duration: float) -> Iterator[Heard | None]:
     endpoints = run.endpoints()
     names = {topic.encode(): topic for topic in topics}
     decoders = {topic: Decoder(kind) for topic in topics if (kind := message_type(topic)) is not None}

@@ -20,6 +20,7 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.sockets import Subscription, new_context
 from messages.topics import message_type
 from messages.types import Message
+from nodes import realtime
 from nodes.base import Node
 from nodes.record import RecordError, RecordWriter
 from nodes.runs import RunInfo
@@ -272,6 +273,12 @@ def record(run: RunInfo, path: str, topics: list[str], duration: float, overwrit
     RecordError
         When the file cannot be written.
     """
+    # The socket's threads inherit it.
+    with realtime.off(run.processors):
+        return _record(run, path, topics, duration, overwrite)
+
+
+def _record(run: RunInfo, path: str, topics: list[str], duration: float, overwrite: bool) -> int:
     from nodes.runs import alive
 
     ended: list[int] = []

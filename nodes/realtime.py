@@ -14,7 +14,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from nodes.setup import Scheduling
 
@@ -86,6 +86,30 @@ def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
     except OSError:
         return max(available)
     return min(reversed(counts), key=counts.__getitem__)
+
+
+@contextlib.contextmanager
+def off(processors: Collection[int]) -> Iterator[None]:
+    """Keep the calling thread, and what it starts, off processors on which a loop runs.
+
+    Priorities alone do not: on most kernels a system call is not interrupted, whoever waits for the processor.
+
+    Parameters
+    ----------
+    processors : collection of int
+        Those of the loop; when there are no others, nothing changes.
+
+    Yields
+    ------
+    None
+        While it is so.
+    """
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, before - set(processors) or before)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 @contextlib.contextmanager

@@ -50,6 +50,12 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     wall_minus_monotonic: float = 0.0
     manifest: dict[str, str] = {}
 
+    @property
+    def processors(self) -> set[int]:
+        """Processors of this host on which the loop runs with real-time priority."""
+        own = [setup.scheduling for setup in self.nodes.values() if not setup.by_hand]
+        return {cpu for scheduling in own if scheduling.fifo for cpu in scheduling.cpus}
+
     def publishers(self) -> dict[str, str]:
         """List the endpoints for listeners.
 

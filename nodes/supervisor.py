@@ -88,9 +88,9 @@ class Supervisor:
         with contextlib.ExitStack() as held:
             if self._launch.run.stays_awake and (refused := held.enter_context(realtime.awake())):
                 self._say(refused)
-            self._supervise(progress)
+            self._supervise(progress, held)
 
-    def _supervise(self, progress: Callable[[Supervisor], None] | None) -> None:
+    def _supervise(self, progress: Callable[[Supervisor], None] | None, held: contextlib.ExitStack) -> None:
         self._begun = time.monotonic()
         runs.sweep()
         run_dir = runs.new_run_dir(self.run)
@@ -109,6 +109,8 @@ class Supervisor:
                 wall_minus_monotonic=offset,
                 manifest=manifest,
             )
+            # Nodes leave it for their own processors when they have been imported.
+            held.enter_context(realtime.off(info.processors))
             self._guard = self._start_guard(run_dir)
             self.context = new_context()
             for name, setup in setups.items():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
 import sys
 import time
 from itertools import pairwise
@@ -22,7 +23,7 @@ from nodes import realtime
 from nodes.recording import Recording
 from nodes.runs import alive
 from nodes.supervisor import INT_TIMEOUT
-from tests.launching import RunningLaunch, haptic, processes_of, running, wait_for
+from tests.launching import HAPTIC, RunningLaunch, haptic, processes_of, running, wait_for
 
 PACKAGE = '''
 import os, signal, time
@@ -417,3 +418,36 @@ def test_a_loop_that_hears_nothing_takes_changes_and_ends_when_asked(tmp_path: P
             os.kill(pid(launch, node), signal.SIGTERM)
         launch.finish(signal.SIGINT, code=None)
     assert "SIGKILL" not in launch.errors
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor: nobody can leave it to the loop")
+def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -> None:
+    with running(tmp_path, "floor_drop", "duration:=0") as launch:
+        chain = set(launch.run.nodes["coupling"].scheduling.cpus)
+        for node in ("driver", "environment", "coupling"):
+            assert os.sched_getaffinity(pid(launch, node)) == chain
+        assert not chain & os.sched_getaffinity(pid(launch, "logger"))
+        if launch.run.processors:
+            assert not chain & os.sched_getaffinity(launch.process.pid)
+            recorder = subprocess.Popen(
+                [*HAPTIC, "bag", "record", "--out", "beside.mcap"],
+                cwd=tmp_path,
+                env=launch.environment,
+                stderr=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+            )
+            wait_for(
+                lambda: not chain & os.sched_getaffinity(recorder.pid), "the recorder leaves the chain's processor"
+            )
+            recorder.send_signal(signal.SIGINT)
+            assert recorder.wait(20.0) == 0
+
+
+def test_a_processor_that_is_the_only_one_is_shared() -> None:
+    before = os.sched_getaffinity(0)
+    with realtime.off(before):
+        assert os.sched_getaffinity(0) == before
+    others = before - {min(before)}
+    with realtime.off({min(before)}):
+        assert os.sched_getaffinity(0) == (others or before)
+    assert os.sched_getaffinity(0) == before
