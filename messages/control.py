@@ -119,6 +119,87 @@ def _decode(name: str, decoder: msgspec.msgpack.Decoder[T], frames: Sequence[byt
         raise MessageRefusedError(f"{name}: {error}") from error
 
 
+class Line:
+    """A connection to a node that is kept from one request to the next: over a slow cable each handshake costs round trips.
+
+    One thread uses it.
+
+    Parameters
+    ----------
+    context : zmq.Context
+        Context of the calling process.
+    endpoint : str
+        The node's control endpoint.
+    """
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str) -> None:
+        self._context = context
+        self._endpoint = endpoint
+        self._socket: zmq.Socket[bytes] | None = None
+
+    def call(self, op: str, timeout: float = 2.0, **args: object) -> Any:
+        """Ask the node and wait for its reply.
+
+        Parameters
+        ----------
+        op : str
+            Operation.
+        timeout : float
+            Longest wait [s].
+        **args : object
+            Arguments of the operation.
+
+        Returns
+        -------
+        object
+            The result.
+
+        Raises
+        ------
+        ControlError
+            When the request is too long, or the node refuses, answers nonsense, or does not answer in time.
+        EndpointRefusedError, KeyRefusedError
+            When the endpoint or this machine's keys cannot be used.
+        """
+        payload = msgspec.msgpack.encode(Request(op, args))
+        if len(payload) > MAX_REQUEST:
+            raise ControlError(f"{self._endpoint}: {op}: a request of {len(payload)} bytes, limit {MAX_REQUEST}")
+        socket = self._socket = self._socket or self._connected()
+        socket.rcvtimeo = socket.sndtimeo = int(timeout * 1000)
+        try:
+            socket.send(payload)
+            frames = socket.recv_multipart()
+        except zmq.Again as error:
+            # What comes later must not be taken for the answer to another request.
+            self.drop()
+            raise ControlError(
+                f"{self._endpoint}: no answer to {op} within {timeout:g} s; is the node running?"
+            ) from error
+        try:
+            reply = decode_reply(frames)
+        except MessageRefusedError as error:
+            raise ControlError(f"{self._endpoint}: {error}") from error
+        if not reply.ok:
+            raise ControlError(reply.error)
+        return reply.result
+
+    def _connected(self) -> zmq.Socket[bytes]:
+        socket = self._context.socket(zmq.REQ)
+        socket.linger = 0
+        try:
+            connect(socket, self._endpoint)
+        except ValueError:
+            socket.close()
+            raise
+        return socket
+
+    def drop(self) -> None:
+        """Close the connection; the next request makes another one."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
 def call(context: zmq.Context[zmq.Socket[bytes]], endpoint: str, op: str, timeout: float = 2.0, **args: object) -> Any:
     """Ask a node and wait for its reply.
 
@@ -147,22 +228,8 @@ def call(context: zmq.Context[zmq.Socket[bytes]], endpoint: str, op: str, timeou
     EndpointRefusedError, KeyRefusedError
         When the endpoint or this machine's keys cannot be used.
     """
-    payload = msgspec.msgpack.encode(Request(op, args))
-    if len(payload) > MAX_REQUEST:
-        raise ControlError(f"{endpoint}: {op}: a request of {len(payload)} bytes, limit {MAX_REQUEST}")
-    with context.socket(zmq.REQ) as socket:
-        socket.linger = 0
-        socket.rcvtimeo = socket.sndtimeo = int(timeout * 1000)
-        connect(socket, endpoint)
-        try:
-            socket.send(payload)
-            frames = socket.recv_multipart()
-        except zmq.Again as error:
-            raise ControlError(f"{endpoint}: no answer to {op} within {timeout:g} s; is the node running?") from error
+    line = Line(context, endpoint)
     try:
-        reply = decode_reply(frames)
-    except MessageRefusedError as error:
-        raise ControlError(f"{endpoint}: {error}") from error
-    if not reply.ok:
-        raise ControlError(reply.error)
-    return reply.result
+        return line.call(op, timeout, **args)
+    finally:
+        line.drop()

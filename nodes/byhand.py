@@ -20,7 +20,7 @@ from typing import Any
 import msgspec
 import zmq
 
-from messages.control import ControlError, call
+from messages.control import ControlError, Line
 from messages.endpoints import is_remote, split
 from nodes.child import Child
 from nodes.clock import ClockOffset
@@ -98,7 +98,7 @@ class ByHand(Child):
         say: Callable[[str], None],
     ) -> None:
         super().__init__(setup, respawns, delay, required)
-        self._context = context
+        self._line = Line(context, setup.control)
         self._say = say
         self._far = split(setup.control)[0].startswith("tcp://")
         self._thread: threading.Thread | None = None
@@ -204,11 +204,17 @@ class ByHand(Child):
     # -- on the watching thread --------------------------------------------------------------------------------------
 
     def _ask(self, op: str, **args: object) -> Any:
-        answer = call(self._context, self.setup.control, op, timeout=1.0, **args)
+        answer = self._line.call(op, timeout=1.0, **args)
         self._seen = time.monotonic()
         return answer
 
     def _watch(self) -> None:
+        try:
+            self._watch_on()
+        finally:
+            self._line.drop()
+
+    def _watch_on(self) -> None:
         while not self._ending.is_set() and self._code is None:
             try:
                 self._visit()
@@ -232,6 +238,8 @@ class ByHand(Child):
         if state == "unconfigured":
             with self._refusal("configure"):
                 self._ask("configure", setup=msgspec.to_builtins(self._with_clock()))
+            # The node makes sockets of its own in place of the one that waited.
+            self._line.drop()
             return
         if state in ("ready", "running") and self._state not in ("ready", "running"):
             self._arrive()
