@@ -116,7 +116,10 @@ def accounts(recording: Recording) -> dict[str, Account]:
             ticking = _tick_topics(status.kind)
             own = [t for t in topics if t in ticking or t.startswith(f"/{status.node}/")]
             total, recorded = sum(sent[status.node].values()), sum(counts[t] for t in own)
-            lost = max(sum(topics[t].gaps for t in own) - left_out, 0) if since else max(total - recorded, 0)
+            lost = max(total - recorded, 0)
+            if since:
+                # What a node skipped for something newer is missing in seq too, but was never sent.
+                lost = min(lost, max(sum(topics[t].gaps for t in own) - left_out, 0))
             # Where only some topics were recorded, there is nothing to compare.
             if not ticking or ticking[0] in topics:
                 ended = status.state in ("finished", "failed")
