@@ -25,7 +25,7 @@ from sim.rig import Rig
 GROWTH = 4e6
 """Growth of a node's memory after its first tenth that is still called flat [bytes]: allocators round by the megabyte."""
 
-INDEX = 20.0
+INDEX = 5.0
 """What a logger may grow by beside that, per message [bytes]: MCAP's index of chunks is kept until the file is closed."""
 
 MISS_LIMIT = 1e-3
