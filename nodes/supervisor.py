@@ -109,8 +109,6 @@ class Supervisor:
                 wall_minus_monotonic=offset,
                 manifest=manifest,
             )
-            # Nodes leave it for their own processors when they have been imported.
-            held.enter_context(realtime.off(info.processors))
             self._guard = self._start_guard(run_dir)
             self.context = new_context()
             for name, setup in setups.items():
@@ -124,6 +122,8 @@ class Supervisor:
                 self.children[name].start(run_dir)
             runs.write_run(run_dir, info)
             self._await_ready()
+            # From here on: nodes that start again are imported elsewhere, too, and then go where they belong.
+            held.enter_context(realtime.off(info.processors))
             self._start_driver()
             self._watch(progress)
         finally:
