@@ -32,6 +32,9 @@ MISS_LIMIT = 1e-3
 """Largest share of missed ticks outside respawns."""
 
 
+LATE = 0.25
+"""From this share of a period on a driver that is woken late was held up by the machine."""
+
 BLAME = 1.0
 """How long after something was done to the launch a missed tick may be its fault [s]."""
 
@@ -47,6 +50,8 @@ class Soak(msgspec.Struct, kw_only=True):
         Rounds done; parameter changes and law switches; loggers attached; nodes killed.
     ticks, missed, excused : int
         Ticks; those without a timely answer outside respawns; those of the respawns, which are left out.
+    held_up : int
+        The missed ones with which even the driver, the most urgent of all, was woken late or not at all: the machine stood.
     missed_after : dict of str to int
         The missed ones, by what was last done to the launch within `BLAME` before; ``nothing`` for those left to the machine.
     growth_bytes : dict of str to float
@@ -69,6 +74,7 @@ class Soak(msgspec.Struct, kw_only=True):
     ticks: int = 0
     missed: int = 0
     excused: int = 0
+    held_up: int = 0
     missed_after: dict[str, int] = {}
     growth_bytes: dict[str, float] = {}
     accounts: dict[str, dict[str, int]] = {}
@@ -233,13 +239,16 @@ def _ticks(recording: Recording, topic: str) -> set[int]:
 def _count(rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tuple[int, str]]) -> None:
     states = rig.states
     found.ticks = states[-1].seq - states[0].seq
-    answered = {state.seq for state in states if state.response > 0.0}
-    for seq in range(states[0].seq + 1, states[-1].seq + 1):
+    # A state tells of the tick before it.
+    answered = {state.seq - 1 for state in states if state.response > 0.0}
+    punctual = {state.seq for state in states if state.lateness < LATE / RATE}
+    for seq in range(states[0].seq, states[-1].seq):
         if seq not in answered:
             if any(low <= seq <= high for low, high in excused):
                 found.excused += 1
             else:
                 found.missed += 1
+                found.held_up += not {seq, seq + 1} <= punctual
                 last, what = max((event for event in done if event[0] <= seq), default=(-math.inf, ""))
                 blamed = what if seq - last <= BLAME * RATE else "nothing"
                 found.missed_after[blamed] = found.missed_after.get(blamed, 0) + 1
@@ -263,7 +272,8 @@ def text(found: Soak) -> str:
     lines = [
         f"soak {'passed' if found.passed else 'FAILED'}: {found.duration_s:.0f} s at {RATE:g} Hz, {found.ticks} ticks",
         f"  {found.loggers} loggers attached, {found.changes} changes, {found.respawns} nodes killed and respawned",
-        f"  missed {found.missed} ticks outside the respawns, {found.excused} within them"
+        f"  missed {found.missed} ticks outside the respawns ({found.held_up} while even the driver was held up), "
+        f"{found.excused} within them"
         + "".join(f"; {count} within {BLAME:g} s of: {what}" for what, count in found.missed_after.items()),
         f"  memory growth [MB]: {growth}",
         f"  {sent} messages sent by the nodes' own count, "

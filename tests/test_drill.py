@@ -175,7 +175,7 @@ def test_soak_accounts_for_every_message_and_keeps_its_memory() -> None:
     assert all(one["lost"] == 0 for one in found.accounts.values())
     assert found.accounts["driver"]["sent"] > 1000
     assert found.shared > 1000
-    assert sum(found.missed_after.values()) == found.missed
+    assert sum(found.missed_after.values()) == found.missed >= found.held_up
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
