@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -181,7 +182,7 @@ def _starter(name: str) -> Callable[[bytes], object]:
         except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
             raise ParameterError(str(error)) from error
         setup = starter.accept(data)
-        Path(setup.run_dir).rmdir()
+        shutil.rmtree(setup.run_dir)
 
     return accept
 
