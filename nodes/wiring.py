@@ -22,17 +22,22 @@ FIFO = 50
 """Priority of the chain in real time: above what a desktop runs, below the kernel's own threads."""
 
 
-def _scheduling(launch: Launch, kind: type[Node]) -> Scheduling:
+def _core(launch: Launch) -> int | None:
+    """Choose the chain's processor, None for no pinning: once for all nodes, for the counts it goes by move on."""
     available = sorted(os.sched_getaffinity(0))
+    cpu = launch.run.cpu
+    if cpu == "any" or (cpu == "auto" and len(available) < 2):
+        return None
+    if cpu == "auto":
+        return realtime.quietest_processor()
+    if cpu in available:
+        return cpu
+    raise ParameterError(f"{launch.scenario}.run.cpu: {cpu}, available: {', '.join(map(str, available))}")
+
+
+def _scheduling(launch: Launch, kind: type[Node], core: int | None) -> Scheduling:
     run = launch.run
-    if run.cpu == "any" or (run.cpu == "auto" and len(available) < 2):
-        core = None
-    elif run.cpu == "auto":
-        core = realtime.quietest_processor()
-    elif run.cpu in available:
-        core = run.cpu
-    else:
-        raise ParameterError(f"{launch.scenario}.run.cpu: {run.cpu}, available: {', '.join(map(str, available))}")
+    available = sorted(os.sched_getaffinity(0))
     others = [cpu for cpu in available if cpu != core] or available
     hops = [hop for hop, topic in enumerate(topics.LOOP) if topic in kind.publishes]
     if not hops:
@@ -163,6 +168,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
         return local[source]
 
     setups = {}
+    core = _core(launch)
     for name, spec in launch.nodes.items():
         kind = classes[name]
         convert(spec.parameters, kind.Parameters, name)
@@ -209,7 +215,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             patience=PATIENCE if by_hand else 10.0,
             sources=sources,
             listeners=listeners,
-            scheduling=_scheduling(launch, kind),
+            scheduling=_scheduling(launch, kind, core),
             parameters=spec.parameters,
             watch=os.path.abspath(spec.watch) if spec.watch else "",
             manifest=manifest if everything else {},
