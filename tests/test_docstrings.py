@@ -18,7 +18,7 @@ def modules() -> Iterator[ModuleType]:
     for package in (messages, nodes, sim):
         yield package
         for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-            if found.name not in ("nodes.start",):  # starts a node when imported as a program; has no functions
+            if found.name not in ("nodes",):  # starts a node when imported as a program; has no functions
                 yield importlib.import_module(found.name)
 
 

@@ -28,22 +28,23 @@ from hypothesis import strategies as st
 
 from messages import topics
 from messages.codec import Decoder, MessageRefusedError, encode
-from messages.control import Reply, Request, decode_reply, decode_request
-from messages.endpoints import EndpointRefusedError, split
-from messages.keys import KeyRefusedError, parse_key
+from messages.transport.endpoints import EndpointRefusedError, split
+from messages.transport.keys import KeyRefusedError, parse_key
+from messages.transport.requests import Reply, Request, decode_reply, decode_request
 from messages.types import Event, NodeStatus
-from nodes import launchfile, mcapfile
+from nodes.base.setup import Setup
+from nodes.launcher import launch_file
+from nodes.launcher.join import Starter
+from nodes.launcher.runs import RunError
 from nodes.laws.parse import LawRefusedError, parse_law
-from nodes.parameters import ParameterError
-from nodes.record import RecordError, RecordWriter
-from nodes.recording import Recording
-from nodes.recover import recover
-from nodes.runs import RunError
-from nodes.setup import Setup
-from nodes.starter import Starter
-from nodes.yamlfile import parse_yaml
-from tests.launching import private_runtime_dir
-from tests.recorded import drop
+from nodes.parameters.store import ParameterError
+from nodes.parameters.yaml_io import parse_yaml
+from nodes.recording import mcap_walk
+from nodes.recording.reader import Recording
+from nodes.recording.recover import recover
+from nodes.recording.writer import RecordError, RecordWriter
+from tests.support.launching import private_runtime_dir
+from tests.support.recorded import drop
 
 SECONDS = float(os.environ.get("HAPTIC_FUZZ_SECONDS", "0"))
 SEED = int(os.environ.get("HAPTIC_FUZZ_SEED", "1"))
@@ -132,26 +133,26 @@ def _recover(content: bytes) -> None:
 
 def _parts(recording: bytes) -> list[Target]:
     """Each kind of record by itself: what a checksum hides from the fuzzing of whole files."""
-    kinds: dict[str, tuple[int, Callable[[Path, mcapfile.Record], object]]] = {
-        "channel": (4, mcapfile.parse_channel),
-        "schema": (3, mcapfile.parse_schema),
-        "metadata": (12, mcapfile.parse_metadata),
-        "message": (5, mcapfile.parse_message),
-        "chunk": (6, mcapfile.unpack_chunk),
+    kinds: dict[str, tuple[int, Callable[[Path, mcap_walk.Record], object]]] = {
+        "channel": (4, mcap_walk.parse_channel),
+        "schema": (3, mcap_walk.parse_schema),
+        "metadata": (12, mcap_walk.parse_metadata),
+        "message": (5, mcap_walk.parse_message),
+        "chunk": (6, mcap_walk.unpack_chunk),
     }
     with _file(recording) as path:
-        records = list(mcapfile.walk(path))
-        for record in [record for record in records if record.opcode == mcapfile.CHUNK]:
-            records += mcapfile.unpack_chunk(path, record)
+        records = list(mcap_walk.walk(path))
+        for record in [record for record in records if record.opcode == mcap_walk.CHUNK]:
+            records += mcap_walk.unpack_chunk(path, record)
     targets = []
     for name, (opcode, parse) in kinds.items():
         corpus = [bytes(record.content) for record in records if record.opcode == opcode][:20]
         assert corpus, name
 
         def attempt(
-            content: bytes, opcode: int = opcode, parse: Callable[[Path, mcapfile.Record], object] = parse
+            content: bytes, opcode: int = opcode, parse: Callable[[Path, mcap_walk.Record], object] = parse
         ) -> object:
-            return parse(Path("x.mcap"), mcapfile.Record(0, opcode, content))
+            return parse(Path("x.mcap"), mcap_walk.Record(0, opcode, content))
 
         targets.append(Target(f"mcap {name}", corpus, attempt, (RecordError,)))
     return targets
@@ -161,7 +162,7 @@ def _launch_file(content: bytes) -> None:
     with _file(content) as path:
         scene = path.with_name("scene.yaml")
         scene.write_bytes(content)
-        launchfile.read(str(scene), {})
+        launch_file.read(str(scene), {})
 
 
 def _text(parse: Callable[[str], object]) -> Callable[[bytes], object]:
@@ -221,7 +222,7 @@ def targets() -> list[Target]:
         Request("law.switch", {"law": "pd"}),
     ]
     replies = [Reply(True, {"a": [1, 2.5, None, {"b": "c"}]}), Reply(False, error="no")]
-    scenes = [path.read_bytes() for path in launchfile.scenarios().values()]
+    scenes = [path.read_bytes() for path in launch_file.scenarios().values()]
     laws = [
         b"{kind: pd, stiffness: 1000.0, damping: 3.0}",
         b"{kind: pd_alpha, stiffness: 1000.0, damping: 3.0, order: 1.2, taps: 10, gains: normalised}",

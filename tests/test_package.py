@@ -18,9 +18,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.launching import assert_nothing_left, private_runtime_dir
+from tests.support import ROOT
+from tests.support.launching import assert_nothing_left, private_runtime_dir
 
-ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 PACKAGES = ("messages", "nodes", "sim")
 

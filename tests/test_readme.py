@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from nodes.cli import GROUP
-from tests.launching import private_runtime_dir
-from tests.readme import Command, anchors, blocks, command, links, shell
+from nodes.cli.main import GROUP
+from tests.support import ROOT
+from tests.support.launching import private_runtime_dir
+from tests.support.readme import Command, anchors, blocks, command, links, shell
 
-ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 SHORTER = {

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 import msgspec
 
 from nodes.laws import CompiledLaw, Law
-from nodes.laws.parameters import MAX_TAPS
+from nodes.laws.fields import MAX_TAPS
 
 
 class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -6,9 +6,9 @@ from typing import Annotated, ClassVar
 
 import msgspec
 
-from nodes.derivatives import realise
 from nodes.laws import CompiledLaw, Law
-from nodes.laws.parameters import Damping, Gains, Order, Stiffness, Taps, term_gain
+from nodes.laws.derivatives import realise
+from nodes.laws.fields import Damping, Gains, Order, Stiffness, Taps, term_gain
 from nodes.laws.pd_alpha import combine
 
 

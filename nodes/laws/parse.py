@@ -15,7 +15,7 @@ import msgspec
 
 from nodes.laws import CompiledLaw, Law, law_names, load_law
 from nodes.laws.presets import PRESETS, expand, preset_names
-from nodes.parameters import ParameterError
+from nodes.parameters.store import ParameterError
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<where>.*)`)?$", re.DOTALL)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from nodes.derivatives import realise
 from nodes.laws import CompiledLaw, Law
-from nodes.laws.parameters import Damping, Gains, Order, Stiffness, Taps, term_gain
+from nodes.laws.derivatives import realise
+from nodes.laws.fields import Damping, Gains, Order, Stiffness, Taps, term_gain
 
 
 class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):

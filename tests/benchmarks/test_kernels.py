@@ -8,13 +8,13 @@ from array import array
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from nodes.derivatives import realise
+from nodes.coupling.law_on_axis import History, LawOnAxis
 from nodes.kernels import fir, push, sections
+from nodes.laws.derivatives import realise
 from nodes.laws.pd import PD
-from nodes.rendering import History, LawOnAxis
-from nodes.stability import pole_radius
-from sim.loop import Scene, Surface, run
-from sim.plant import DeviceModel, advance, coefficients
+from nodes.stability.closed_loop import pole_radius
+from sim.device.model import DeviceModel, advance, coefficients
+from sim.scene.loop import Scene, Surface, run
 
 T = 0.002
 

@@ -1,0 +1,1 @@
+"""How messages travel: endpoints, sockets, keys, the gate that authenticates, requests and replies."""

@@ -1,0 +1,197 @@
+"""Endpoints, and what each kind of them asks of a socket: encryption off this machine, heartbeats over tcp, bounded messages.
+
+An endpoint is ZeroMQ's own text, followed for an encrypted one by ``#`` and the public key of the machine that binds it::
+
+    ipc:///run/user/1000/haptic/floor_drop-…/coupling.pub     a private directory: nobody else gets there
+    tcp://127.0.0.1:5600                                      this machine only: plain
+    tcp://10.0.0.2:5600#9f0c…                                 any other: CURVE, or it is refused
+
+The key travels with the endpoint, so whoever knows where to connect also knows whom to expect there: a forger that binds in
+the place of a node cannot complete the handshake.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import os
+from typing import TYPE_CHECKING
+
+import zmq
+
+from messages.codec import MAX_PAYLOAD
+from messages.transport.keys import identity, parse_key
+
+if TYPE_CHECKING:
+    Context = zmq.Context[zmq.Socket[bytes]]
+    Socket = zmq.Socket[bytes]
+
+DOMAIN = b"haptic"
+"""ZAP domain of the encrypted sockets; with it set and enforced, a process without a gate lets nobody in."""
+
+HEARTBEAT_MS = 500
+"""How often a silent tcp peer is asked whether it is still there; it is given up after three times as long [ms]."""
+
+HANDSHAKE_MS = 3000
+"""How long a tcp peer may take to introduce itself [ms]; ZeroMQ's 30 s would let idle connections pile up."""
+
+RECONNECT_MS = 20
+"""How soon a listener tries again to reach a publisher that is not there yet or was respawned [ms]."""
+
+MAX_RECONNECT_MS = 500
+"""Longest pause between two tries to reach another machine [ms]."""
+
+
+class EndpointRefusedError(ValueError):
+    """An endpoint that must not be used as it is; the text says why and what to do."""
+
+
+def split(endpoint: str) -> tuple[str, str]:
+    """Take an endpoint apart.
+
+    Parameters
+    ----------
+    endpoint : str
+        As above.
+
+    Returns
+    -------
+    tuple of str
+        ZeroMQ's endpoint, and the key; the key is empty for a plain one.
+
+    Raises
+    ------
+    EndpointRefusedError
+        When a tcp endpoint off loopback has no key, or the transport is neither ipc nor tcp.
+    """
+    bare, sign, key = endpoint.partition("#")
+    if sign:
+        parse_key(key)
+    if bare.startswith("ipc://"):
+        return bare, ""
+    if not bare.startswith("tcp://"):
+        raise EndpointRefusedError(f"{endpoint}: neither ipc:// nor tcp://")
+    if not sign and not _is_loopback(bare):
+        raise EndpointRefusedError(
+            f"{bare}: other machines can reach it, so it needs keys: on both machines haptic keys new, then on each "
+            "haptic keys allow NAME KEY with the key of the other"
+        )
+    return bare, key
+
+
+def _is_loopback(bare: str) -> bool:
+    host = bare.removeprefix("tcp://").rpartition(":")[0].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        # A name of any other kind, an interface or * for all of them.
+        return False
+
+
+def is_remote(endpoint: str) -> bool:
+    """Whether other machines can reach an endpoint.
+
+    Parameters
+    ----------
+    endpoint : str
+        As above.
+
+    Returns
+    -------
+    bool
+        True for tcp off loopback.
+    """
+    bare = endpoint.partition("#")[0]
+    return bare.startswith("tcp://") and not _is_loopback(bare)
+
+
+def _set_tcp(socket: Socket) -> None:
+    # TCP_NODELAY is ZeroMQ's default. Heartbeats find a peer whose machine or cable went away without a word.
+    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 3 * HEARTBEAT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TTL, 3 * HEARTBEAT_MS)
+    socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+    socket.setsockopt(zmq.CONNECT_TIMEOUT, 2000)
+    socket.setsockopt(zmq.RECONNECT_IVL_MAX, MAX_RECONNECT_MS)
+    socket.ipv6 = True
+
+
+def connect(socket: Socket, endpoint: str) -> None:
+    """Connect a socket; where the endpoint has a key, as this machine and to that machine only.
+
+    Parameters
+    ----------
+    socket : zmq.Socket
+        Of any kind.
+    endpoint : str
+        As above.
+
+    Raises
+    ------
+    EndpointRefusedError, KeyRefusedError
+        When the endpoint or this machine's keys cannot be used.
+    """
+    bare, key = split(endpoint)
+    socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+    socket.setsockopt(zmq.MAXMSGSIZE, 16 * MAX_PAYLOAD)
+    if bare.startswith("tcp://"):
+        _set_tcp(socket)
+    if key:
+        me = identity()
+        socket.curve_publickey, socket.curve_secretkey = bytes.fromhex(me.public), bytes.fromhex(me.secret)
+        socket.curve_serverkey = bytes.fromhex(key)
+    else:
+        # Options last until they are changed: a plain endpoint after an encrypted one must not inherit its keys.
+        socket.plain_server = False
+    socket.connect(bare)
+
+
+def bind(socket: Socket, endpoint: str) -> None:
+    """Bind a socket; where the endpoint has a key, as this machine, to machines that the gate lets in.
+
+    Parameters
+    ----------
+    socket : zmq.Socket
+        Of any kind. Plain endpoints are bound before encrypted ones: what is bound keeps the options it was bound with.
+    endpoint : str
+        As above.
+
+    Raises
+    ------
+    EndpointRefusedError, KeyRefusedError
+        When the endpoint or this machine's keys cannot be used, or the address is taken.
+    """
+    bare, key = split(endpoint)
+    socket.setsockopt(zmq.MAXMSGSIZE, 16 * MAX_PAYLOAD)
+    if bare.startswith("ipc://"):
+        # A respawned node finds the socket file of its killed predecessor.
+        remove_ipc(bare)
+    else:
+        _set_tcp(socket)
+    if key:
+        me = identity()
+        if me.public != key:
+            raise EndpointRefusedError(f"{bare}: expected with the key {key}, but this machine's is {me.public}")
+        socket.curve_server = True
+        socket.curve_secretkey = bytes.fromhex(me.secret)
+        socket.zap_domain = DOMAIN
+        socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
+    try:
+        socket.bind(bare)
+    except zmq.ZMQError as error:
+        raise EndpointRefusedError(f"{bare}: cannot be bound: {error.strerror}") from error
+
+
+def remove_ipc(endpoint: str) -> None:
+    """Remove the file of an ipc endpoint, if it has one.
+
+    Parameters
+    ----------
+    endpoint : str
+        Any endpoint.
+    """
+    if endpoint.startswith("ipc://"):
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(endpoint.removeprefix("ipc://"))

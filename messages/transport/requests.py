@@ -1,0 +1,235 @@
+"""Requests to a running node: parameters, laws, status, stop. One request, one reply, on a socket of its own.
+
+A request is a MessagePack map ``{op, args}``, a reply ``{ok, result, error}``. The node serves them on a second thread, never
+between sample and force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+import zmq
+
+from messages.codec import MAX_PAYLOAD, MessageRefusedError
+from messages.transport.endpoints import connect
+from messages.types import Name, Text
+
+
+class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What is asked of a node.
+
+    Attributes
+    ----------
+    op : str
+        Name of the operation, e.g. ``param.set``.
+    args : dict
+        Its arguments by name.
+    """
+
+    op: Name
+    args: Annotated[dict[Name, Any], msgspec.Meta(max_length=64)] = {}
+
+
+class Reply(msgspec.Struct, frozen=True):
+    """What the node answers.
+
+    Attributes
+    ----------
+    ok : bool
+        Whether it was done.
+    result : object
+        The answer, when it was.
+    error : str
+        The reason, when it was not: path, value, limit and remedy.
+    """
+
+    ok: bool
+    result: Any = None
+    error: Text = ""
+
+
+class ControlError(RuntimeError):
+    """A node refused a request, or did not answer."""
+
+
+T = TypeVar("T")
+
+_request = msgspec.msgpack.Decoder(Request)
+_reply = msgspec.msgpack.Decoder(Reply)
+
+MAX_REPLY = 16 * MAX_PAYLOAD
+"""Longest reply that is looked at [bytes]."""
+
+MAX_REQUEST = MAX_REPLY
+"""Longest request that is looked at [bytes]: what a node dumps, laws of thousands of taps included, can be loaded again."""
+
+
+def decode_request(frames: Sequence[bytes]) -> Request:
+    """Decode a request.
+
+    Parameters
+    ----------
+    frames : sequence of bytes
+        As received; a request is one frame.
+
+    Returns
+    -------
+    Request
+        The typed request.
+
+    Raises
+    ------
+    MessageRefusedError
+        When it is not one frame, malformed or longer than MAX_REQUEST.
+    """
+    return _decode("Request", _request, frames, MAX_REQUEST)
+
+
+def decode_reply(frames: Sequence[bytes]) -> Reply:
+    """Decode a reply.
+
+    Parameters
+    ----------
+    frames : sequence of bytes
+        As received; a reply is one frame.
+
+    Returns
+    -------
+    Reply
+        The typed reply.
+
+    Raises
+    ------
+    MessageRefusedError
+        When it is not one frame, malformed or longer than MAX_REPLY.
+    """
+    return _decode("Reply", _reply, frames, MAX_REPLY)
+
+
+def _decode(name: str, decoder: msgspec.msgpack.Decoder[T], frames: Sequence[bytes], limit: int) -> T:
+    if len(frames) != 1:
+        raise MessageRefusedError(f"{name}: {len(frames)} frames, expected 1")
+    if len(frames[0]) > limit:
+        raise MessageRefusedError(f"{name}: {len(frames[0])} bytes, limit {limit}")
+    try:
+        return decoder.decode(frames[0])
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+        raise MessageRefusedError(f"{name}: {error}") from error
+
+
+class Line:
+    """A connection to a node that is kept from one request to the next: over a slow cable each handshake costs round trips.
+
+    One thread uses it.
+
+    Parameters
+    ----------
+    context : zmq.Context
+        Context of the calling process.
+    endpoint : str
+        The node's control endpoint.
+    """
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str) -> None:
+        self._context = context
+        self._endpoint = endpoint
+        self._socket: zmq.Socket[bytes] | None = None
+
+    def call(self, op: str, timeout: float = 2.0, **args: object) -> Any:
+        """Ask the node and wait for its reply.
+
+        Parameters
+        ----------
+        op : str
+            Operation.
+        timeout : float
+            Longest wait [s].
+        **args : object
+            Arguments of the operation.
+
+        Returns
+        -------
+        object
+            The result.
+
+        Raises
+        ------
+        ControlError
+            When the request is too long, or the node refuses, answers nonsense, or does not answer in time.
+        EndpointRefusedError, KeyRefusedError
+            When the endpoint or this machine's keys cannot be used.
+        """
+        payload = msgspec.msgpack.encode(Request(op, args))
+        if len(payload) > MAX_REQUEST:
+            raise ControlError(f"{self._endpoint}: {op}: a request of {len(payload)} bytes, limit {MAX_REQUEST}")
+        socket = self._socket = self._socket or self._connected()
+        socket.rcvtimeo = socket.sndtimeo = int(timeout * 1000)
+        try:
+            socket.send(payload)
+            frames = socket.recv_multipart()
+        except zmq.Again as error:
+            # What comes later must not be taken for the answer to another request.
+            self.drop()
+            raise ControlError(
+                f"{self._endpoint}: no answer to {op} within {timeout:g} s; is the node running?"
+            ) from error
+        try:
+            reply = decode_reply(frames)
+        except MessageRefusedError as error:
+            raise ControlError(f"{self._endpoint}: {error}") from error
+        if not reply.ok:
+            raise ControlError(reply.error)
+        return reply.result
+
+    def _connected(self) -> zmq.Socket[bytes]:
+        socket = self._context.socket(zmq.REQ)
+        socket.linger = 0
+        try:
+            connect(socket, self._endpoint)
+        except ValueError:
+            socket.close()
+            raise
+        return socket
+
+    def drop(self) -> None:
+        """Close the connection; the next request makes another one."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+def call(context: zmq.Context[zmq.Socket[bytes]], endpoint: str, op: str, timeout: float = 2.0, **args: object) -> Any:
+    """Ask a node and wait for its reply.
+
+    Parameters
+    ----------
+    context : zmq.Context
+        Context of the calling process.
+    endpoint : str
+        The node's control endpoint.
+    op : str
+        Operation.
+    timeout : float
+        Longest wait [s].
+    **args : object
+        Arguments of the operation.
+
+    Returns
+    -------
+    object
+        The result.
+
+    Raises
+    ------
+    ControlError
+        When the request is too long, or the node refuses, answers nonsense, or does not answer in time.
+    EndpointRefusedError, KeyRefusedError
+        When the endpoint or this machine's keys cannot be used.
+    """
+    line = Line(context, endpoint)
+    try:
+        return line.call(op, timeout, **args)
+    finally:
+        line.drop()

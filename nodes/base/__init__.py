@@ -1,0 +1,1 @@
+"""What every node is built on: its process, its loop, its control thread, its words."""

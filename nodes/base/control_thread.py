@@ -1,0 +1,210 @@
+"""The second thread of a node: serves control requests, writes the status, watches the parameter file.
+
+It is the only thread that may take its time. It never touches the loop's sockets: what must be published goes through the
+node's outbox, what must change is handed over between two ticks. Whatever a request provokes, it goes on serving.
+"""
+
+from __future__ import annotations
+
+import inspect
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import zmq
+
+from messages import topics
+from messages.codec import MessageRefusedError
+from messages.transport.endpoints import bind, remove_ipc
+from messages.transport.requests import Reply, Request, decode_request
+from nodes.base import realtime
+from nodes.parameters.store import ParameterError
+from nodes.parameters.yaml_io import WatchedFile
+
+if TYPE_CHECKING:
+    from messages.transport.gate import Gate
+    from messages.transport.sockets import Context
+    from nodes.base.node import Node
+
+STATUS_PERIOD = 0.5
+WATCH_PERIOD = 0.1
+
+WAKE = "inproc://control-wake"
+"""Where a request of the node's own process arrives: the one that ends the thread."""
+
+
+class ControlServer(threading.Thread):
+    """Serves one node.
+
+    Parameters
+    ----------
+    node : Node
+        The node to serve.
+    context : zmq.Context
+        Context of the process.
+    """
+
+    def __init__(self, node: Node, context: Context) -> None:
+        super().__init__(name=f"{node.setup.name}-control", daemon=True)
+        self._node = node
+        self._ending = threading.Event()
+        self._socket = context.socket(zmq.REP)
+        try:
+            bind(self._socket, node.setup.control)
+            self._socket.bind(WAKE)
+        except ValueError:
+            self._socket.close(linger=0)
+            raise
+        self._asked = time.monotonic()
+        self._fetched = threading.Event()
+        # Each time it wakes up for nothing, it takes the interpreter's lock from the loop for some 100 µs.
+        often = node.setup.watch or node.setup.lease
+        self._socket.rcvtimeo = int((WATCH_PERIOD if often else STATUS_PERIOD) * 1000)
+        self._context = context
+        self._watched = WatchedFile(node.setup.watch) if node.setup.watch else None
+        self._operations: dict[str, Callable[..., Any]] = {
+            "status": lambda: msgspec.to_builtins(node.status()),
+            "info": self._info,
+            "start": self._start,
+            "stop": lambda: node.stop("stop requested"),
+            "report": self._report,
+            "clock": lambda: {"monotonic_s": time.monotonic()},
+            "clock.set": node.set_clock,
+            "param.list": node.store.flat,
+            "param.get": lambda name: node.store.get(name),
+            "param.set": lambda values: node.change_parameters(lambda: node.store.changed(values)),
+            "param.dump": node.store.dump,
+            "param.load": lambda values: node.change_parameters(lambda: node.store.merged(values)),
+            **node.operations(),
+        }
+
+    def _info(self) -> dict[str, Any]:
+        node = self._node
+        return {
+            "status": msgspec.to_builtins(node.status()),
+            "publishes": [*node.publishes, topics.status(node.setup.name), topics.event(node.setup.name)],
+            "listens_to": list(node.listens_to),
+            "operations": sorted(self._operations),
+            "endpoint": node.setup.publish,
+        }
+
+    def _start(self) -> None:
+        self._node.started.set()
+
+    def _report(self) -> dict[str, Any]:
+        if self._node.state in ("finished", "failed"):
+            self._fetched.set()
+        return {"status": msgspec.to_builtins(self._node.status()), **self._node.report()}
+
+    def watched_by(self, gate: Gate) -> None:
+        """Let a gate watch who tries to connect.
+
+        Parameters
+        ----------
+        gate : Gate
+            The gate of the process, not yet started.
+        """
+        gate.watch(self._socket, "server")
+
+    def await_fetch(self, timeout: float) -> None:
+        """Go on answering until the launcher has fetched the last report.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest wait [s].
+        """
+        if self.is_alive():
+            self._fetched.wait(timeout)
+
+    def _watch_lease(self, now: float) -> None:
+        lease = self._node.setup.lease
+        if lease and now - self._asked > lease and not self._node.stopping:
+            reason = f"launcher lost: no request for {lease:g} s"
+            self._node.say(f"{reason}; stopping")
+            self._node.stop(reason)
+
+    def _answer(self, frames: list[bytes]) -> Reply:
+        name = self._node.setup.name
+        try:
+            request = decode_request(frames)
+        except MessageRefusedError as error:
+            self._node.refused += 1
+            return Reply(False, error=f"{name}: {error}")
+        operation = self._operations.get(request.op)
+        if operation is None:
+            known = ", ".join(sorted(self._operations))
+            return Reply(False, error=f"{name}: unknown operation {request.op!r}; known: {known}")
+        try:
+            inspect.signature(operation).bind(**request.args)
+        except TypeError as error:
+            return Reply(False, error=f"{name}: {request.op}: {error}"[:4000])
+        try:
+            return Reply(True, operation(**request.args))
+        except ParameterError as error:
+            return Reply(False, error=str(error)[:4000])
+        except Exception as error:  # noqa: BLE001  # e.g. what a law of another package raises while it is compiled
+            return Reply(False, error=f"{name}: {request.op}: {type(error).__name__}: {error}"[:4000])
+
+    def _serve(self) -> None:
+        try:
+            frames = self._socket.recv_multipart()
+        except zmq.Again:
+            return
+        node = self._node
+        self._asked = time.monotonic()
+        node.serving += 1
+        reply = self._answer(frames)
+        try:
+            encoded = msgspec.msgpack.encode(reply)
+        except (TypeError, OverflowError, RecursionError) as error:
+            encoded = msgspec.msgpack.encode(Reply(False, error=f"{node.setup.name}: unsendable result: {error}"))
+        self._socket.send(encoded)
+        node.serving += 1
+
+    def run(self) -> None:
+        """Serve until stopped."""
+        realtime.step_aside()
+        next_status = next_watch = 0.0
+        while not self._ending.is_set():
+            self._serve()
+            now = time.monotonic()
+            self._watch_lease(now)
+            if self._watched is not None and now >= next_watch:
+                next_watch = now + WATCH_PERIOD
+                self._poll_file(self._watched)
+            if now >= next_status:
+                next_status = now + STATUS_PERIOD
+                self._node.serving += 1
+                self._node.post(topics.status(self._node.setup.name), self._node.status())
+                self._node.serving += 1
+        self._socket.close(linger=100)
+        remove_ipc(self._node.setup.control)
+
+    def _poll_file(self, watched: WatchedFile) -> None:
+        node = self._node
+        node.serving += 1
+        try:
+            values = watched.poll()
+            if values is not None and node.store.merged(values) != node.store.current:
+                receipt = node.change_parameters(lambda: node.store.merged(values))
+                node.say(f"applied {watched.path}: {receipt}")
+        except Exception as error:  # noqa: BLE001  # as for requests: refused, told, and served on
+            reason = str(error) if isinstance(error, ParameterError) else f"{type(error).__name__}: {error}"
+            where = "" if reason.startswith(watched.path) else f"{watched.path}: "
+            node.announce("refused", f"{where}{reason}; the running parameters are untouched")
+        node.serving += 1
+
+    def stop(self) -> None:
+        """Stop serving and wait for the thread."""
+        self._ending.set()
+        if self.is_alive():
+            with self._context.socket(zmq.REQ) as waker:
+                waker.linger = 0
+                waker.connect(WAKE)
+                waker.send(msgspec.msgpack.encode(Request("clock")))
+                self.join()
+        else:
+            self._socket.close(linger=0)

@@ -1,0 +1,182 @@
+"""What a node has to say beside its ticks: events, what it refused, whom it turned away, and when that was.
+
+Nothing here waits: what is published goes into an outbox, which the loop empties when its tick's own message has left.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections import deque
+
+from messages import topics
+from messages.codec import encode
+from messages.transport.waker import Waker
+from messages.types import Event, Message
+from nodes.base.setup import Setup
+from nodes.parameters.store import ParameterError
+
+
+class Telling:
+    """The part of a node that tells.
+
+    Parameters
+    ----------
+    setup : Setup
+        Who the node is and how it is paced.
+
+    Attributes
+    ----------
+    seq : int
+        The tick that the node is at.
+    outbox : deque of tuple of bytes
+        Topics and payloads that wait for the end of the tick.
+    called : bool
+        Whether something waits to be done between two ticks: the one thing that a loop looks at.
+    waker : Waker or None
+        What ends the loop's wait; None for a loop that does not wait without end.
+    refused, denied : int
+        Messages refused; connections not let in.
+    clock_offset, clock_error : float
+        What is added to this host's monotonic clock to get the run's time, and how far off that may be [s].
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+        self.seq = 0
+        self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
+        self.called = False
+        self.waker: Waker | None = None
+        # Nodes are made on the thread that runs their loop.
+        self._loop_thread = threading.get_ident()
+        self.refused = self.denied = 0
+        self.clock_offset = self.clock_error = 0.0
+        self._period = setup.period
+        self._simulated = setup.pace == "lockstep"
+        self._told: dict[str, int] = {}
+
+    def now(self) -> float:
+        """Time for stamps: the monotonic clock of the launcher's host, or simulated time in lockstep.
+
+        Returns
+        -------
+        float
+            Seconds.
+        """
+        return self.seq * self._period if self._simulated else time.monotonic() + self.clock_offset
+
+    def set_clock(self, offset: float, error: float) -> None:
+        """Take over how far this host's clock is from the launcher's, as the launcher has measured it.
+
+        Parameters
+        ----------
+        offset : float
+            What to add to this host's monotonic clock to get the run's time [s].
+        error : float
+            How far off that may be [s].
+
+        Raises
+        ------
+        ParameterError
+            When it is not a number of seconds.
+        """
+        if not (isinstance(offset, float) and isinstance(error, float) and math.isfinite(offset) and error >= 0.0):
+            raise ParameterError(
+                f"{self.setup.name}: clock.set {offset!r} {error!r}: expected two finite numbers of seconds"
+            )
+        self.clock_offset, self.clock_error = offset, error
+
+    def say(self, text: str) -> None:
+        """Write one line to standard error, named.
+
+        Parameters
+        ----------
+        text : str
+            What to say.
+        """
+        print(f"[{self.setup.name}] {text}", file=sys.stderr, flush=True)
+
+    def tell(self, kind: str, reason: str, always: bool = False) -> None:
+        """Publish an event and say it; repeats of one kind at powers of two only.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of event.
+        reason : str
+            One sentence with value and limit.
+        always : bool
+            Whether repeats are published all the same; said they are at powers of two even then.
+        """
+        count = self._told[kind] = self._told.get(kind, 0) + 1
+        seldom = count & (count - 1) == 0
+        if seldom:
+            repeat = f" ({count} times)" if count > 1 else ""
+            self.say(f"{kind}: {reason}{repeat}")
+        if seldom or always:
+            self._post_event(kind, reason)
+
+    def announce(self, kind: str, reason: str) -> None:
+        """Publish an event and say it, however often: for what people do, which cannot come in every tick.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of event.
+        reason : str
+            One sentence with value and limit.
+        """
+        self.say(f"{kind}: {reason}")
+        self._post_event(kind, reason)
+
+    def _post_event(self, kind: str, reason: str) -> None:
+        message = Event(seq=self.seq, stamp=self.now(), node=self.setup.name, kind=kind, reason=reason[:4000])
+        self.post(topics.event(self.setup.name), message)
+
+    def post(self, topic: str, message: Message) -> None:
+        """Queue a message that is not part of the tick; it leaves after the tick's own.
+
+        Parameters
+        ----------
+        topic : str
+            Topic.
+        message : Message
+            The message.
+        """
+        self.outbox.append((topic.encode(), encode(message)))
+        self.call()
+
+    def call(self) -> None:
+        """Call the loop's attention to what waits between two ticks; from any thread."""
+        self.called = True
+        if threading.get_ident() != self._loop_thread:
+            self.wake()
+
+    def wake(self) -> None:
+        """End the loop's wait for a message, if it waits without end."""
+        if self.waker is not None:
+            self.waker.wake()
+
+    def refuse(self, reason: str) -> None:
+        """Count and tell a message that was refused.
+
+        Parameters
+        ----------
+        reason : str
+            What was wrong with it.
+        """
+        self.refused += 1
+        self.tell("refused", reason[:1000])
+
+    def deny(self, reason: str) -> None:
+        """Count and tell a peer that was turned away.
+
+        Parameters
+        ----------
+        reason : str
+            Who, where and why.
+        """
+        self.denied += 1
+        self.tell("denied", reason)

@@ -1,0 +1,89 @@
+"""Following the ticks of another node: newest message wins, gaps and restarts are counted, never hidden."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+from messages.codec import Decoder, MessageRefusedError
+from messages.transport.sockets import Subscription, TimedOut
+from messages.types import Message
+from nodes.base.node import IDLE_MS, Node
+
+M = TypeVar("M", bound=Message)
+
+
+def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> Callable[[], M | None]:
+    """Follow one loop topic for a node that answers it.
+
+    In real time a message that is older than a period when it arrives is skipped if a newer one is already there: a
+    node that was stalled goes on with the present, not with what piled up. In lockstep every message is taken.
+
+    Parameters
+    ----------
+    node : Node
+        The node that follows; its counters are kept here.
+    inbox : Subscription
+        Its socket.
+    decoder : Decoder
+        For the topic's type.
+    topic : str
+        The topic.
+
+    Returns
+    -------
+    callable
+        Waits for the next message; None when it was woken, or what came was not valid. A closure: what a tick looks up
+        through attributes, it waits for.
+    """
+    expected = topic.encode()
+    realtime, period = node.setup.pace == "realtime", node.setup.period
+    next_frame, decode, clock = inbox.next_frame, decoder.decode, time.monotonic
+    waker, last = node.waker, -1
+    patience = IDLE_MS if waker is None else -1
+
+    def newest(message: M) -> M:
+        while (frames := inbox.receive(0)) is not None:
+            newer = node.take(decoder, frames, expected)
+            if newer is not None:
+                node.skipped += 1
+                message = newer
+        inbox.set_timeout(patience)
+        return message
+
+    def out_of_order(seq: int) -> None:
+        missing = seq - last - 1
+        if missing > 0 and last >= 0:
+            node.gaps += missing
+        elif seq < last:
+            node.tell("restart", f"{topic} went back from tick {last} to {seq}")
+
+    def take() -> M | None:
+        nonlocal last
+        try:
+            frame = next_frame()
+        except TimedOut:
+            return None
+        if frame != expected:
+            if waker is None or frame != waker.frame:
+                node.out_of_step(frame, expected)
+            return None
+        try:
+            message = decode(next_frame())
+        except TimedOut:
+            node.refuse(f"a message on {topic} without a payload")
+            return None
+        except MessageRefusedError as error:
+            node.refuse(str(error))
+            return None
+        if realtime and clock() + node.clock_offset - message.stamp > period:
+            message = newest(message)
+        node.seq = seq = message.seq
+        if seq != last + 1:
+            out_of_order(seq)
+        last = seq
+        return message
+
+    inbox.set_timeout(patience)
+    return take

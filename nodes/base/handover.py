@@ -1,0 +1,149 @@
+"""Handing something prepared to the loop: made on the control thread, applied on the main thread between two ticks."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from nodes.parameters.store import ParameterError
+
+
+class Change:
+    """Something prepared off the hot path, to be applied between two ticks.
+
+    Parameters
+    ----------
+    apply : callable
+        Called on the main thread with the tick number; its return value, or what it raises, goes back to whoever asked.
+    """
+
+    def __init__(self, apply: Callable[[int], Any]) -> None:
+        self._apply = apply
+        self._done = threading.Event()
+        self._result: Any = None
+        self._error: Exception | None = None
+
+    def run(self, seq: int) -> None:
+        """Apply it (main thread).
+
+        Parameters
+        ----------
+        seq : int
+            Tick number at which it takes effect.
+        """
+        try:
+            self._result = self._apply(seq)
+        except Exception as error:  # noqa: BLE001  # a change that fails must not end the loop; whoever asked is told
+            self._error = error
+        self._done.set()
+
+    def wait(self, timeout: float | None) -> bool:
+        """Wait until it was applied (control thread).
+
+        Parameters
+        ----------
+        timeout : float or None
+            Longest wait [s]; None waits as long as it takes.
+
+        Returns
+        -------
+        bool
+            Whether it was.
+        """
+        return self._done.wait(timeout)
+
+    def result(self) -> Any:
+        """Give what came of it (control thread, after `wait`).
+
+        Returns
+        -------
+        object
+            What the change returned.
+
+        Raises
+        ------
+        Exception
+            What the change raised.
+        """
+        if self._error is not None:
+            raise self._error
+        return self._result
+
+
+class Changes:
+    """What waits to be applied; the loop looks whether there is anything, and takes one a tick.
+
+    Parameters
+    ----------
+    node : str
+        Name of the node, for errors.
+    """
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+        self._waiting: deque[Change] = deque()
+
+    def __bool__(self) -> bool:
+        return bool(self._waiting)
+
+    def apply_next(self, seq: int) -> None:
+        """Apply one change (main thread).
+
+        Parameters
+        ----------
+        seq : int
+            Tick number at which it takes effect.
+        """
+        try:
+            change = self._waiting.popleft()
+        except IndexError:
+            # Withdrawn at this very moment.
+            return
+        change.run(seq)
+
+    def hand_over(
+        self, apply: Callable[[int], Any], call: Callable[[], None], lives: Callable[[], bool], timeout: float = 2.0
+    ) -> Any:
+        """Hand a prepared change to the loop and wait until it was applied (control thread).
+
+        Parameters
+        ----------
+        apply : callable
+            Called on the main thread with the tick number.
+        call : callable
+            Calls the loop's attention.
+        lives : callable
+            Whether the loop can still take it up.
+        timeout : float
+            Longest wait [s].
+
+        Returns
+        -------
+        object
+            What `apply` returned.
+
+        Raises
+        ------
+        ParameterError
+            When the loop did not take it up in time; it is withdrawn then, and will not be applied later.
+        """
+        change = Change(apply)
+        self._waiting.append(change)
+        call()
+        deadline = time.monotonic() + timeout
+        while not change.wait(0.05):
+            if time.monotonic() < deadline and lives():
+                continue
+            try:
+                self._waiting.remove(change)
+            except ValueError:
+                # Taken up just now: it is being applied.
+                change.wait(None)
+            else:
+                raise ParameterError(
+                    f"{self._node}: not taken up by the loop within {timeout:g} s; nothing was changed; is the node stopping?"
+                )
+        return change.result()

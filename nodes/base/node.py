@@ -1,0 +1,344 @@
+"""The base of all nodes: what a kind defines, and what every node can use.
+
+The main thread owns the loop's sockets and does nothing but ticks: blocking receive, plain floats, send. A second thread
+serves control requests on its own socket; what it prepares is handed over by one reference assignment and taken up between
+two ticks, and what it wants published goes through an outbox that is emptied after the tick's own message has left.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ClassVar, TypeVar
+
+import msgspec
+
+from messages.codec import Decoder, MessageRefusedError
+from messages.transport.sockets import Publisher, Subscription
+from messages.types import Message, NodeStatus
+from nodes.base import realtime
+from nodes.base.events import Telling
+from nodes.base.handover import Changes
+from nodes.base.setup import Setup
+from nodes.parameters.store import ParameterError, ParameterStore
+
+M = TypeVar("M", bound=Message)
+IDLE_MS = 100
+"""How long a blocking receive waits before it looks whether the node should stop [ms]."""
+
+
+class Node(Telling):
+    """Base of all nodes.
+
+    Parameters
+    ----------
+    setup : Setup
+        Who the node is and how it is wired and paced.
+
+    Attributes
+    ----------
+    Parameters : type
+        The struct of the node's parameters.
+    publishes, listens_to : tuple of str
+        The loop topics that the kind binds and takes; ``"*"`` listens to everything.
+    answers : bool
+        Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only what comes on top.
+    serving : int
+        Counts each beginning and each end of the control thread's work: odd while it works.
+    """
+
+    Parameters: ClassVar[type[msgspec.Struct]] = msgspec.Struct
+    publishes: ClassVar[tuple[str, ...]] = ()
+    listens_to: ClassVar[tuple[str, ...]] = ()
+    relays: ClassVar[tuple[str, ...]] = ()
+    answers: ClassVar[bool] = False
+
+    publisher: Publisher
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.store = ParameterStore(setup.name, self.Parameters, setup.parameters)
+        self.state = "configuring"
+        self.stop_reason = ""
+        self.stopping = False
+        self.started = threading.Event()
+        self.changes = Changes(setup.name)
+        self.inbox: Subscription | None = None
+        self.ticks = self.sent = self.received = self.skipped = self.gaps = 0
+        self.serving = 0
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Check, before anything is started, what the types of the parameters cannot say.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        del setup
+
+    # -- what a kind of node defines ---------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Build what the loop needs from the parameters, before any socket exists."""
+
+    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
+        """Connect to the publishers of what the kind listens to.
+
+        Parameters
+        ----------
+        subscribe : callable
+            Makes a subscription from endpoints, topics and queue length.
+        """
+        if self.listens_to:
+            self.inbox = subscribe({self.setup.sources[topic] for topic in self.listens_to}, self.listens_to, 1000)
+
+    def loop(self) -> None:
+        """Tick until `stopping` (main thread)."""
+        raise TypeError(f"node kind {self.setup.kind!r} does not define loop()")
+
+    def finish(self) -> None:
+        """Leave everything safe; called on every way out of the loop."""
+
+    def report(self) -> dict[str, Any]:
+        """Tell the launcher at the end what the status does not.
+
+        Returns
+        -------
+        dict
+            JSON-able figures.
+        """
+        return {}
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare new, valid parameters off the hot path (control thread).
+
+        Parameters
+        ----------
+        parameters : msgspec.Struct
+            The node's parameters after the change.
+
+        Returns
+        -------
+        callable
+            Applied on the main thread between two ticks, with the tick number.
+
+        Raises
+        ------
+        ParameterError
+            When the node cannot change while it runs.
+        """
+        del parameters
+        raise ParameterError(f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs")
+
+    def operations(self) -> dict[str, Callable[..., Any]]:
+        """Control operations beside parameters, status and stop.
+
+        Returns
+        -------
+        dict of str to callable
+            Called on the control thread with the request's arguments.
+        """
+        return {}
+
+    # -- what every node can use -------------------------------------------------------------------------------------
+
+    def stop(self, reason: str) -> None:
+        """Ask the loop to end after the present tick.
+
+        Parameters
+        ----------
+        reason : str
+            Why; the first one is kept.
+        """
+        if not self.stopping:
+            self.stop_reason = reason
+            self.stopping = True
+        self.started.set()
+        self.wake()
+
+    def flush_outbox(self) -> None:
+        """Send what is queued (main thread)."""
+        while self.outbox:
+            topic, payload = self.outbox.popleft()
+            self.publisher.send_aside(topic, payload)
+            self.sent += 1
+        self.publisher.flush()
+
+    def take(self, decoder: Decoder[M], frames: tuple[bytes, bytes], topic: bytes) -> M | None:
+        """Decode a received message; count and tell what is refused.
+
+        Parameters
+        ----------
+        decoder : Decoder
+            For the type expected.
+        frames : tuple of bytes
+            Topic and payload.
+        topic : bytes
+            The topic expected.
+
+        Returns
+        -------
+        Message or None
+            None when it was refused.
+        """
+        if frames[0] != topic:
+            self.out_of_step(frames[0], topic)
+            return None
+        try:
+            message = decoder.decode(frames[1])
+        except MessageRefusedError as error:
+            self.refuse(str(error))
+            return None
+        self.received += 1
+        return message
+
+    def out_of_step(self, frame: bytes, topic: bytes) -> None:
+        """Refuse a message whose first frame is not the topic expected, and find the beginning of the next one.
+
+        Parameters
+        ----------
+        frame : bytes
+            Its first frame.
+        topic : bytes
+            The topic expected.
+        """
+        if self.inbox is not None:
+            self.inbox.resynchronise()
+        self.refuse(f"a message on {frame[:64]!r} where {topic.decode()} was expected")
+
+    def between_ticks(self, seq: int) -> None:
+        """Take up what the control thread prepared, and send what is queued (main thread, after a tick, when `called`).
+
+        Parameters
+        ----------
+        seq : int
+            The tick at which a change takes effect.
+        """
+        # Before looking: what comes in between calls again.
+        self.called = False
+        if self.changes:
+            self.changes.apply_next(seq)
+        if self.outbox:
+            self.flush_outbox()
+        if self.changes:
+            self.called = True
+
+    def hand_over(self, apply: Callable[[int], Any], timeout: float = 2.0) -> Any:
+        """Hand a prepared change to the loop and wait until it was applied (control thread).
+
+        Parameters
+        ----------
+        apply : callable
+            Called on the main thread with the tick number.
+        timeout : float
+            Longest wait [s].
+
+        Returns
+        -------
+        object
+            What `apply` returned.
+
+        Raises
+        ------
+        ParameterError
+            When the loop did not take it up in time; it is withdrawn then, and will not be applied later.
+        """
+        return self.changes.hand_over(apply, self.call, lambda: self.state not in ("finished", "failed"), timeout)
+
+    def change_parameters(
+        self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None
+    ) -> Any:
+        """Make, check, prepare and apply new parameters, all or nothing (control thread).
+
+        Should the parameters change in between (a scheduled swap), all is made again from the newer ones.
+
+        Parameters
+        ----------
+        make : callable
+            Makes the node's parameters after the change from those in `store`.
+        prepare : callable, optional
+            Used in place of the method `prepare`.
+
+        Returns
+        -------
+        object
+            The receipt of the change.
+
+        Raises
+        ------
+        ParameterError
+            When they are refused, or the loop does not take them up.
+        """
+        while True:
+            base = self.store.current
+            parameters = make()
+            apply = (prepare or self.prepare)(parameters)
+            receipt = self.hand_over(self._unless_changed(base, parameters, apply))
+            if receipt is not None:
+                return receipt
+
+    def _unless_changed(self, base: Any, parameters: Any, apply: Callable[[int], Any]) -> Callable[[int], Any]:
+        def at_tick(seq: int) -> Any:
+            if self.store.current is not base:
+                return None
+            receipt = apply(seq)
+            self.store.accept(parameters)
+            return receipt
+
+        return at_tick
+
+    def status(self) -> NodeStatus:
+        """Describe the node now.
+
+        Returns
+        -------
+        NodeStatus
+            State and counters.
+        """
+        answered = self.ticks if self.answers else 0
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        return NodeStatus(
+            seq=self.seq,
+            stamp=self.now(),
+            node=self.setup.name,
+            kind=self.setup.kind,
+            state=self.state,
+            pid=os.getpid(),
+            ticks=self.ticks,
+            sent=self.sent + answered,
+            received=self.received + answered,
+            refused=self.refused,
+            skipped=self.skipped,
+            gaps=self.gaps,
+            reason=self.stop_reason,
+            memory=float(realtime.memory_bytes()),
+            cpu=usage.ru_utime + usage.ru_stime,
+            denied=self.denied,
+            clock_offset=self.clock_offset,
+            clock_error=self.clock_error,
+        )
+
+
+def describe(parameters: Mapping[str, Any]) -> str:
+    """Write parameters in one line.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Builtins.
+
+    Returns
+    -------
+    str
+        JSON, which is YAML flow style too.
+    """
+    return msgspec.json.encode(parameters).decode()

@@ -1,0 +1,204 @@
+"""The life of a node's process: sockets, ready, ticks, and an end that leaves the device safe and nothing open.
+
+Whatever ends the loop, an exception included: first the device is made safe, then the rest is told, then all is closed.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from messages import topics
+from messages.transport.gate import Gate
+from messages.transport.sockets import Publisher, Subscription, move_aside, new_context
+from messages.transport.waker import Waker
+from nodes.base import realtime
+from nodes.base.control_thread import ControlServer
+from nodes.base.kinds import load
+from nodes.base.node import Node
+from nodes.base.setup import Setup
+from nodes.parameters.store import ParameterError
+
+if TYPE_CHECKING:
+    from messages.transport.sockets import Context
+
+LISTENERS_WAIT = 0.002
+"""How long messages for listeners may be collected in real time, one period or more [s]."""
+
+LOCKSTEP_BATCH = 8
+"""How many are collected in lockstep."""
+
+REPORT_TIMEOUT = 3.0
+"""How long a node that was started by hand waits at its end for the launcher to fetch its report [s]."""
+
+
+def _await_listeners(node: Node) -> None:
+    deadline = time.monotonic() + node.setup.patience
+    node.state = "waiting"
+    while node.publisher.listeners() < node.setup.listeners and not node.stopping:
+        if time.monotonic() > deadline:
+            node.tell(
+                "listeners",
+                f"{node.publisher.listeners()} of {node.setup.listeners} listeners within "
+                f"{node.setup.patience:g} s; going on without",
+            )
+            return
+        time.sleep(0.002)
+
+
+def _heed_signals(node: Node) -> None:
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del frame
+        node.stop(signal.Signals(number).name)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, on_signal)
+    # Sent when somebody opens a watched file that is being read under a lease; its default is to end the process.
+    signal.signal(signal.SIGIO, signal.SIG_IGN)
+
+
+def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | None]:
+    """Make all sockets, and the gate where one of them is encrypted: where a node has peers on other machines."""
+    setup = node.setup
+    gate: Gate | None = None
+    if any("#" in place for place in (setup.publish, setup.reach, setup.listen_reach, *setup.sources.values())):
+        gate = Gate(context, node.deny)
+    try:
+        hops, listeners = [setup.reach], [setup.listen, setup.listen_reach]
+        batch = LOCKSTEP_BATCH if setup.pace == "lockstep" else max(1, int(LISTENERS_WAIT / setup.period))
+        node.publisher = Publisher(
+            context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)), batch
+        )
+        subscriptions: list[Subscription] = []
+
+        def subscribe(endpoints: Iterable[str], wanted: Iterable[str], queue: int) -> Subscription:
+            subscriptions.append(Subscription(context, endpoints, wanted, queue))
+            return subscriptions[-1]
+
+        node.connect(subscribe)
+        if node.answers and node.inbox is not None:
+            node.waker = Waker(context, node.listens_to[0].encode())
+            node.inbox.woken_by(node.waker)
+        control = ControlServer(node, context)
+        if gate is not None:
+            node.publisher.watched_by(gate)
+            control.watched_by(gate)
+            for subscription in subscriptions:
+                subscription.watched_by(gate)
+    except ValueError:
+        if gate is not None:
+            gate.stop()
+        raise
+    return control, gate
+
+
+def _write_report(node: Node, figures: Mapping[str, Any]) -> None:
+    path = Path(node.setup.run_dir) / f"{node.setup.name}.report.json"
+    draft = path.with_suffix(".draft")
+    draft.write_bytes(msgspec.json.encode({"status": msgspec.to_builtins(node.status()), **figures}))
+    draft.replace(path)
+
+
+def _fail_to_start(node: Node, error: Exception) -> int:
+    node.say(f"cannot start: {error}")
+    node.stop_reason, node.state = str(error), "failed"
+    _write_report(node, {})
+    return 1
+
+
+def live(node: Node) -> int:
+    """Run a node from start to end.
+
+    Parameters
+    ----------
+    node : Node
+        The node, not yet configured.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a clean stop, 1 after a failure.
+    """
+    _heed_signals(node)
+    refused = realtime.apply(node.setup.scheduling)
+    try:
+        node.configure()
+    except (ParameterError, ValueError, OSError) as error:
+        return _fail_to_start(node, error)
+    context = new_context(aside=True)
+    try:
+        control, gate = _make_sockets(node, context)
+    except ValueError as error:
+        context.destroy(linger=0)
+        return _fail_to_start(node, error)
+    move_aside()
+    code = 1
+    try:
+        if gate is not None:
+            gate.start()
+        control.start()
+        for text in refused:
+            node.tell("realtime", text)
+        _await_listeners(node)
+        node.state = "ready"
+        realtime.quiet_interpreter()
+        node.loop()
+        code = 0
+    except (ParameterError, OSError) as error:
+        # What a device or a disk says is no fault of the program: one line, no traceback.
+        node.stop_reason = node.stop_reason or str(error)
+        node.say(f"ended: {error}")
+    finally:
+        try:
+            node.finish()
+        finally:
+            _close(node, context, control, gate, code)
+    return code
+
+
+def _close(node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int) -> None:
+    node.state = "finished" if code == 0 else "failed"
+    if node.setup.lease and not node.stop_reason.startswith("launcher lost"):
+        control.await_fetch(REPORT_TIMEOUT)
+    if gate is not None:
+        gate.stop()
+    control.stop()
+    # Emptied first, so that the last status tells exactly what was sent before it.
+    node.flush_outbox()
+    node.post(topics.status(node.setup.name), node.status())
+    node.flush_outbox()
+    if node.inbox is not None:
+        node.inbox.close()
+    node.publisher.close()
+    context.term()
+    _write_report(node, node.report())
+
+
+def start(arguments: list[str]) -> int:
+    """Run one node as this process: ``python -m nodes SETUP_FILE``.
+
+    Parameters
+    ----------
+    arguments : list of str
+        The path of the node's setup file, written by the launcher.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    realtime.die_with_parent()
+    setup = msgspec.json.decode(Path(arguments[0]).read_bytes(), type=Setup)
+    try:
+        node = load(setup.factory)(setup)
+    except ParameterError as error:
+        print(f"[{setup.name}] cannot start: {error}", file=sys.stderr, flush=True)
+        return 1
+    return live(node)

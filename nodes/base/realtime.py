@@ -1,0 +1,197 @@
+"""What the kernel can do for a loop: one core for the chain, FIFO scheduling, exact timers; and waiting until a deadline.
+
+Pinning driver, environment and coupling, their I/O threads included, to one core gives most of the gain in the median and
+needs no privilege. FIFO brings the tail down from milliseconds to half of one, but only together with pinning. Both are
+inherited by threads made later, so they are set before the ZeroMQ context.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import signal
+import sys
+import time
+from collections.abc import Collection, Iterator
+
+from nodes.base.setup import Scheduling
+
+PR_SET_PDEATHSIG = 1
+
+WAKE_LATENCY = "/dev/cpu_dma_latency"
+"""How long waking a processor may take [µs], as long as somebody holds this file open (the kernel's PM QoS interface)."""
+
+
+def apply(scheduling: Scheduling) -> list[str]:
+    """Set affinity, scheduler and timer slack of the calling thread.
+
+    Parameters
+    ----------
+    scheduling : Scheduling
+        What is wanted.
+
+    Returns
+    -------
+    list of str
+        What was refused, and what to do about it; empty when all was granted.
+    """
+    refused = []
+    if scheduling.cpus:
+        try:
+            os.sched_setaffinity(0, scheduling.cpus)
+        except OSError as error:
+            refused.append(f"processors {scheduling.cpus}: {error.strerror}; the node runs on any processor")
+    if scheduling.fifo:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(scheduling.fifo))
+        except OSError as error:
+            refused.append(f"SCHED_FIFO {scheduling.fifo}: {error.strerror}; see haptic doctor")
+    try:
+        with open("/proc/self/timerslack_ns", "w", encoding="ascii") as slack:
+            slack.write("1")
+    except OSError as error:
+        refused.append(f"timer slack 1 ns: {error.strerror}; ticks come about 50 µs later")
+    return refused
+
+
+def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
+    """Find the processor for the chain: of those this process may use, the one that devices interrupt least.
+
+    A disk to which a logger writes, or a network card, interrupts one processor all the time; a tick there waits for it.
+
+    Parameters
+    ----------
+    interrupts : str
+        The kernel's table: a heading with the processors, then a line for each interrupt.
+
+    Returns
+    -------
+    int
+        Its number; the last of equals, as the first one does the kernel's housekeeping.
+    """
+    available = os.sched_getaffinity(0)
+    counts = dict.fromkeys(sorted(available), 0)
+    try:
+        with open(interrupts, encoding="ascii", errors="replace") as table:
+            columns = [int(name.removeprefix("CPU")) for name in table.readline().split()]
+            for line in table:
+                name, *numbers = line.split()[: len(columns) + 1]
+                # Timers and calls between processors, which have names, follow the load.
+                if name.rstrip(":").isdigit():
+                    for processor, number in zip(columns, numbers, strict=False):
+                        if processor in counts:
+                            counts[processor] += int(number)
+    except OSError:
+        return max(available)
+    return min(reversed(counts), key=counts.__getitem__)
+
+
+@contextlib.contextmanager
+def off(processors: Collection[int]) -> Iterator[None]:
+    """Keep the calling thread, and what it starts, off processors on which a loop runs.
+
+    Priorities alone do not: on most kernels a system call is not interrupted, whoever waits for the processor.
+
+    Parameters
+    ----------
+    processors : collection of int
+        Those of the loop; when there are no others, nothing changes.
+
+    Yields
+    ------
+    None
+        While it is so.
+    """
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, before - set(processors) or before)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+@contextlib.contextmanager
+def awake() -> Iterator[str]:
+    """Keep idle processors from going to sleep, which makes each wake-up of a tick 10 µs later; costs their power.
+
+    However the process ends, the kernel takes it back.
+
+    Yields
+    ------
+    str
+        Why it was refused; empty when it was granted.
+    """
+    try:
+        held = os.open(WAKE_LATENCY, os.O_WRONLY)
+    except OSError as error:
+        yield f"{WAKE_LATENCY}: {error.strerror}; processors sleep between ticks, and answer later; see haptic doctor"
+        return
+    try:
+        os.write(held, (0).to_bytes(4, sys.byteorder))
+        yield ""
+    finally:
+        os.close(held)
+
+
+def step_aside() -> None:
+    """Take the calling thread off the chain's core and below its priority, but not below the rest of the machine.
+
+    For the control thread: were it a normal one, anything could hold it up while it holds the interpreter's lock, and the
+    loop would wait for both.
+    """
+    others = set(range(os.cpu_count() or 1)) - os.sched_getaffinity(0)
+    if others:
+        os.sched_setaffinity(0, others)
+    if os.sched_getscheduler(0) == os.SCHED_FIFO:
+        priority = max(1, os.sched_getparam(0).sched_priority - 10)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
+def quiet_interpreter() -> None:
+    """Keep the interpreter's own work out of the ticks: collect and freeze the garbage, switch threads quickly."""
+    gc.collect()
+    gc.freeze()
+    # The control thread must give the interpreter lock back within a fraction of a tick (Python's default is 5 ms).
+    sys.setswitchinterval(5e-5)
+
+
+def die_with_parent() -> None:
+    """Ask the kernel for SIGTERM when the launcher dies, so that no node outlives a killed launcher."""
+    parent = os.getppid()
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if os.getppid() != parent:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def sleep_until(deadline: float) -> float:
+    """Sleep to an absolute time.
+
+    Parameters
+    ----------
+    deadline : float
+        Time on the monotonic clock [s].
+
+    Returns
+    -------
+    float
+        The time on waking [s].
+    """
+    now = time.monotonic()
+    while now < deadline:
+        time.sleep(deadline - now)
+        now = time.monotonic()
+    return now
+
+
+def memory_bytes() -> int:
+    """Resident memory of this process.
+
+    Returns
+    -------
+    int
+        Bytes.
+    """
+    with open("/proc/self/statm", encoding="ascii") as statm:
+        return int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -1,0 +1,113 @@
+"""Asking the nodes of a running launch, for the verbs: which run, which node, and refusals as exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+from typing import Any
+
+from messages.transport.requests import ControlError, call
+from messages.transport.sockets import new_context
+from nodes.cli.main import RefusedError, UsageError
+from nodes.launcher.runs import RunError, RunInfo, find_run
+
+TIMEOUT = 10.0
+"""Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """Declare --run and --json.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of a verb that asks nodes.
+    """
+    parser.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
+    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+
+
+def chosen_run(arguments: argparse.Namespace) -> RunInfo:
+    """Find the run that is meant.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With those of `add_run`.
+
+    Returns
+    -------
+    RunInfo
+        The run.
+
+    Raises
+    ------
+    UsageError
+        When none or several fit.
+    """
+    try:
+        return find_run(arguments.run_name)
+    except RunError as error:
+        raise UsageError(str(error)) from error
+
+
+def node_name(run: RunInfo, name: str) -> str:
+    """Find a node by name, with or without the leading slash.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The run.
+    name : str
+        As typed.
+
+    Returns
+    -------
+    str
+        The node's name in the launch.
+
+    Raises
+    ------
+    UsageError
+        When there is none; the text suggests one.
+    """
+    plain = name.removeprefix("/")
+    if plain in run.nodes:
+        return plain
+    close = difflib.get_close_matches(plain, run.nodes, 1)
+    hint = f"did you mean {close[0]}?" if close else f"there is: {', '.join(run.nodes)}"
+    raise UsageError(f"{run.run}: no node is named {name!r}; {hint}")
+
+
+def ask(run: RunInfo, node: str, op: str, **args: object) -> Any:
+    """Ask one node.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The run.
+    node : str
+        Name of the node.
+    op : str
+        Operation, see nodes/base/control_thread.py.
+    **args : object
+        Its arguments.
+
+    Returns
+    -------
+    object
+        The answer.
+
+    Raises
+    ------
+    RefusedError
+        When the node refuses or does not answer.
+    """
+    context = new_context()
+    try:
+        return call(context, run.nodes[node].control, op, timeout=TIMEOUT, **args)
+    except (ControlError, ValueError, OverflowError, TypeError) as error:
+        # Beside refusals: an endpoint or key that cannot be used, a value that no message can carry.
+        raise RefusedError(str(error)) from error
+    finally:
+        context.term()

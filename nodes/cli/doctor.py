@@ -1,0 +1,366 @@
+"""Tell what real-time settings this machine grants a loop, and what to do about those it refuses."""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import os
+import platform
+import resource
+import sys
+import sysconfig
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from nodes.base import realtime
+from nodes.base.setup import Scheduling
+from nodes.cli.main import answer
+from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
+from nodes.launcher.wiring import FIFO
+
+WAKE_UPS = 250
+PERIOD = 0.002
+"""Wake-ups that are measured, and their period [s]: half a second at 500 Hz."""
+
+LATE = 200e-6
+"""A wake-up later than this costs a tenth of a tick at 500 Hz [s]."""
+
+OPEN_FILES = 256
+"""Descriptors that a node needs at most, encrypted connections to many listeners included."""
+
+RUN_NAME = 78
+"""What a run adds to the runtime directory's path: its name, of a scenario of 16 characters and the time, and a socket's."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found about one setting.
+
+    Attributes
+    ----------
+    name : str
+        The setting.
+    state : {"ok", "limited", "missing"}
+        As it should be; works, but costs punctuality; or essential and not there.
+    found : str
+        Value or refusal.
+    remedy : str
+        What to do; empty when nothing is to be done.
+    """
+
+    name: str
+    state: Literal["ok", "limited", "missing"]
+    found: str
+    remedy: str = ""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of this verb.
+    """
+    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    parser.set_defaults(run=run)
+
+
+def _read(path: str) -> str | None:
+    try:
+        return Path(path).read_text(encoding="utf-8").strip()
+    except OSError:
+        return None
+
+
+def _limit(kind: int) -> str:
+    soft, hard = (
+        ("unlimited" if value == resource.RLIM_INFINITY else str(value)) for value in resource.getrlimit(kind)
+    )
+    return f"{soft} (hard limit {hard})"
+
+
+def _fifo() -> Finding:
+    allowed = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO))
+    except OSError as error:
+        return Finding(
+            "SCHED_FIFO",
+            "limited",
+            f"priority {FIFO} refused: {error.strerror} (rtprio limit {allowed})",
+            "put '@realtime - rtprio 90' into /etc/security/limits.d/realtime.conf, add yourself to the group realtime and "
+            "log in again; in a container: --cap-add SYS_NICE --ulimit rtprio=90. Until then another process may cost ticks",
+        )
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return Finding("SCHED_FIFO", "ok", f"priority {FIFO} granted (rtprio limit {allowed}; root needs none)")
+
+
+def _throttling() -> Finding:
+    runtime, period = _read("/proc/sys/kernel/sched_rt_runtime_us"), _read("/proc/sys/kernel/sched_rt_period_us")
+    if runtime is None or period is None:
+        return Finding("RT throttling", "ok", "not readable here")
+    if int(runtime) < 0:
+        return Finding("RT throttling", "ok", "off")
+    return Finding(
+        "RT throttling",
+        "ok",
+        f"FIFO may use {runtime} of every {period} µs: no hindrance to one loop with a fixed rate; several on one processor "
+        "may use that up, which shows as gaps of some 50 ms; lockstep, which never sleeps, runs without FIFO because of it",
+    )
+
+
+def _processors() -> Finding:
+    available = sorted(os.sched_getaffinity(0))
+    isolated = _read("/sys/devices/system/cpu/isolated")
+    text = f"{len(available)} of {os.cpu_count()} available: {', '.join(map(str, available))}"
+    text += f"; isolated: {isolated}" if isolated else ""
+    if len(available) < 2:
+        return Finding(
+            "processors",
+            "limited",
+            text,
+            "give the loop a second one: with one, loggers and plots share it with the chain driver-environment-coupling",
+        )
+    try:
+        os.sched_setaffinity(0, available[-1:])
+        os.sched_setaffinity(0, available)
+    except OSError as error:
+        return Finding(
+            "processors",
+            "limited",
+            f"{text}; pinning refused: {error.strerror}",
+            "allow sched_setaffinity in the container",
+        )
+    return Finding("processors", "ok", f"{text}; the chain is pinned to {realtime.quietest_processor()}")
+
+
+def _governor() -> Finding:
+    core = realtime.quietest_processor()
+    governor = _read(f"/sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor")
+    if governor is None:
+        return Finding("CPU governor", "ok", "not readable here (a virtual machine, or fixed by the firmware)")
+    if governor == "performance":
+        return Finding("CPU governor", "ok", governor)
+    return Finding(
+        "CPU governor",
+        "limited",
+        f"{governor} on processor {core}",
+        "sudo cpupower frequency-set -g performance: a core that clocks down between ticks answers late",
+    )
+
+
+def _sleep() -> Finding:
+    with realtime.awake() as refused:
+        if not refused:
+            return Finding("idle processors", "ok", f"can be kept awake ({realtime.WAKE_LATENCY})")
+    return Finding(
+        "idle processors",
+        "limited",
+        refused.partition(";")[0],
+        f"write access to {realtime.WAKE_LATENCY} (a udev rule, or root): without, answers come some 10 µs later",
+    )
+
+
+def _preemption() -> Finding:
+    version = platform.version()
+    model = next((word for word in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT") if word in version.split()), "")
+    if not model and _read("/sys/kernel/realtime") == "1":
+        model = "PREEMPT_RT"
+    if model:
+        return Finding("kernel", "ok", f"{platform.release()}, {model}")
+    return Finding(
+        "kernel",
+        "ok",
+        f"{platform.release()}, preemption model not told by its version; the wake-ups below show what it is worth",
+    )
+
+
+def _memlock() -> Finding:
+    return Finding("locked memory", "ok", f"{_limit(resource.RLIMIT_MEMLOCK)} bytes; nodes lock none")
+
+
+def _open_files() -> Finding:
+    soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if soft != resource.RLIM_INFINITY and soft < OPEN_FILES:
+        return Finding(
+            "open files",
+            "missing",
+            f"{_limit(resource.RLIMIT_NOFILE)}, needed: {OPEN_FILES}",
+            f"ulimit -n {OPEN_FILES}",
+        )
+    return Finding("open files", "ok", _limit(resource.RLIMIT_NOFILE))
+
+
+def _runtime() -> Finding:
+    try:
+        path = runtime_dir()
+    except (RunError, OSError) as error:
+        return Finding(
+            "runtime directory", "missing", str(error), "set HAPTIC_RUNTIME_DIR to a directory that you may write to"
+        )
+    longest = len(os.fsencode(path)) + RUN_NAME
+    if longest > MAX_IPC_PATH:
+        return Finding(
+            "runtime directory",
+            "missing",
+            f"{path}: socket paths would reach {longest} bytes, limit {MAX_IPC_PATH}",
+            "set HAPTIC_RUNTIME_DIR to a shorter path, e.g. below /tmp",
+        )
+    if not os.access(path, os.W_OK | os.X_OK):
+        return Finding("runtime directory", "missing", f"{path}: not writable", "set HAPTIC_RUNTIME_DIR to one that is")
+    return Finding("runtime directory", "ok", f"{path}, private")
+
+
+def _zeromq() -> Finding:
+    import zmq
+
+    text = f"pyzmq {zmq.__version__}, libzmq {zmq.zmq_version()}"
+    if not zmq.has("ipc"):
+        return Finding("ZeroMQ", "missing", f"{text} without ipc", "pip install --force-reinstall pyzmq")
+    if not zmq.has("curve"):
+        return Finding(
+            "ZeroMQ",
+            "limited",
+            f"{text} without CURVE (libsodium): no encrypted connections to other machines",
+            "pip install --force-reinstall --only-binary :all: pyzmq",
+        )
+    return Finding("ZeroMQ", "ok", f"{text} with ipc and CURVE (libsodium)")
+
+
+def _python() -> Finding:
+    optimised = "-fprofile-use" in (sysconfig.get_config_var("PY_CORE_CFLAGS") or "") or "--enable-optimizations" in (
+        sysconfig.get_config_var("CONFIG_ARGS") or ""
+    )
+    text = f"{platform.python_implementation()} {platform.python_version()}, built {'with' if optimised else 'without'} PGO"
+    if optimised:
+        return Finding("Python", "ok", text)
+    return Finding(
+        "Python",
+        "limited",
+        text,
+        "use a build with --enable-optimizations (distributions' and uv's are): nodes answer faster",
+    )
+
+
+def wake_ups(period: float = PERIOD, count: int = WAKE_UPS) -> dict[str, float]:
+    """Measure how late this thread wakes up from sleeping to absolute times.
+
+    Parameters
+    ----------
+    period : float
+        Time between two wake-ups [s].
+    count : int
+        How many.
+
+    Returns
+    -------
+    dict of str to float
+        ``p50 p99 max`` [µs].
+    """
+    late = []
+    start = time.monotonic()
+    for k in range(1, count + 1):
+        late.append(realtime.sleep_until(start + k * period) - (start + k * period))
+    late.sort()
+    return {
+        "p50": round(late[count // 2] * 1e6, 1),
+        "p99": round(late[min(int(0.99 * count), count - 1)] * 1e6, 1),
+        "max": round(late[-1] * 1e6, 1),
+    }
+
+
+def _slack() -> Finding:
+    slack = ctypes.CDLL(None).prctl(30, 0, 0, 0, 0)  # PR_GET_TIMERSLACK
+    if slack == 1:
+        return Finding("timer slack", "ok", "1 ns granted")
+    return Finding(
+        "timer slack",
+        "limited",
+        f"{slack} ns; setting 1 ns refused",
+        "write access to /proc/self/timerslack_ns: ticks come about 50 µs later without",
+    )
+
+
+def _punctuality(measured: dict[str, dict[str, float]]) -> Finding:
+    best = measured.get("fifo", measured["normal"])
+    text = "; ".join(
+        f"{name}: p50 {late['p50']:.0f}, p99 {late['p99']:.0f}, max {late['max']:.0f} µs late"
+        for name, late in measured.items()
+    )
+    if best["p99"] <= LATE * 1e6:
+        return Finding("wake-ups", "ok", text)
+    return Finding(
+        "wake-ups",
+        "limited",
+        text,
+        "stop what else runs on this machine, and see SCHED_FIFO, CPU governor and kernel above",
+    )
+
+
+def _findings(measured: dict[str, dict[str, float]]) -> Iterator[Finding]:
+    checks: tuple[Callable[[], Finding], ...] = (
+        _python,
+        _zeromq,
+        _runtime,
+        _open_files,
+        _processors,
+        _fifo,
+        _throttling,
+        _governor,
+        _sleep,
+        _preemption,
+        _memlock,
+    )
+    for check in checks:
+        yield check()
+    # As a node of the chain would run: pinned, and with FIFO where it is granted.
+    cpus = [realtime.quietest_processor()]
+    realtime.apply(Scheduling(cpus=cpus))
+    measured["normal"] = wake_ups()
+    yield _slack()
+    if not any("FIFO" in refused for refused in realtime.apply(Scheduling(cpus=cpus, fifo=FIFO))):
+        measured["fifo"] = wake_ups()
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    yield _punctuality(measured)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0 when a loop can run here, 1 when something essential is missing.
+    """
+    if not sys.platform.startswith("linux"):
+        text = f"{sys.platform}: haptic nodes run on Linux only"
+        answer(arguments.json, {"fine": False, "checks": [], "wake_up_us": {}, "error": text}, text)
+        return 1
+    measured: dict[str, dict[str, float]] = {}
+    findings = list(_findings(measured))
+    fine = all(finding.state != "missing" for finding in findings)
+    marks = {"ok": "ok ", "limited": "!  ", "missing": "NO "}
+    lines = []
+    for finding in findings:
+        lines.append(f"{marks[finding.state]} {finding.name:18} {finding.found}")
+        if finding.remedy:
+            lines.append(f"    {'':18} → {finding.remedy}")
+    limited = sum(finding.state == "limited" for finding in findings)
+    verdict = "nothing essential is missing" if fine else "a loop cannot run here"
+    lines.append(f"{verdict}{f'; {limited} settings could be better' if limited else ''}")
+    figures: dict[str, Any] = {
+        "fine": fine,
+        "checks": [asdict(finding) for finding in findings],
+        "wake_up_us": measured,
+    }
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0 if fine else 1

@@ -1,0 +1,296 @@
+"""Start a scenario: haptic launch floor_drop stiffness:=1500 rate:=1000."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+import sys
+import time
+from array import array
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from messages.transport.endpoints import is_remote
+from messages.transport.requests import ControlError, call
+from nodes.cli.main import UsageError, answer
+from nodes.launcher import launch_file
+from nodes.launcher.launch_spec import Launch
+from nodes.launcher.runs import RunError
+from nodes.launcher.supervisor import LaunchFailedError, Supervisor
+from nodes.parameters.store import ParameterError
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of this verb.
+    """
+    parser.add_argument("scenario", nargs="?", help="name of a launch file, or the path of one")
+    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    parser.add_argument("--list", action="store_true", help="list the scenarios")
+    parser.add_argument("--show-args", action="store_true", help="show the arguments of a scenario")
+    parser.add_argument("--without", action="append", default=[], metavar="NODE", help="leave a node out, e.g. logger")
+    parser.add_argument(
+        "--params",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="lay parameters over those of the nodes, as haptic param dump and haptic study design write them",
+    )
+    parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
+    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    parser.set_defaults(run=run)
+
+
+def _list() -> dict[str, Any]:
+    found = {}
+    for name, path in launch_file.scenarios().items():
+        summary, arguments = launch_file.read_arguments(path)
+        found[name] = {"summary": summary, "arguments": {key: value.default for key, value in arguments.items()}}
+    return {"scenarios": found}
+
+
+def _show_args(scenario: str) -> tuple[dict[str, Any], str]:
+    path = launch_file.find(scenario)
+    summary, arguments = launch_file.read_arguments(path)
+    lines = [f"{path.stem}: {summary}"]
+    figures = {}
+    for name, argument in arguments.items():
+        limits = [f"at least {argument.min:g}"] if argument.min is not None else []
+        limits += [f"at most {argument.max:g}"] if argument.max is not None else []
+        limits += [f"one of {', '.join(argument.choices)}"] if argument.choices else []
+        unit = f" {argument.unit}" if argument.unit else ""
+        bounds = f" ({'; '.join(limits)})" if limits else ""
+        lines.append(f"  {name}:={argument.default}{unit}   {argument.help}{bounds}")
+        figures[name] = {"default": argument.default, "unit": argument.unit, "help": argument.help}
+    return {"scenario": path.stem, "arguments": figures}, "\n".join(lines)
+
+
+class _StatusLine:
+    """One line on the terminal while the loop runs; nothing where there is no terminal."""
+
+    def __init__(self, launch: Launch) -> None:
+        self._launch = launch
+        self._axis = "xyz".index(launch.run.axes[0])
+        self._before = (time.monotonic(), 0)
+        self._live = sys.stderr.isatty()
+
+    def __call__(self, supervisor: Supervisor) -> None:
+        if not self._live or supervisor.context is None:
+            return
+        driver = next((child for child in supervisor.children.values() if child.drives and child.running), None)
+        if driver is None:
+            return
+        try:
+            now = call(supervisor.context, driver.setup.control, "progress", timeout=0.2)
+        except ControlError:
+            return
+        recent = array("d")
+        recent.frombytes(now["recent_s"])
+        responses = sorted(value for value in recent if value > 0.0) or [0.0]
+        clock, ticks = time.monotonic(), now["tick"]
+        rate = (ticks - self._before[1]) / (clock - self._before[0])
+        self._before = (clock, ticks)
+        of = f"/{now['ticks']}" if now["ticks"] else ""
+        p50, p99 = responses[len(responses) // 2] * 1e6, responses[int(len(responses) * 0.99)] * 1e6
+        sys.stderr.write(
+            f"\r\x1b[K{self._launch.scenario}  tick {ticks}{of}  {rate:.0f} Hz  force {now['force_n'][self._axis]:+.3f} N  "
+            f"response p50 {p50:.0f} µs p99 {p99:.0f} µs  missed {now['missed']}  {now['safety']}"
+        )
+        sys.stderr.flush()
+
+    def clear(self) -> None:
+        """Leave the line empty for what follows."""
+        if self._live:
+            sys.stderr.write("\r\x1b[K")
+
+
+@contextlib.contextmanager
+def _signals(supervisor: Supervisor) -> Iterator[None]:
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del frame
+        supervisor.stop(signal.Signals(number).name)
+
+    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _recordings(launch: Launch, supervisor: Supervisor) -> list[tuple[str, str]]:
+    """Where the recordings are: ``host:`` (empty on this machine) and path, so that scp understands the two together."""
+    found = []
+    for name, report in supervisor.reports.items():
+        if "recording" in report:
+            host = launch.nodes[name].host
+            place = f"[{host}]:" if ":" in host else f"{host}:"
+            found.append((place if host and is_remote(f"tcp://{place}1") else "", report["recording"]))
+    return found
+
+
+def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
+    """Collect the figures of a run from the reports of its nodes.
+
+    Parameters
+    ----------
+    launch : Launch
+        What ran.
+    supervisor : Supervisor
+        After its end.
+
+    Returns
+    -------
+    dict
+        The keys that are promised for ``haptic launch --json``.
+    """
+    driver = next((r for name, r in supervisor.reports.items() if supervisor.children[name].drives), {})
+    axis = "xyz".index(launch.run.axes[0])
+    final = driver.get("final", {})
+    single = len(launch.run.axes) == 1
+    recordings = [place + path for place, path in _recordings(launch, supervisor)]
+    return {
+        "scenario": launch.scenario,
+        "run": supervisor.run,
+        "ticks": driver.get("ticks", 0),
+        "missed": driver.get("missed", 0),
+        "overruns": driver.get("overruns", 0),
+        "rate_hz": driver.get("rate_hz", 0.0),
+        "response_us": driver.get("response_us", {}),
+        "age_ticks_max": driver.get("age_ticks_max", 0),
+        "energy_j": driver.get("energy_j", 0.0),
+        "energy_max_j": driver.get("energy_max_j", 0.0),
+        "guard": driver.get("guard"),
+        "safety": driver.get("safety", {}),
+        "recording": recordings[0] if recordings else None,
+        "recordings": recordings,
+        "plot": None,
+        "exit_reason": supervisor.exit_reason,
+        "startup_s": round(supervisor.startup_s, 3),
+        "final": {
+            key: (final[key][axis] if single else final[key]) if key in final else None
+            for key in ("position_m", "force_n")
+        },
+        "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
+    }
+
+
+def _safety_text(safety: dict[str, Any]) -> list[str]:
+    """Lines about what the driver's safety did; none for a run in which it had nothing to do."""
+    counts = [f"{number} refused ({why})" for why, number in safety.get("refused", {}).items() if number]
+    counts += [f"{number} lowered ({which})" for which, number in safety.get("limited", {}).items() if number]
+    reasons = safety.get("reasons", [])
+    # The first force is no news.
+    changes = [reason for reason in reasons if not reason.startswith("waiting → active")]
+    lines = [f"  safety    forces {', '.join(counts)}"] if counts else []
+    lines += [f"  safety    {text}" for text in (*safety.get("told", []), *changes)]
+    return lines
+
+
+def _text(launch: Launch, figures: dict[str, Any]) -> str:
+    response = figures["response_us"]
+    lines = [f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"]
+    if response:
+        lines.append(
+            f"  rate      {figures['rate_hz']:.2f} Hz, missed {figures['missed']}, overruns {figures['overruns']}, "
+            f"oldest force {figures['age_ticks_max']} ticks"
+        )
+        lines.append(
+            f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
+            f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs"
+        )
+    guard = figures["guard"]
+    if guard:
+        lines.append(
+            f"  guard     lowered {guard['lowered']} and raised {guard['raised']} forces; given out beyond what was in store: "
+            f"at most {guard['highest_j'] * 1e3:.4g} mJ"
+        )
+    lines += _safety_text(figures["safety"])
+    final = figures["final"]
+    if isinstance(final["position_m"], float):
+        lines.append(f"  at rest   position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N")
+    lines += [f"  recording {path}" for path in figures["recordings"]]
+    if figures["plot"]:
+        lines.append(f"  plot      {figures['plot']}")
+    return "\n".join(lines)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0 when the loop ended as planned, 1 when a node failed, 130 or 143 when it was interrupted before its time.
+    """
+    if arguments.list:
+        figures = _list()
+        lines = [f"{name:18} {entry['summary']}" for name, entry in figures["scenarios"].items()]
+        answer(arguments.json, figures, "\n".join(lines))
+        return 0
+    if arguments.scenario is None:
+        raise UsageError("name a scenario; haptic launch --list shows them")
+    try:
+        if arguments.show_args:
+            answer(arguments.json, *_show_args(arguments.scenario))
+            return 0
+        launch = launch_file.read(
+            arguments.scenario, launch_file.parse_assignments(arguments.assignments), arguments.params
+        )
+        return _launch(launch_file.without(launch, arguments.without), arguments)
+    except (ParameterError, RunError) as error:
+        raise UsageError(str(error)) from error
+
+
+def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
+    status = _StatusLine(launch)
+
+    def say(text: str) -> None:
+        status.clear()
+        print(f"[launch] {text}", file=sys.stderr, flush=True)
+
+    supervisor = Supervisor(launch, say)
+    with _signals(supervisor):
+        try:
+            supervisor.supervise(status)
+        except LaunchFailedError as error:
+            supervisor.failed = True
+            supervisor.exit_reason = str(error)
+            say(str(error))
+        except ControlError as error:
+            supervisor.failed = True
+            supervisor.exit_reason = str(error)
+            say(str(error))
+    status.clear()
+    figures = summarise(launch, supervisor)
+    # One on another machine is drawn there: haptic bag plot.
+    here = [path for place, path in _recordings(launch, supervisor) if not place]
+    if here and not arguments.no_plot and figures["ticks"]:
+        from nodes.recording.plot import plot
+        from nodes.recording.reader import Recording
+        from nodes.recording.writer import RecordError
+
+        picture = Path(here[0]).with_suffix(".png")
+        try:
+            plot(Recording(here[0]), picture, overwrite=True)
+            figures["plot"] = str(picture)
+        except RecordError as error:
+            say(f"no plot: {error}")
+    answer(arguments.json, figures, _text(launch, figures))
+    if supervisor.failed:
+        return 1
+    early = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
+    return early.get(supervisor.exit_reason, 0) if launch.run.ticks else 0

@@ -1,0 +1,260 @@
+"""List, show and switch the coupling's laws: haptic law switch multi_term."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from nodes.cli.ask import add_run, ask, chosen_run, node_name
+from nodes.cli.main import UsageError, answer
+from nodes.cli.param import told
+from nodes.parameters.store import ParameterError
+
+if TYPE_CHECKING:
+    from nodes.launcher.runs import RunInfo
+
+OFFLINE = (
+    "rate",
+    "mass",
+    "damping",
+    "delay",
+    "hand",
+    "stiffness",
+    "gain",
+    "order",
+    "taps",
+    "gains",
+    "derivative",
+    "launch",
+)
+"""Options of ``law show`` that describe a loop which need not run."""
+
+DEFAULTS = {"rate": 500.0, "mass": 0.1, "damping": 1.0, "delay": 0.0, "hand": 0.0}
+"""The seed's experiment, as in the studies: [Hz], [kg], [N s/m], [ticks], [N/m]."""
+
+ROWS = (
+    ("h1_n_per_m", "H(1), stiffness felt at rest", "N/m"),
+    ("h_nyquist_n_per_m", "H(−1), gain of encoder noise", "N/m"),
+    ("f_min_n_s_per_m", "least f(ω) (the lower, the more damping)", "N s/m"),
+    ("f_nyquist_n_s_per_m", "f at the Nyquist frequency", "N s/m"),
+    ("damping_needed_n_s_per_m", "device damping needed to be passive", "N s/m"),
+    ("delay_ticks", "delay of the loop", "ticks"),
+    ("pole_radius", "pole radius (stable below 1)", ""),
+)
+
+
+def _limited(least: float, strictly: bool) -> Callable[[str], float]:
+    def number(text: str) -> float:
+        value = float(text)
+        if not (least < value < float("inf") or (value == least and not strictly)):
+            raise argparse.ArgumentTypeError(
+                f"{text} must be {'above' if strictly else 'at least'} {least:g}, and finite"
+            )
+        return value
+
+    return number
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb ``law``.
+    """
+    sub = parser.add_subparsers(dest="chosen", metavar="list|show|switch", required=True)
+
+    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        own = sub.add_parser(name, help=text, description=text)
+        own.set_defaults(run=run)
+        own.add_argument("--node", default="coupling", help="the coupling that is meant (default: %(default)s)")
+        add_run(own)
+        return own
+
+    declare("list", _list, "List the laws that a running coupling can switch to; the active one is marked.")
+    switch = declare("switch", _switch, "Switch the law between two ticks; tells what both really render.")
+    switch.add_argument("law")
+    switch.add_argument("--ramp", type=int, metavar="TICKS", help="cross-fade (default: the coupling's own)")
+    show = declare(
+        "show",
+        _show,
+        "Show what a law really renders: in the running loop, in a launch file (--launch), or in a loop that you describe.",
+    )
+    show.add_argument(
+        "law", nargs="?", help="name of a law, kind or preset, or a mapping {kind: ...}; the active one if left out"
+    )
+    show.add_argument(
+        "assignments", nargs="*", metavar="name:=value", help="parameters of the law, or of the launch file"
+    )
+    show.add_argument("--launch", metavar="SCENARIO", help="law, rate and device of a launch file")
+    positive, not_negative = _limited(0.0, True), _limited(0.0, False)
+    show.add_argument("--rate", type=positive, help="rate of the loop [Hz]")
+    show.add_argument("--mass", type=positive, help="mass of the device [kg]")
+    show.add_argument("--damping", type=not_negative, help="viscous damping of the device [N s/m]")
+    show.add_argument("--delay", type=not_negative, help="delay of the loop [ticks]")
+    show.add_argument("--hand", type=not_negative, help="stiffness of a hand on the device [N/m]")
+    show.add_argument("--stiffness", type=positive, help="nominal K of the law [N/m]")
+    show.add_argument("--gain", type=not_negative, help="damping gain of the law [N s/m, or N s^α/m]")
+    show.add_argument("--order", type=positive, help="α of pd_alpha")
+    show.add_argument("--taps", type=int, help="length of the derivative's tap vector, n + 1")
+    show.add_argument("--gains", choices=("physical", "normalised"), help="unit of the gains")
+    show.add_argument("--derivative", help="realisation of the derivative, e.g. gl")
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    found = ask(run, node_name(run, arguments.node), "law.list")
+    width = max(map(len, found["laws"]))
+    lines = []
+    for name, law in found["laws"].items():
+        values = ", ".join(f"{key} {_short(value)}" for key, value in law.items() if key != "kind")
+        lines.append(f"{'*' if name == found['active'] else ' '} {name:{width}}  {law['kind']}: {values}")
+    if found["active"] not in found["laws"]:
+        lines.append(f"* {found['active']}: a law failed; haptic law switch takes another")
+    answer(arguments.json, {"run": run.run, **found}, "\n".join(lines))
+    return 0
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list) and len(value) > 4:
+        return f"[{len(value)} values]"
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return "[" + "; ".join(", ".join(f"{key} {inner}" for key, inner in term.items()) for term in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _table(columns: dict[str, dict[str, Any]]) -> list[str]:
+    """Lay out the figures of one or two laws."""
+    wide = max(len(label) for _, label, _ in ROWS)
+    lines = []
+    if len(columns) > 1:
+        lines.append(f"  {'':{wide}}  " + "  ".join(f"{name:>14}" for name in columns))
+    for key, label, unit in ROWS:
+        values = [figures.get(key) for figures in columns.values()]
+        if any(value is not None for value in values):
+            shown = "  ".join(f"{'—' if value is None else format(value, '.6g'):>14}" for value in values)
+            lines.append(f"  {label:{wide}}  {shown} {unit}".rstrip())
+    return lines
+
+
+def _switch(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    node = node_name(run, arguments.node)
+    values = {} if arguments.ramp is None else {"ramp": arguments.ramp}
+    receipt = ask(run, node, "law.switch", law=arguments.law, **values)
+    lines = [told(node, receipt)]
+    if "was" in receipt:
+        lines += _table({f"was {receipt['from']}": receipt["was"], f"is {receipt['to']}": receipt["is"]})
+    answer(arguments.json, {"run": run.run, "node": node, **receipt}, "\n".join(lines))
+    return 0
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    if ":=" in (arguments.law or ""):
+        # ``law show --launch floor_drop stiffness:=900``: no law named, the first word is an assignment.
+        arguments.assignments.insert(0, arguments.law)
+        arguments.law = None
+    try:
+        if arguments.launch is not None:
+            figures = _of_launch(arguments)
+        elif arguments.law is not None and _describes(arguments):
+            figures = _described(arguments)
+        else:
+            run = chosen_run(arguments)
+            figures = {"run": run.run, **_live(run, arguments)}
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
+    skipped = {"run", "law", "kind", "rate_hz", "taps_n_per_m", "sections", "plant", *(key for key, _, _ in ROWS)}
+    parameters = ", ".join(
+        f"{key} {_short(value)}"
+        for key, value in figures.items()
+        if key not in skipped and not key.startswith("f_") and key not in ("passive_scale",)
+    )
+    taps = figures["taps_n_per_m"]
+    lines = [
+        f"{figures['law']}: {figures.get('kind', '')} {parameters}".rstrip(),
+        f"  taps {', '.join(f'{tap:.6g}' for tap in taps[:8])}{f', … ({len(taps)})' if len(taps) > 8 else ''} N/m"
+        + (f", {figures['sections']} recursive sections" if figures["sections"] else ""),
+        *_table({"": figures}),
+    ]
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0
+
+
+def _describes(arguments: argparse.Namespace) -> bool:
+    """Whether a loop is described rather than a running one meant."""
+    from nodes.launcher.runs import RunError, runs
+
+    if arguments.assignments or any(getattr(arguments, name) is not None for name in OFFLINE):
+        return True
+    if arguments.law.lstrip().startswith("{"):
+        return True
+    try:
+        return arguments.run_name is None and not runs()
+    except RunError as error:
+        raise UsageError(str(error)) from error
+
+
+def _live(run: RunInfo, arguments: argparse.Namespace) -> dict[str, Any]:
+    node = node_name(run, arguments.node)
+    figures: dict[str, Any] = ask(run, node, "law.show", law=arguments.law or "")
+    return {"rate_hz": 1.0 / run.nodes[node].period, **figures}
+
+
+def _described(arguments: argparse.Namespace) -> dict[str, Any]:
+    from nodes.launcher.launch_file import parse_assignments
+    from nodes.laws.parse import compile_law, law_to_dict, parse_law
+    from nodes.parameters.yaml_io import parse_yaml
+    from nodes.stability.closed_loop import law_figures
+
+    data = parse_yaml(arguments.law, "law") if arguments.law.lstrip().startswith("{") else {"kind": arguments.law}
+    renamed = {"stiffness": "stiffness", "gain": "damping"}
+    for option in ("stiffness", "gain", "order", "taps", "gains", "derivative"):
+        value = getattr(arguments, option)
+        if value is not None:
+            data[renamed.get(option, option)] = value
+    law = parse_law({**data, **parse_assignments(arguments.assignments)})
+    loop = {
+        name: value if (value := getattr(arguments, name)) is not None else usual for name, usual in DEFAULTS.items()
+    }
+    period = 1.0 / loop["rate"]
+    figures = law_figures(compile_law(law, period), period, loop["mass"], loop["damping"], loop["delay"], loop["hand"])
+    plant = {"mass": loop["mass"], "damping": loop["damping"], "stiffness": loop["hand"]}
+    name = arguments.law if not isinstance(data, dict) or "{" not in arguments.law else law.kind
+    return {"law": name, "rate_hz": loop["rate"], **law_to_dict(law), "plant": plant, **figures}
+
+
+def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
+    import msgspec
+
+    from nodes.coupling.law_book import LawBook
+    from nodes.coupling.parameters import CouplingParameters, Plant
+    from nodes.launcher import launch_file
+    from nodes.parameters.store import convert
+
+    launch = launch_file.read(arguments.launch, launch_file.parse_assignments(arguments.assignments))
+    if arguments.node not in launch.nodes:
+        raise UsageError(f"{launch.scenario}: no node is named {arguments.node!r}; there is: {', '.join(launch.nodes)}")
+    parameters: CouplingParameters = convert(
+        launch.nodes[arguments.node].parameters, CouplingParameters, arguments.node
+    )
+    given = {
+        name: getattr(arguments, name) for name in ("mass", "damping", "delay") if getattr(arguments, name) is not None
+    }
+    if arguments.hand is not None:
+        given["stiffness"] = arguments.hand
+    if given:
+        plant = msgspec.to_builtins(parameters.plant) if parameters.plant is not None else {"mass": DEFAULTS["mass"]}
+        parameters = msgspec.structs.replace(parameters, plant=convert({**plant, **given}, Plant, "plant"))
+    book = LawBook(arguments.node, 1.0 / arguments.rate if arguments.rate is not None else launch.run.period)
+    name = arguments.law or parameters.law
+    delay = 1.0 if launch.run.apply == "next_tick" else 0.0
+    return {
+        "law": name,
+        "rate_hz": arguments.rate or launch.run.rate,
+        **book.description(parameters, name),
+        "plant": msgspec.to_builtins(parameters.plant),
+        **book.figures(parameters, name, delay),
+    }

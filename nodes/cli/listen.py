@@ -1,0 +1,96 @@
+"""Listen to topics of a running launch from beside it, as any number of listeners may without the loop noticing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterator
+from typing import NamedTuple
+
+from messages.codec import Decoder, MessageRefusedError
+from messages.topics import message_type
+from messages.transport.sockets import Subscription, new_context
+from messages.types import Message
+from nodes.base import realtime
+from nodes.launcher.runs import RunInfo, alive
+
+QUIET_MS = 100
+"""How often a listener that hears nothing looks up [ms]."""
+
+QUEUE = 100_000
+"""Messages that wait while the listener is busy."""
+
+
+class Heard(NamedTuple):
+    """A message and how it came.
+
+    Attributes
+    ----------
+    topic : str
+        Its topic.
+    message : Message or None
+        The message; None for one that was refused as malformed.
+    size : int
+        Bytes of both frames.
+    time : float
+        When it was received, on the host's monotonic clock [s].
+    """
+
+    topic: str
+    message: Message | None
+    size: int
+    time: float
+
+
+def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iterator[Heard | None]:
+    """Receive messages until the run ends or the time is over.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The run.
+    topics : collection of str
+        Topics to receive, all of them published in the run.
+    duration : float, optional
+        How long [s]; 0 for as long as the run lives.
+
+    Yields
+    ------
+    Heard or None
+        Each message; None about ten times a second while none comes, so that the caller can look up too.
+    """
+    # The socket's threads inherit it.
+    with realtime.off(run.processors):
+        yield from _listen(run, topics, duration)
+
+
+def _listen(run: RunInfo, topics: Collection[str], duration: float) -> Iterator[Heard | None]:
+    endpoints = run.endpoints()
+    names = {topic.encode(): topic for topic in topics}
+    decoders = {topic: Decoder(kind) for topic in topics if (kind := message_type(topic)) is not None}
+    context = new_context()
+    inbox = Subscription(context, {endpoints[topic] for topic in topics}, topics, QUEUE)
+    try:
+        until = time.monotonic() + duration if duration else float("inf")
+        while True:
+            frames = inbox.receive(QUIET_MS)
+            now = time.monotonic()
+            if now >= until:
+                return
+            if frames is None:
+                if not alive(run.launcher):
+                    return
+                yield None
+                continue
+            # A subscription is a prefix: what merely begins like a topic is not meant.
+            topic = names.get(frames[0])
+            if topic is None:
+                continue
+            message: Message | None
+            try:
+                message = decoders[topic].decode(frames[1])
+            except MessageRefusedError:
+                message = None
+            yield Heard(topic, message, len(frames[0]) + len(frames[1]), now)
+    finally:
+        inbox.close()
+        context.term()

@@ -1,0 +1,112 @@
+"""List the nodes of a running launch, tell what each one does, and start one by hand."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from nodes.cli.ask import add_run, ask, chosen_run, node_name
+from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.launcher.runs import RunError, RunInfo
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb ``node``.
+    """
+    sub = parser.add_subparsers(dest="chosen", metavar="list|info|start", required=True)
+    text = "List the nodes with kind, state and process number."
+    listing = sub.add_parser("list", help=text, description=text)
+    listing.set_defaults(run=_list)
+    add_run(listing)
+    text = "Tell a node's state, counters, topics and operations."
+    info = sub.add_parser("info", help=text, description=text)
+    info.set_defaults(run=_info)
+    info.add_argument("node")
+    add_run(info)
+    text = "Start a node that a launch waits for: one with by_hand or host in its launch file."
+    start = sub.add_parser("start", help=text, description=text)
+    start.set_defaults(run=_start)
+    start.add_argument("node")
+    start.add_argument(
+        "--bind", metavar="HOST:PORT", help="for a launch on another machine: where this node is reached"
+    )
+    start.add_argument("--curve", action="store_true", help="with --bind on loopback: encrypt as off it")
+    add_run(start)
+
+
+def _state(run: RunInfo, name: str) -> dict[str, Any]:
+    try:
+        found: dict[str, Any] = ask(run, name, "status")
+    except RefusedError as error:
+        # A node that is down or being started again must not hide the others.
+        return {"kind": run.nodes[name].kind, "state": "unreachable", "pid": 0, "error": str(error)}
+    return {key: found[key] for key in ("kind", "state", "pid", "ticks")}
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    found = {name: _state(run, name) for name in run.nodes}
+    width = max(map(len, found))
+    lines = [f"/{name:{width}}  {told['kind']:12} {told['state']:12} {told['pid']}" for name, told in found.items()]
+    answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
+    return 0
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    name = node_name(run, arguments.node)
+    info = ask(run, name, "info")
+    status = info["status"]
+    setup = run.nodes[name]
+    figures = {
+        "run": run.run,
+        "node": name,
+        "pace": setup.pace,
+        "rate_hz": 1.0 / setup.period,
+        "cpus": setup.scheduling.cpus,
+        "fifo": setup.scheduling.fifo,
+        "control": setup.control,
+        **info,
+    }
+    counters = ("ticks", "sent", "received", "refused", "skipped", "gaps", "denied")
+    offset, error = status["clock_offset"], status["clock_error"]
+    known = f"{-offset:+.6f} s from the launcher's, known to ±{error * 1e6:.0f} µs" if error else "the launcher's own"
+    lines = [
+        f"/{name}: {status['kind']}, {status['state']}, process {status['pid']}",
+        f"  {setup.pace} at {1.0 / setup.period:g} Hz, processors {setup.scheduling.cpus or 'any'}, "
+        f"FIFO {setup.scheduling.fifo or 'no'}",
+        "  " + ", ".join(f"{key} {status[key]}" for key in counters),
+        f"  memory {status['memory'] / 1e6:.1f} MB, processor time {status['cpu']:.2f} s",
+        f"  clock {known}",
+        "  publishes:",
+        *(f"    {topic}" for topic in info["publishes"]),
+        "  listens to:",
+        *(f"    {topic}" for topic in info["listens_to"] or ["(nothing)"]),
+        "  operations:",
+        *(f"    {operation}" for operation in info["operations"]),
+    ]
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0
+
+
+def _start(arguments: argparse.Namespace) -> int:
+    from nodes.launcher import join
+
+    if arguments.json:
+        raise UsageError("node start: a node has no figures to answer with; leave --json out")
+    try:
+        if arguments.bind is None:
+            run = chosen_run(arguments)
+            return join.start_here(run, node_name(run, arguments.node))
+        host, _, port = arguments.bind.rpartition(":")
+        if not host or not port.isdecimal() or not 0 < int(port) < 65535:
+            raise UsageError(f"--bind {arguments.bind}: expected HOST:PORT with a port from 1 to 65534")
+        return join.start_for(arguments.node, host.strip("[]"), int(port), arguments.curve)
+    except (ValueError, RunError) as error:
+        # Keys, endpoints and parameters are all refused by value.
+        raise UsageError(str(error)) from error

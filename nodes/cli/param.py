@@ -1,0 +1,145 @@
+"""List, read, change, save and load the parameters of running nodes: haptic param set coupling laws.pd.stiffness 1500."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from nodes.cli.ask import add_run, ask, chosen_run, node_name
+from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.parameters.store import ParameterError
+from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb ``param``.
+    """
+    sub = parser.add_subparsers(dest="chosen", metavar="list|get|set|dump|load", required=True)
+
+    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        own = sub.add_parser(name, help=text, description=text)
+        own.set_defaults(run=run)
+        add_run(own)
+        return own
+
+    listing = declare("list", _list, "List the parameters of a node, or of all.")
+    listing.add_argument("node", nargs="?", help="all nodes when left out")
+    get = declare("get", _get, "Read one parameter, or a branch of them.")
+    get.add_argument("node")
+    get.add_argument("name", help="e.g. laws.pd.stiffness, or laws.multi_term.terms[0].gain")
+    change = declare(
+        "set", _set, "Change parameters while the loop runs; several at once are one change, all or nothing."
+    )
+    change.add_argument("node")
+    change.add_argument("pairs", nargs="+", metavar="NAME VALUE", help="values as in YAML, e.g. laws.pd.stiffness 1500")
+    dump = declare("dump", _dump, "Write all parameters of a node as YAML, as load and the launch file read them.")
+    dump.add_argument("node")
+    dump.add_argument("--out", "-o", type=Path, metavar="FILE", help="write to a file that does not exist yet")
+    load = declare("load", _load, "Lay a YAML file, whole or in part, over a node's parameters; all or nothing.")
+    load.add_argument("node")
+    load.add_argument("file", help="written by dump or by a study; - for standard input")
+
+
+def _flow(value: Any) -> str:
+    return write_yaml(value, width=1_000_000).removesuffix("...\n").strip()
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    names = [node_name(run, arguments.node)] if arguments.node else list(run.nodes)
+    found = {name: ask(run, name, "param.list") for name in names}
+    lines = []
+    for name, values in found.items():
+        lines.append(f"/{name}:")
+        lines += [f"  {path}: {_flow(value)}" for path, value in values.items()] or ["  (none)"]
+    answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
+    return 0
+
+
+def _get(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    node = node_name(run, arguments.node)
+    value = ask(run, node, "param.get", name=arguments.name)
+    figures = {"run": run.run, "node": node, "name": arguments.name, "value": value}
+    answer(arguments.json, figures, _flow(value))
+    return 0
+
+
+def _set(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    node = node_name(run, arguments.node)
+    words = arguments.pairs
+    if len(words) % 2:
+        raise UsageError(f"param set {node}: {words[-1]!r} has no value; give NAME VALUE, as often as you like")
+    values: dict[str, Any] = {}
+    for name, text in zip(words[::2], words[1::2], strict=True):
+        if name in values:
+            raise UsageError(f"param set {node}: {name} stands twice")
+        try:
+            values[name] = parse_yaml(text, f"{node}.{name}")
+        except ParameterError as error:
+            raise UsageError(str(error)) from error
+    receipt = ask(run, node, "param.set", values=values)
+    answer(arguments.json, {"run": run.run, "node": node, "values": values, "receipt": receipt}, told(node, receipt))
+    return 0
+
+
+def told(node: str, receipt: dict[str, Any]) -> str:
+    """Tell a receipt to people.
+
+    Parameters
+    ----------
+    node : str
+        Name of the node.
+    receipt : dict
+        What the node answered to a change.
+
+    Returns
+    -------
+    str
+        One line.
+    """
+    text = f"/{node}: changed from tick {receipt['seq']} on"
+    if "force_step_n" in receipt:
+        laws = f"{receipt['from']} → {receipt['to']}" if receipt["from"] != receipt["to"] else receipt["to"]
+        fade = f", cross-fade of {receipt['ramp']} ticks" if receipt["ramp"] else ""
+        text += f", law {laws}, force step {receipt['force_step_n']:.3g} N{fade}"
+    return text
+
+
+def _dump(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    node = node_name(run, arguments.node)
+    parameters = ask(run, node, "param.dump")
+    text = write_yaml({node: parameters})
+    if arguments.out is not None:
+        try:
+            with open(arguments.out, "x", encoding="utf-8") as file:
+                file.write(text)
+        except OSError as error:
+            raise RefusedError(f"{arguments.out}: {error.strerror}") from error
+        text = f"{arguments.out}\n"
+    answer(arguments.json, {"run": run.run, "node": node, "parameters": parameters}, text.rstrip("\n"))
+    return 0
+
+
+def _load(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    node = node_name(run, arguments.node)
+    try:
+        values = parse_yaml(sys.stdin.read(), "-") if arguments.file == "-" else read_yaml(arguments.file)
+    except (ParameterError, UnicodeDecodeError) as error:
+        raise UsageError(str(error)) from error
+    receipt = ask(run, node, "param.load", values=values)
+    answer(
+        arguments.json, {"run": run.run, "node": node, "file": arguments.file, "receipt": receipt}, told(node, receipt)
+    )
+    return 0

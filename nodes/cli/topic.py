@@ -1,0 +1,333 @@
+"""List, show and measure the topics of a running launch."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import signal
+import time
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from messages.schema import schema
+from messages.topics import LOOP, message_type
+from nodes.cli.main import UsageError, answer
+
+if TYPE_CHECKING:
+    from nodes.cli.listen import Heard
+    from nodes.launcher.runs import RunInfo
+
+REPORT_PERIOD = 1.0
+"""How often the measuring sub-verbs tell where they are [s]."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb ``topic``.
+    """
+    sub = parser.add_subparsers(dest="chosen", metavar="list|info|echo|hz|bw|delay", required=True)
+
+    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        own = sub.add_parser(name, help=text, description=text)
+        own.set_defaults(run=run)
+        own.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
+        own.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+        return own
+
+    declare("list", _list, "List the topics with their types and publishers.")
+    declare("info", _info, "Tell a topic's type, fields with units, and publisher.").add_argument("topic")
+    echo = declare("echo", _echo, "Print the messages of a topic (with --json: one JSON object per line).")
+    echo.add_argument("--field", metavar="NAME", help="print only this field, e.g. position or position[2]")
+    measuring = [
+        echo,
+        declare("hz", _hz, "Measure rate and intervals of a topic, as received."),
+        declare("bw", _bw, "Measure the bandwidth of a topic."),
+        declare("delay", _delay, "Measure the time from a message's stamp to its receipt (realtime runs)."),
+    ]
+    for own in measuring:
+        own.add_argument("topic")
+        own.add_argument("--count", "-n", type=_count, default=0, metavar="N", help="end after so many messages")
+        own.add_argument("--duration", type=_seconds, default=0.0, metavar="S", help="end after so many seconds")
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} must be at least 1")
+    return value
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError(f"{text} must be above 0")
+    return value
+
+
+def _find(arguments: argparse.Namespace) -> RunInfo:
+    from nodes.launcher.runs import RunError, find_run
+
+    try:
+        return find_run(arguments.run_name)
+    except RunError as error:
+        raise UsageError(str(error)) from error
+
+
+def _published(run: RunInfo) -> dict[str, str]:
+    """Topic to the name of the node that publishes it."""
+    nodes = {endpoint: name for name, endpoint in run.publishers().items()}
+    return {topic: nodes[endpoint] for topic, endpoint in run.endpoints().items()}
+
+
+def _check(run: RunInfo, topic: str) -> None:
+    known = list(run.endpoints())
+    if topic not in known:
+        close = difflib.get_close_matches(topic, known, 1)
+        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+        raise UsageError(f"{run.run}: no topic {topic!r}; {hint}")
+
+
+def _type_name(topic: str) -> str:
+    kind = message_type(topic)
+    return kind.__name__ if kind is not None else "unknown"
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    run = _find(arguments)
+    found = {topic: {"type": _type_name(topic), "node": node} for topic, node in _published(run).items()}
+    width = max(map(len, found))
+    lines = [f"{topic:{width}}  {told['type']:12} {told['node']}" for topic, told in found.items()]
+    answer(arguments.json, {"run": run.run, "topics": found}, "\n".join(lines))
+    return 0
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    run, topic = _find(arguments), arguments.topic
+    _check(run, topic)
+    kind = message_type(topic)
+    told: dict[str, Any] = schema(kind) if kind is not None else {"properties": {}}
+    figures = {
+        "topic": topic,
+        "type": _type_name(topic),
+        "node": _published(run)[topic],
+        "endpoint": run.endpoints()[topic],
+        "per_tick": topic in LOOP,
+        "schema": told,
+    }
+    lines = [
+        f"{topic}  {figures['type']}",
+        f"  published by {figures['node']} on {figures['endpoint']}" + (", once per tick" if topic in LOOP else ""),
+    ]
+    width = max(map(len, told["properties"]), default=0)
+    lines += [
+        f"  {name:{width}}  {field['type']:8} {field['description']}" for name, field in told["properties"].items()
+    ]
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0
+
+
+class _Interrupt:
+    """Lets Ctrl-C and SIGTERM end the listening, so that the figures so far are told and sockets are closed."""
+
+    def __init__(self) -> None:
+        self.came = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.came = True
+
+
+def _heard(arguments: argparse.Namespace, run: RunInfo) -> Iterator[Heard | None]:
+    """Go through the messages of the topic asked for, until count, duration, a signal or the end of the run."""
+    from nodes.cli.listen import listen
+
+    interrupt = _Interrupt()
+    left = arguments.count or -1
+    for heard in listen(run, [arguments.topic], arguments.duration):
+        yield heard
+        left -= heard is not None
+        if left == 0 or interrupt.came:
+            return
+
+
+def _field(value: Any, path: str) -> Any:
+    """Take one field of a message's builtins, or one element of it."""
+    name, _, index = path.partition("[")
+    try:
+        found = value[name]
+        return found[int(index.rstrip("]"))] if index else found
+    except (KeyError, IndexError, ValueError, TypeError) as error:
+        raise UsageError(f"--field {path}: no such field; there are {', '.join(value)}") from error
+
+
+def _echo(arguments: argparse.Namespace) -> int:
+    run = _find(arguments)
+    _check(run, arguments.topic)
+    count = 0
+    for heard in _heard(arguments, run):
+        if heard is None or heard.message is None:
+            continue
+        count += 1
+        value = msgspec.to_builtins(heard.message)
+        if arguments.field:
+            value = _field(value, arguments.field)
+        if arguments.json:
+            print(json.dumps(value), flush=True)
+        elif isinstance(value, dict):
+            print("\n".join(f"{name}: {json.dumps(item, ensure_ascii=False)}" for name, item in value.items()))
+            print("---", flush=True)
+        else:
+            print(json.dumps(value, ensure_ascii=False), flush=True)
+    return 0 if count else 1
+
+
+class _Measure:
+    """What hz, bw and delay measure: takes what is heard, tells figures and one line.
+
+    Attributes
+    ----------
+    count, refused : int
+        Messages taken, and malformed ones.
+    """
+
+    def __init__(self) -> None:
+        self.count = self.refused = self._gaps = 0
+        self._first = self._last = 0.0
+        self._seq: int | None = None
+
+    def take(self, heard: Heard) -> None:
+        if heard.message is None:
+            self.refused += 1
+            return
+        if not self.count:
+            self._first = heard.time
+        self.count += 1
+        self._last = heard.time
+        if self._seq is not None and heard.topic in LOOP:
+            self._gaps += max(heard.message.seq - self._seq - 1, 0)
+        self._seq = heard.message.seq
+
+    def figures(self) -> dict[str, Any]:
+        span = self._last - self._first
+        rate = (self.count - 1) / span if span > 0.0 else 0.0
+        return {"messages": self.count, "refused": self.refused, "gaps": self._gaps, "rate_hz": rate}
+
+    def line(self) -> str:
+        raise TypeError(f"{type(self).__name__} does not say what it measures")
+
+
+class _Rate(_Measure):
+    def __init__(self) -> None:
+        from nodes.cli.spread import Spread
+
+        super().__init__()
+        self._interval = Spread()
+
+    def take(self, heard: Heard) -> None:
+        before, had = self._last, self.count
+        super().take(heard)
+        if had and heard.message is not None:
+            self._interval.add(heard.time - before)
+
+    def figures(self) -> dict[str, Any]:
+        return super().figures() | {"interval_s": self._interval.figures()}
+
+    def line(self) -> str:
+        rate, spread = super().figures()["rate_hz"], self._interval
+        return (
+            f"average rate: {rate:.3f} Hz   interval min {spread.low * 1e3:.3f}, max {spread.high * 1e3:.3f},"
+            f" std {spread.deviation * 1e3:.3f} ms   window: {self.count}, gaps: {self._gaps}"
+        )
+
+
+class _Bandwidth(_Measure):
+    def __init__(self) -> None:
+        from nodes.cli.spread import Spread
+
+        super().__init__()
+        self._size = Spread()
+
+    def take(self, heard: Heard) -> None:
+        super().take(heard)
+        self._size.add(heard.size)
+
+    def figures(self) -> dict[str, Any]:
+        common = super().figures()
+        size = self._size
+        told = {"mean": size.mean, "min": size.low, "max": size.high}
+        return common | {"bandwidth_bytes_per_s": common["rate_hz"] * size.mean, "size_bytes": told}
+
+    def line(self) -> str:
+        bandwidth, size = self.figures()["bandwidth_bytes_per_s"], self._size
+        return (
+            f"{bandwidth / 1e3:.2f} kB/s from {self.count} messages"
+            f"   size mean {size.mean:.0f}, min {size.low:.0f}, max {size.high:.0f} B"
+        )
+
+
+class _Delay(_Measure):
+    def __init__(self) -> None:
+        from nodes.cli.spread import Spread
+        from nodes.driver.response_times import ResponseTimes
+
+        super().__init__()
+        self._delay = Spread()
+        self._times = ResponseTimes()
+
+    def take(self, heard: Heard) -> None:
+        super().take(heard)
+        if heard.message is not None:
+            delay = heard.time - heard.message.stamp
+            self._delay.add(delay)
+            self._times.add(max(delay, 0.0))
+
+    def figures(self) -> dict[str, Any]:
+        shares = dict(zip(("p50", "p99"), self._times.percentiles(0.5, 0.99), strict=True))
+        return super().figures() | {"delay_s": self._delay.figures() | shares}
+
+    def line(self) -> str:
+        told = {name: f"{value * 1e6:.0f}" for name, value in self.figures()["delay_s"].items()}
+        return (
+            f"average delay: {told['mean']} µs   min {told['min']}, p50 {told['p50']}, p99 {told['p99']},"
+            f" max {told['max']}, std {told['std']} µs   window: {self.count}"
+        )
+
+
+def _measure(arguments: argparse.Namespace, run: RunInfo, measure: _Measure) -> int:
+    _check(run, arguments.topic)
+    following = time.monotonic() + REPORT_PERIOD
+    told = -1
+    for heard in _heard(arguments, run):
+        if heard is not None:
+            measure.take(heard)
+        if not arguments.json and time.monotonic() >= following:
+            following += REPORT_PERIOD
+            print(measure.line() if measure.count != told else "no new messages", flush=True)
+            told = measure.count
+    answer(arguments.json, {"topic": arguments.topic, **measure.figures()}, measure.line())
+    return 0 if measure.count else 1
+
+
+def _hz(arguments: argparse.Namespace) -> int:
+    return _measure(arguments, _find(arguments), _Rate())
+
+
+def _bw(arguments: argparse.Namespace) -> int:
+    return _measure(arguments, _find(arguments), _Bandwidth())
+
+
+def _delay(arguments: argparse.Namespace) -> int:
+    run = _find(arguments)
+    if any(setup.pace == "lockstep" for setup in run.nodes.values()):
+        raise UsageError(f"{run.run}: stamps are simulated time in lockstep, so they have no delay; pace:=realtime has")
+    return _measure(arguments, run, _Delay())

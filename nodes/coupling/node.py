@@ -1,0 +1,335 @@
+"""The coupling node: renders a force for each proxy with the law that is active now, and swaps laws while the wall is felt.
+
+A law is prepared on the control thread (validated, compiled, judged for stability, brought up to date, tried) and taken up
+between two ticks (nodes/coupling/renderer.py); what is refused leaves the running law untouched. A law that raises, returns a force
+that is not finite or overruns its budget is replaced within the same tick.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeAlias
+
+import msgspec
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.types import Force, Proxy, Receipt, Vector
+from nodes.base.follow import follow
+from nodes.base.node import Node
+from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.law_on_axis import History
+from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.time_budget import Budget
+from nodes.parameters.store import ParameterError, convert
+
+Scheduled: TypeAlias = tuple[int, ActiveLaw, int]
+"""Tick, law and ramp [ticks] of a swap to come."""
+
+ATTEMPTS = 5
+"""How often a law's own code is tried before it is found too slow."""
+
+SMOOTHING = 1.0 / 64.0
+"""Part of each tick's delay in the measured one: a mean over some 64 ticks, which one late tick does not throw."""
+
+
+def _least_delay(setup: Setup) -> float:
+    return 1.0 if setup.apply == "next_tick" else 0.0
+
+
+class Coupling(Node):
+    """Answers proxies with forces."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = CouplingParameters
+    publishes: ClassVar[tuple[str, ...]] = (topics.FORCE, topics.RECEIPT)
+    listens_to: ClassVar[tuple[str, ...]] = (topics.PROXY,)
+    answers: ClassVar[bool] = True
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Read every law, and compile those that will render, before anything is started.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        parameters: CouplingParameters = convert(setup.parameters, CouplingParameters, setup.name)
+        LawBook(setup.name, setup.period).check(parameters, _least_delay(setup))
+
+    # -- off the hot path --------------------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Compile the laws and the schedule, and load what later requests will need."""
+        parameters: CouplingParameters = self.store.current
+        self._realtime = self.setup.pace == "realtime"
+        self._delay = _least_delay(self.setup)
+        self._revision = 0
+        self._failed_text = ""
+        self._book = LawBook(self.setup.name, self.setup.period)
+        self._book.check(parameters, self._delay)
+        self._renderer = Renderer([AXIS_INDEX[axis] for axis in self.setup.axes], parameters.memory)
+        for reason in self._book.unfit(parameters):
+            self.announce("law", f"{reason}; it cannot be switched to")
+        self._settle(parameters, self._make_fallback(parameters))
+        self._renderer.law = self._prepare_law(parameters, parameters.law)
+        self._take_schedule(
+            [
+                (round(swap.at / self.setup.period), self._prepare_law(parameters, swap.law), swap.ramp)
+                for swap in sorted(parameters.schedule, key=lambda swap: swap.at)
+            ]
+        )
+        if parameters.figures or parameters.plant is not None:
+            # Importing numpy takes tens of milliseconds with the interpreter's lock: now, not while the wall is felt.
+            self._book.figures_of(parameters, self._renderer.law.compiled, self._delay)
+
+    def _take_schedule(self, schedule: list[Scheduled]) -> None:
+        self._schedule = schedule
+        if self._realtime:
+            # Replaying the history at the swap would take longer than a tick. In lockstep nobody waits, and the
+            # one-process scene replays it too.
+            self._renderer.standby = [law for _, law, _ in schedule if law.compiled.sections]
+
+    def _changed_schedule(self, parameters: CouplingParameters) -> list[Scheduled]:
+        """Compile anew what is scheduled and was changed."""
+        changed = []
+        for tick, law, ramp in list(self._schedule):
+            fresh = law
+            if self._book.text(parameters, law.name) != law.text:
+                fresh = self._prepare_law(parameters, law.name)
+                fresh.warm_up(self._renderer.snapshots())
+            changed.append((tick, fresh, ramp))
+        return changed
+
+    def _settle(self, parameters: CouplingParameters, fallback: ActiveLaw) -> None:
+        self._renderer.raw = parameters.history == "position"
+        self._renderer.clamp = parameters.clamp
+        self._renderer.fallback = fallback
+        self._budget = Budget(parameters.budget * self.setup.period if self._realtime else math.inf)
+
+    def _make_fallback(self, parameters: CouplingParameters) -> ActiveLaw:
+        compiled = parameters.fallback.compile(self.setup.period)
+        text = f'{{"law":"fallback","damping":{parameters.fallback.damping!r}}}'
+        return ActiveLaw("fallback", text, compiled, self._renderer.histories)
+
+    def _prepare_law(self, parameters: CouplingParameters, name: str) -> ActiveLaw:
+        compiled, told = self._book.compile(parameters, name, self._delay)
+        if told:
+            self.announce("stability", told)
+        return ActiveLaw(name, self._book.text(parameters, name), compiled, self._renderer.histories)
+
+    def _bring_up(self, law: ActiveLaw) -> None:
+        """Replay the history into the law's sections, and try its own code, on copies."""
+        snapshots = self._renderer.snapshots()
+        law.warm_up(snapshots)
+        if law.guarded:
+            self._try_out(law, snapshots)
+
+    def _try_out(self, law: ActiveLaw, snapshots: list[History]) -> None:
+        budget = Budget(self._budget.seconds)
+        over = ""
+        # This thread is not as urgent as the loop's: only a law that is never in time is too slow.
+        for _ in range(ATTEMPTS):
+            budget.start()
+            law.attempt(snapshots)
+            over = budget.overrun()
+            if not over:
+                return
+        raise ParameterError(f"law {law.name!r}: {over}; raise {self.setup.name}.budget or choose another law")
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare changed parameters: compile the active law anew, refuse what must not change while it runs.
+
+        Parameters
+        ----------
+        parameters : CouplingParameters
+            The parameters after the change.
+
+        Returns
+        -------
+        callable
+            Swaps the law between two ticks and returns the receipt.
+        """
+        now: CouplingParameters = self.store.current
+        return self._prepare(parameters, "set" if parameters.law == now.law else "switch", parameters.ramp)
+
+    def _prepare(self, parameters: CouplingParameters, action: str, ramp: int) -> Callable[[int], Any]:
+        now: CouplingParameters = self.store.current
+        self._book.refuse_fixed(now, parameters)
+        if parameters.stability == "refuse" and parameters.plant is None:
+            self._book.check(parameters, self._delay)
+        for name, law in parameters.laws.items():
+            if law != now.laws.get(name):
+                self._book.compile(parameters, name, self._delay, judge=False)
+        fallback = self._make_fallback(parameters)
+        law = self._prepare_law(parameters, parameters.law)
+        if action == "set" and law.text == self._failed_text:
+            # What failed does not come back because something else was set; switching to it by name does that.
+            law = fallback
+        self._bring_up(law)
+        schedule = self._changed_schedule(parameters)
+
+        def apply(seq: int) -> dict[str, Any]:
+            receipt = self._swap(seq, law, ramp, action, "asked")
+            self._settle(parameters, fallback)
+            self._take_schedule(schedule)
+            return receipt
+
+        return apply
+
+    def operations(self) -> dict[str, Callable[..., Any]]:
+        """Law operations beside the parameters.
+
+        Returns
+        -------
+        dict of str to callable
+            ``law.list``, ``law.show`` and ``law.switch``.
+        """
+        return {"law.list": self._list_laws, "law.show": self._show_law, "law.switch": self._switch_law}
+
+    def _list_laws(self) -> dict[str, Any]:
+        parameters: CouplingParameters = self.store.current
+        laws = {name: self._book.description(parameters, name) for name in self._book.names(parameters)}
+        return {"active": self._renderer.law.name, "laws": laws}
+
+    def _show_law(self, law: str = "") -> dict[str, Any]:
+        parameters: CouplingParameters = self.store.current
+        if law:
+            described = self._book.description(parameters, law)
+            return {"law": law, **described, **self._book.figures(parameters, law, self._delay)}
+        active = self._renderer.law
+        described = msgspec.json.decode(active.text)
+        return {**described, **self._book.figures_of(parameters, active.compiled, self._delay)}
+
+    def _switch_law(self, law: str, ramp: int | None = None) -> dict[str, Any]:
+        usual = self.store.current.ramp
+        wanted = {"law": law} if ramp is None else {"law": law, "ramp": ramp}
+        before = self._renderer.law
+        ramps = []
+
+        def make() -> Any:
+            changed: CouplingParameters = self.store.changed(wanted)
+            ramps.append(changed.ramp)
+            return msgspec.structs.replace(changed, ramp=usual)
+
+        receipt: dict[str, Any] = self.change_parameters(
+            make, lambda parameters: self._prepare(parameters, "switch", ramps[-1])
+        )
+        parameters: CouplingParameters = self.store.current
+        if parameters.figures:
+            receipt["was"] = self._book.figures_of(parameters, before.compiled, self._delay)
+            receipt["is"] = self._book.figures(parameters, law, self._delay)
+        return receipt
+
+    # -- between two ticks -------------------------------------------------------------------------------------------
+
+    def _swap(self, seq: int, law: ActiveLaw, ramp: int, action: str, reason: str) -> dict[str, Any]:
+        old = self._renderer.law
+        force_step = self._renderer.swap(law, ramp)
+        self._failed_text = self._failed_text if law.name == "fallback" else ""
+        self._file_receipt(seq, action, old, law, reason, force_step, ramp)
+        return {
+            "seq": seq,
+            "action": action,
+            "from": old.name,
+            "to": law.name,
+            "force_step_n": force_step,
+            "ramp": ramp,
+            "revision": self._revision,
+        }
+
+    def _file_receipt(
+        self, seq: int, action: str, old: ActiveLaw, new: ActiveLaw, reason: str, force_step: float = 0.0, ramp: int = 0
+    ) -> None:
+        self._revision += 1
+        receipt = Receipt(
+            seq=seq,
+            stamp=self.now(),
+            action=action,
+            before=old.text,
+            after=new.text,
+            force_step=force_step,
+            ramp=ramp,
+            reason=reason[:4000],
+            revision=self._revision,
+        )
+        self.post(topics.RECEIPT, receipt)
+
+    def _follow_schedule(self, seq: int) -> None:
+        while self._schedule and self._schedule[0][0] <= seq:
+            _, law, ramp = self._schedule.pop(0)
+            if law in self._renderer.standby:
+                self._renderer.standby.remove(law)
+            else:
+                law.warm_up(self._renderer.histories)
+            try:
+                self._swap(seq, law, ramp, "switch", "schedule")
+            except ParameterError as error:
+                self.announce("refused", f"scheduled swap at tick {seq}: {error}; the running law goes on")
+            else:
+                self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
+
+    # -- the tick ----------------------------------------------------------------------------------------------------
+
+    def _fall_back(self, proxy: Proxy, reason: str, pushes: list[int] | None = None) -> Vector:
+        failed = self._renderer.law
+        if not failed.guarded and pushes is not None:
+            reason = f"a law that was fading out {reason}"
+        force = self._renderer.fall_back(proxy, pushes)
+        self._failed_text = failed.text
+        self._file_receipt(proxy.seq, "fallback", failed, self._renderer.law, reason)
+        self.announce("fallback", f"law {failed.name!r} at tick {proxy.seq}: {reason}; the fallback renders now")
+        return force
+
+    def _guarded(self, proxy: Proxy) -> Vector:
+        """Render with a law that has code of its own, which may raise or take its time."""
+        pushes = self._renderer.pushes()
+        serving = self.serving
+        self._budget.start()
+        try:
+            force = self._renderer.render(proxy)
+        except Exception as error:  # noqa: BLE001  # a law from another package may raise anything
+            return self._fall_back(proxy, f"raised {type(error).__name__}: {error}", pushes)
+        over = self._budget.overrun(excused=self.serving != serving or serving % 2 == 1)
+        return self._fall_back(proxy, over) if over else force
+
+    def loop(self) -> None:
+        """Answer until stopped."""
+        self.state = "running"
+        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        take = follow(self, self.inbox, Decoder(Proxy), topics.PROXY)
+        topic, send, simulated = topics.FORCE.encode(), self.publisher.send, self._simulated
+        renderer, finite = self._renderer, math.isfinite
+        last = -1
+        payload = b""
+        while not self.stopping:
+            proxy = take()
+            if proxy is not None:
+                seq = proxy.seq
+                # A repeated tick (lockstep, after a lost answer) gets the same answer; the history must not see it twice.
+                if seq != last:
+                    if 0 <= last < seq - 1:
+                        renderer.bridge(proxy, seq - last - 1)
+                    if self._schedule:
+                        self._follow_schedule(seq)
+                    last = seq
+                    self._delay += (proxy.delay - self._delay) * SMOOTHING
+                    force = self._guarded(proxy) if renderer.guarded else renderer.render(proxy)
+                    if not finite(force[0] + force[1] + force[2]):
+                        force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
+                    stamp = proxy.stamp if simulated else self.now()
+                    payload = encode(
+                        Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=self._revision)
+                    )
+                send(topic, payload)
+                self.ticks += 1
+            if self.called:
+                self.between_ticks(self.seq + 1)

@@ -1,0 +1,278 @@
+"""Which law renders on all axes now, how another takes over between two ticks, and what takes over when it fails.
+
+Everything here runs on the loop's thread but the making and warming up of a law, which happens before it is handed over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from messages.types import Proxy, Vector
+from nodes.coupling.law_on_axis import Fade, History, LawOnAxis
+from nodes.kernels import deflection, one_sided, push
+from nodes.laws import CompiledLaw
+from nodes.parameters.store import ParameterError
+
+
+class ActiveLaw:
+    """A law ready to render on all axes.
+
+    Parameters
+    ----------
+    name : str
+        Its name in the parameters.
+    text : str
+        Name and parameters, for receipts.
+    compiled : CompiledLaw
+        What it renders.
+    histories : sequence of History
+        The live ones, one per axis.
+    """
+
+    def __init__(self, name: str, text: str, compiled: CompiledLaw, histories: Sequence[History]) -> None:
+        self.name = name
+        self.text = text
+        self.compiled = compiled
+        self.axes = [LawOnAxis(compiled, history) for history in histories]
+
+    @property
+    def guarded(self) -> bool:
+        """Whether it has code of its own, which may raise or take its time."""
+        return self.compiled.evaluate is not None
+
+    def warm_up(self, histories: Sequence[History]) -> None:
+        """Bring recursive sections up to date.
+
+        Parameters
+        ----------
+        histories : sequence of History
+            The live ones, or snapshots.
+        """
+        for axis, history in zip(self.axes, histories, strict=True):
+            axis.warm_up(history)
+
+    def catch_up(self) -> None:
+        """Let recursive sections see what was pushed since they last did."""
+        for axis in self.axes:
+            axis.catch_up()
+
+    def attempt(self, histories: Sequence[History]) -> None:
+        """Call the law's own code once, before it may render.
+
+        Parameters
+        ----------
+        histories : sequence of History
+            The live ones, or snapshots.
+
+        Raises
+        ------
+        ParameterError
+            When it raises or its force is not finite.
+        """
+        for axis, history in zip(self.axes, histories, strict=True):
+            try:
+                force = axis.own(history)
+                finite = math.isfinite(force)
+            except Exception as error:  # a law of another package may raise anything
+                raise ParameterError(f"law {self.name!r}: raised {type(error).__name__}: {error}") from error
+            if not finite:
+                raise ParameterError(f"law {self.name!r}: returned {force}, which is not a finite force")
+
+
+class Renderer:
+    """One deflection history per axis, the law that renders them, those that fade out, and the fallback.
+
+    Parameters
+    ----------
+    axes : sequence of int
+        The axes that the scene computes: 0, 1, 2.
+    memory : int
+        Ticks of deflection that are kept.
+
+    Attributes
+    ----------
+    histories : list of History
+        One per axis.
+    law : ActiveLaw
+        What renders now; set before the first tick.
+    name : str
+        Its name.
+    guarded : bool
+        Whether a tick runs a law's own code.
+    fallback : ActiveLaw
+        What renders when that fails; set before the first tick.
+    standby : list of ActiveLaw
+        Laws that will take over later and whose sections run along until then.
+    raw, clamp : bool
+        Contact conventions: see nodes/kernels.py.
+    """
+
+    fallback: ActiveLaw
+
+    def __init__(self, axes: Sequence[int], memory: int) -> None:
+        self._axes = list(axes)
+        self.histories = [History(memory) for _ in axes]
+        self.standby: list[ActiveLaw] = []
+        self._fades: list[Fade] = []
+        self.guarded = False
+        self.name = ""
+        self.raw = False
+        self.clamp = True
+
+    @property
+    def law(self) -> ActiveLaw:
+        """What renders now."""
+        return self._law
+
+    @law.setter
+    def law(self, law: ActiveLaw) -> None:
+        self._law = law
+        self.name = law.name
+        self.guarded = law.guarded
+        # Together, as a tick needs them.
+        self._lines = list(zip(range(len(self._axes)), self._axes, self.histories, law.axes, strict=True))
+
+    def _deflection(self, proxy: Proxy, i: int) -> float:
+        return deflection(proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, self.raw)
+
+    def render(self, proxy: Proxy) -> Vector:
+        """Take one tick's deflection and render the force that answers it.
+
+        Parameters
+        ----------
+        proxy : Proxy
+            Of the tick.
+
+        Returns
+        -------
+        tuple of float, shape (3,)
+            Force [N].
+        """
+        force = [0.0, 0.0, 0.0]
+        position, surface, normals, contact = proxy.position, proxy.proxy, proxy.normal, proxy.contact
+        distance, raw, clamp, fades = proxy.distance, self.raw, self.clamp, self._fades
+        for n, i, history, law in self._lines:
+            normal = normals[i]
+            value = deflection(position[i], surface[i], distance, normal, contact, raw)
+            head = history.head = push(history.values, history.head, history.length, value)
+            history.pushes += 1
+            value = law.sum_of_taps(head) if law.plain else law.force()
+            if fades:
+                value = fades[n].mix(value)
+            force[i] = one_sided(value, normal, contact, raw, clamp)
+        if fades and fades[0].over:
+            self._end_fades()
+        for waiting in self.standby:
+            waiting.catch_up()
+        return force[0], force[1], force[2]
+
+    def _end_fades(self) -> None:
+        self._fades = []
+        self.guarded = self._law.guarded
+
+    def bridge(self, proxy: Proxy, missing: int) -> None:
+        """Fill lost ticks by a straight line up to the present one, which is not yet rendered.
+
+        Parameters
+        ----------
+        proxy : Proxy
+            Of the present tick.
+        missing : int
+            Ticks lost.
+        """
+        for n, i in enumerate(self._axes):
+            self.histories[n].bridge(self._deflection(proxy, i), missing)
+            self.law.axes[n].catch_up()
+            for leaving, _ in self._fades[n].leaving if self._fades else ():
+                leaving.catch_up()
+
+    def swap(self, law: ActiveLaw, ramp: int) -> float:
+        """Let another law take over from the next tick on; all or nothing.
+
+        Parameters
+        ----------
+        law : ActiveLaw
+            Warmed up.
+        ramp : int
+            Ticks of cross-fade; 0 for none.
+
+        Returns
+        -------
+        float
+            Norm of the difference between the new law's force and the present one, at the present deflection [N].
+
+        Raises
+        ------
+        ParameterError
+            When the new law fails at once; the running law is untouched.
+        """
+        law.catch_up()
+        if law.guarded:
+            law.attempt(self.histories)
+        steps = []
+        leaving = []
+        for n, (before, after) in enumerate(zip(self.law.axes, law.axes, strict=True)):
+            shares = self._fades[n].shares(before) if self._fades else [(before, 1.0)]
+            steps.append(after.present() - sum(share * part.present() for part, share in shares))
+            leaving.append(shares)
+        step = math.hypot(*steps)
+        if not math.isfinite(step):
+            raise ParameterError(
+                f"law {law.name!r}: a force step of {step} N; its taps are too large for the present deflection"
+            )
+        guarded = self.guarded
+        self._fades = [Fade(shares, ramp) for shares in leaving] if ramp > 0 else []
+        self.law = law
+        if self._fades:
+            # As long as the laws that leave run their own code.
+            self.guarded = self.guarded or guarded
+        return step
+
+    def fall_back(self, proxy: Proxy, pushes: Sequence[int] | None = None) -> Vector:
+        """Replace a failed law by the fallback within the same tick.
+
+        Parameters
+        ----------
+        proxy : Proxy
+            Of the tick.
+        pushes : sequence of int, optional
+            How many values each history held before the tick, when the failed law may have kept some from taking theirs.
+
+        Returns
+        -------
+        tuple of float, shape (3,)
+            The fallback's force [N]; zero should even that not be finite.
+        """
+        self._end_fades()
+        self.law = self.fallback
+        force = [0.0, 0.0, 0.0]
+        for n, i in enumerate(self._axes):
+            history = self.histories[n]
+            if pushes is not None and history.pushes == pushes[n]:
+                history.push(self._deflection(proxy, i))
+            value = one_sided(self.law.axes[n].force(), proxy.normal[i], proxy.contact, self.raw, self.clamp)
+            force[i] = value if math.isfinite(value) else 0.0
+        for law in self.standby:
+            law.catch_up()
+        return force[0], force[1], force[2]
+
+    def pushes(self) -> list[int]:
+        """Tell how many deflections each axis has taken.
+
+        Returns
+        -------
+        list of int
+            One per axis.
+        """
+        return [history.pushes for history in self.histories]
+
+    def snapshots(self) -> list[History]:
+        """Copy the histories from another thread.
+
+        Returns
+        -------
+        list of History
+            One per axis.
+        """
+        return [history.snapshot() for history in self.histories]

@@ -1,0 +1,152 @@
+"""The driver's limits: of the device's and the launch file's, the lower of each; who asks for more is told so."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import msgspec
+
+from nodes.driver.device import Bounds, DeviceLimits, Workspace
+
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+
+STOP_TIME = 1.5
+"""Longest way from the largest force down to zero [s]; a launcher waits twice as long before it presses on."""
+
+
+class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Limits of the driver; what is None is left to the device's own limit.
+
+    Attributes
+    ----------
+    watchdog : int
+        Ticks without a fresh force before damping begins; armed by the first force.
+    damping_ticks : int
+        Ticks of damping before the force is zero.
+    damping : float
+        Damper against the device's own velocity meanwhile [N s/m].
+    max_age : int
+        Oldest force that is accepted [ticks].
+    peak_force : float or None
+        Largest magnitude on an axis [N].
+    continuous_force : float or None
+        Largest root-mean-square force over `thermal_time` [N].
+    thermal_time : float
+        Time constant of the motor's heating [s].
+    slew : float or None
+        Fastest change of force [N/s].
+    ramp : float
+        Time in which forces grow to their full size after a start or a recovery [s].
+    workspace : tuple of tuple of float, shape (3, 2), or None
+        Smallest and largest coordinate of each axis [m]; outside there is no force.
+    """
+
+    watchdog: Annotated[int, msgspec.Meta(ge=1)] = 10
+    damping_ticks: Annotated[int, msgspec.Meta(ge=0)] = 50
+    damping: NonNegative = 0.5
+    max_age: Annotated[int, msgspec.Meta(ge=0)] = 5
+    peak_force: Positive | None = None
+    continuous_force: Positive | None = None
+    thermal_time: Positive = 1.0
+    slew: Positive | None = None
+    ramp: NonNegative = 0.0
+    workspace: Workspace | None = None
+
+
+class Limits(msgspec.Struct, frozen=True, kw_only=True):
+    """What holds: of the device's limits and the launch file's, the lower of each.
+
+    Attributes
+    ----------
+    peak : float or None
+        Largest magnitude on an axis [N].
+    slew : float or None
+        Largest change per tick [N].
+    continuous : float or None
+        Largest root-mean-square force [N].
+    watchdog, damping_ticks, max_age : int
+        As in the parameters [ticks].
+    workspace : tuple of tuple of float, shape (3, 2)
+        Smallest and largest coordinate of each axis [m].
+    told : tuple of str
+        What the launch file asked for in vain: path, value, limit and what holds instead.
+    """
+
+    peak: float | None
+    slew: float | None
+    continuous: float | None
+    watchdog: int
+    damping_ticks: int
+    max_age: int
+    workspace: Workspace
+    told: tuple[str, ...]
+
+
+def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, where: str = "safety") -> Limits:
+    """Take the lower of what a launch file asks for and what the device bears.
+
+    Parameters
+    ----------
+    parameters : SafetyParameters
+        Of the launch file.
+    device : DeviceLimits
+        Of the device; they hold whatever the parameters say.
+    period : float
+        Sampling period T [s].
+    where : str
+        Path of the parameters, for what is told.
+
+    Returns
+    -------
+    Limits
+        What holds.
+    """
+    told: list[str] = []
+
+    def least(name: str, wanted: float | None, bears: float, unit: str) -> float | None:
+        if wanted is not None and wanted > bears:
+            told.append(f"{where}.{name}: {wanted:g} {unit}, limit {bears:g} {unit} of the device, which holds")
+        value = bears if wanted is None else min(bears, wanted)
+        return value if math.isfinite(value) else None
+
+    peak = least("peak_force", parameters.peak_force, device.peak_force, "N")
+    slew = least("slew", parameters.slew, device.slew, "N/s")
+    if slew is not None and (peak is None or peak > slew * STOP_TIME):
+        # What could not be taken down in time is not built up: the soft stop must end, and within the slew.
+        if peak is not None:
+            told.append(
+                f"{where}.slew: {slew:g} N/s takes {peak / slew:.3g} s from {peak:g} N to zero, limit {STOP_TIME:g} s; "
+                f"the largest force is {slew * STOP_TIME:g} N"
+            )
+        peak = slew * STOP_TIME
+    silence = device.silence / period
+    ticks = {}
+    for name, least_ticks in (("watchdog", 1), ("damping_ticks", 0), ("max_age", 0)):
+        wanted = getattr(parameters, name)
+        most = max(least_ticks, int(silence)) if math.isfinite(silence) else wanted
+        if wanted > most and wanted != getattr(SafetyParameters(), name):
+            told.append(
+                f"{where}.{name}: {wanted} ticks, limit {most} ticks ({device.silence:g} s) of the device, which holds"
+            )
+        ticks[name] = min(wanted, most)
+    bounds: list[Bounds] = []
+    for axis, (low, high) in enumerate(device.workspace):
+        wanted_low, wanted_high = (-math.inf, math.inf) if parameters.workspace is None else parameters.workspace[axis]
+        if parameters.workspace is not None and (wanted_low < low or wanted_high > high):
+            told.append(
+                f"{where}.workspace[{axis}]: {wanted_low:g} to {wanted_high:g} m, limit {low:g} to {high:g} m of the device, "
+                "which holds"
+            )
+        bounds.append((max(low, wanted_low), min(high, wanted_high)))
+    return Limits(
+        peak=peak,
+        slew=None if slew is None else slew * period,
+        continuous=least("continuous_force", parameters.continuous_force, device.continuous_force, "N"),
+        watchdog=ticks["watchdog"],
+        damping_ticks=ticks["damping_ticks"],
+        max_age=ticks["max_age"],
+        workspace=(bounds[0], bounds[1], bounds[2]),
+        told=tuple(told),
+    )

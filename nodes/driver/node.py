@@ -1,0 +1,449 @@
+"""The driver node: the clock of the loop, and the only one that touches the device.
+
+At each tick it samples the position, publishes it, and waits for the force that answers this very tick. ``realtime`` waits
+until the next absolute deadline and goes on without an answer if it must; ``lockstep`` waits for the answer, however long,
+so a run is deterministic and as fast as the machine allows. What happened in a tick is told by the next state message.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.transport.sockets import TimedOut
+from messages.types import ZERO, DeviceState, Force, Vector
+from nodes.base import realtime
+from nodes.base.node import IDLE_MS, Node
+from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.driver.device import Device
+from nodes.driver.limits import SafetyParameters
+from nodes.driver.mean_force import Split
+from nodes.driver.passivity import PassivityGuard, PassivityParameters, observe
+from nodes.driver.response_times import ResponseTimes
+from nodes.driver.safety import Safety
+from nodes.parameters.store import ParameterError, convert
+
+ASK_AGAIN = 0.5
+"""In lockstep, a tick without an answer for so long is published again: its answer was lost with a node [s]."""
+
+
+class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters that every driver has.
+
+    Attributes
+    ----------
+    safety : SafetyParameters
+        Limits; see nodes/driver/limits.py.
+    passivity : PassivityParameters or None
+        Passivity observer and controller after the law; see nodes/driver/passivity.py. None for none.
+    """
+
+    safety: SafetyParameters = SafetyParameters()
+    passivity: PassivityParameters | None = None
+
+
+class Driver(Node):
+    """Base of the drivers: a kind of device defines `make_device` and adds its own parameters.
+
+    Attributes
+    ----------
+    virtual : bool
+        Whether the device lives in simulated time and can wait.
+    """
+
+    Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
+    publishes: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
+    listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
+    virtual: ClassVar[bool] = False
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Check pace and workspace before anything is started.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        if setup.pace == "lockstep" and not cls.virtual:
+            raise ParameterError(
+                f"{setup.name}: pace lockstep waits for each force, however long, which no device but a virtual one can; "
+                "use realtime"
+            )
+        workspace = convert(setup.parameters, cls.Parameters, setup.name).safety.workspace
+        for axis, (low, high) in enumerate(workspace or ()):
+            if not low < high:
+                raise ParameterError(
+                    f"{setup.name}.safety.workspace[{axis}]: {low:g} to {high:g} m, expected low to high: outside it there "
+                    "is no force"
+                )
+
+    def make_device(self) -> Device:
+        """Make the device from the parameters; do not open it yet.
+
+        Returns
+        -------
+        Device
+            The device.
+        """
+        raise TypeError(f"driver kind {self.setup.kind!r} does not define make_device()")
+
+    def configure(self) -> None:
+        """Make the device and its safety."""
+        self._device = self.make_device()
+        self._axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
+        self._safety = Safety(
+            self.store.current.safety,
+            self._device.limits,
+            self.setup.period,
+            self._axes,
+            self._tell_safety,
+            f"{self.setup.name}.safety",
+        )
+        passivity = self.store.current.passivity
+        guarded = passivity is not None and passivity.guard == "on"
+        self._guard = PassivityGuard(passivity, self.setup.period, self._axes) if guarded else None
+        self._open = False
+        self._soft_stop_ticks = 0
+        self._position: Vector = ZERO
+        self._before: Vector = ZERO
+        # Mean force since the sample before: what acted, exact under zero-order hold.
+        self._acting: list[float] = [0.0, 0.0, 0.0]
+        self._held = 1
+        # The device lets go by itself so many ticks after the last force that was written.
+        self._bears = self._device.limits.hold / self.setup.period
+        self._written = 0
+        self._response = self._lateness = self._delay = self._energy = 0.0
+        self._age = self._missed = self._overruns = 0
+        self._responses = ResponseTimes()
+        self._oldest_age = 0
+        self._highest_energy = 0.0
+        self._first_stamp = self._last_stamp = 0.0
+        self._complete = False
+
+    def _tell_safety(self, kind: str, reason: str) -> None:
+        # Every change of state is published, whatever else happened; refusals by the thousand are not.
+        self.tell(kind, reason, always=kind == "safety")
+
+    def operations(self) -> dict[str, Callable[..., Any]]:
+        """Offer what the launcher's status line asks for.
+
+        Returns
+        -------
+        dict of str to callable
+            ``progress``.
+        """
+        return {"progress": self._progress}
+
+    def _progress(self) -> dict[str, Any]:
+        return {
+            "tick": self.ticks,
+            "ticks": self.setup.ticks,
+            "position_m": list(self._position),
+            "force_n": list(self._safety.force),
+            "safety": self._safety.state,
+            "missed": self._missed,
+            "overruns": self._overruns,
+            "recent_s": self._responses.recent.tobytes(),
+            "answered": self._responses.count,
+        }
+
+    def report(self) -> dict[str, Any]:
+        """Summarise the run.
+
+        Returns
+        -------
+        dict
+            Figures with units in the keys.
+        """
+        span = self._last_stamp - self._first_stamp
+        return {
+            "complete": self._complete,
+            "ticks": self.ticks,
+            "missed": self._missed,
+            "overruns": self._overruns,
+            "answered": self._responses.count,
+            "forces_refused": sum(self._safety.refused.values()),
+            "safety": {**self._safety.summary(), "soft_stop_ticks": self._soft_stop_ticks},
+            "rate_hz": (self.seq - self._first_seq) / span if span > 0.0 else 0.0,
+            "response_us": self._responses.summary_us(),
+            "age_ticks_max": self._oldest_age,
+            "energy_j": self._energy,
+            "energy_max_j": self._highest_energy,
+            "guard": self._guard.summary() if self._guard else None,
+            "final": {"position_m": list(self._position), "force_n": list(self._safety.force)},
+        }
+
+    # -- one tick ----------------------------------------------------------------------------------------------------
+
+    def _sample(self, seq: int, stamp: float) -> float:
+        """Sample the device and publish its state, with the report of the tick before; when it was published [s]."""
+        position = self._device.read_position(seq)
+        safety = self._safety
+        self._held = 1
+        before = self._before = self._position
+        if not safety.watch_position(position, seq):
+            position = before
+        self._position = position
+        force, acting = safety.force, self._acting
+        guard = self._guard
+        if self.ticks:
+            for i in self._axes:
+                self._energy = observe(self._energy, acting[i], position[i] - before[i])
+            if self._energy > self._highest_energy:
+                self._highest_energy = self._energy
+            if guard is not None:
+                guard.observe(acting, before, position)
+        self.seq = seq
+        payload = encode(
+            DeviceState(
+                seq=seq,
+                stamp=stamp,
+                position=position,
+                force=force,
+                force_seq=safety.force_seq,
+                age=self._age,
+                response=self._response,
+                lateness=self._lateness,
+                missed=self._missed,
+                overruns=self._overruns,
+                safety=safety.state,
+                energy=self._energy,
+                delay=self._delay,
+                guard=guard.energy if guard is not None else 0.0,
+            )
+        )
+        self.sent += 1
+        # Taken before sending: under FIFO the whole chain may run before the call returns.
+        published = time.monotonic()
+        self.publisher.send_hop(self._topic, payload)
+        self._unlistened = payload
+        return published
+
+    def _tell_listeners(self) -> None:
+        """Publish the tick's state to the listeners too, when nothing waits for it any more."""
+        if self.publisher.apart:
+            self.publisher.send_aside(self._topic, self._unlistened)
+
+    def loop(self) -> None:
+        """Tick until stopped or done."""
+        self._topic = topics.DEVICE_STATE.encode()
+        self._expected = topics.FORCE.encode()
+        self._decoder = Decoder(Force)
+        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        # Set first: a device that failed half-way is closed too.
+        self._open = True
+        self._device.open()
+        self.started.wait()
+        self.state = "running"
+        self._first_seq = 0
+        if not self.stopping:
+            end = self.setup.ticks or 2**62
+            if self.setup.pace == "lockstep":
+                self._lockstep(end)
+            else:
+                self._realtime(end)
+            self._complete = self.seq >= end
+            if self._complete:
+                self.stop("done")
+
+    def _lockstep(self, end: int) -> None:
+        inbox = self.inbox
+        assert inbox is not None  # noqa: S101
+        next_frame, device, safety, period = inbox.next_frame, self._device, self._safety, self.setup.period
+        inbox.set_timeout(IDLE_MS)
+        clock, note = time.monotonic, self._responses.add
+        late = 1 if self.setup.apply == "next_tick" else 0
+        guard = self._guard
+        self._first_stamp = time.monotonic()
+        seq = 0
+        acting = ZERO
+        while seq < end and not self.stopping:
+            sent = asked = self._sample(seq, seq * period)
+            while not self.stopping:
+                try:
+                    frames = next_frame(), next_frame()
+                except TimedOut:
+                    if time.monotonic() - asked > ASK_AGAIN:
+                        asked = time.monotonic()
+                        self.tell("unanswered", f"tick {seq} has no answer; asking again")
+                        self._ask_again(seq)
+                    self.between_ticks(seq)
+                    continue
+                force = self.take(self._decoder, frames, self._expected)
+                if force is not None and force.seq == seq and safety.admit(force, seq):
+                    self._response = response = clock() - sent
+                    note(response)
+                    wanted = force.force if guard is None else guard.control(force.force, acting, float(late))
+                    command = safety.command(wanted, seq, seq)
+                    device.write_force(command, seq + late, 0.0)
+                    self._acting = list(acting if late else command)
+                    acting = command
+                    self.ticks += 1
+                    self._delay = float(late)
+                    seq += 1
+                    break
+                self.skipped += 1
+            self._tell_listeners()
+            if self.called:
+                self.between_ticks(seq)
+        self._last_stamp = time.monotonic()
+        self._sample(seq, seq * period)
+        self._tell_listeners()
+
+    def _ask_again(self, seq: int) -> None:
+        state = DeviceState(seq=seq, stamp=seq * self.setup.period, position=self._position, safety=self._safety.state)
+        self.publisher.send_hop(self._topic, encode(state))
+
+    def _epoch(self) -> float:
+        """When tick 0 is or was: a respawned driver goes on counting where its predecessor was killed."""
+        path = Path(self.setup.run_dir) / f"{self.setup.name}.epoch"
+        if path.exists():
+            return float(path.read_text(encoding="ascii"))
+        epoch = time.monotonic() + 0.002
+        path.write_text(repr(epoch), encoding="ascii")
+        return epoch
+
+    def _realtime(self, end: int) -> None:
+        inbox = self.inbox
+        assert inbox is not None  # noqa: S101
+        period, device, safety = self.setup.period, self._device, self._safety
+        next_tick = self.setup.apply == "next_tick"
+        guard = self._guard
+        epoch = self._epoch()
+        seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
+        acting = ZERO
+        following_command: Vector | None = None
+        belated: tuple[tuple[bytes, bytes], float] | None = None
+        heard = False
+        while seq < end and not self.stopping:
+            deadline = epoch + seq * period
+            now = realtime.sleep_until(deadline)
+            late = now - deadline
+            if late >= period:
+                # The driver itself was held up: the ticks that are over cannot be sampled any more, only counted.
+                lost = min(int(late / period), end - seq)
+                self._overruns += lost
+                self._hold(seq, lost)
+                seq += lost
+                self._lateness = late
+                continue
+            self._lateness = late
+            if following_command is not None:
+                # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
+                device.write_force(following_command, seq, 0.0)
+                following_command = None
+            sent = self._sample(seq, now + self.clock_offset)
+            if not self.ticks:
+                self._first_stamp = now
+            following = deadline + period
+            self._age = seq - safety.force_seq if safety.force_seq >= 0 else 0
+            # An answer that comes a little late is waited for, and the next tick sampled late: sampled on time, it would take
+            # the processor from that answer and be answered late itself, and so would the next. Not so when nothing came.
+            receive = inbox.receive_soon if heard else inbox.receive_until
+            answered = heard = False
+            split = Split(safety.force, acting if next_tick else None)
+            while not answered:
+                if belated is not None:
+                    frames, arrival = belated
+                    belated = None
+                else:
+                    received = receive(following)
+                    if received is None:
+                        break
+                    frames, arrival, heard = received, time.monotonic(), True
+                    if arrival >= following:
+                        # Nor must whoever floods the topic keep the driver from its next tick.
+                        belated = frames, arrival
+                        break
+                force = self.take(self._decoder, frames, self._expected)
+                if force is None or not safety.admit(force, seq):
+                    self.skipped += 1
+                else:
+                    answered = force.seq == seq
+                    self._age = seq - force.seq
+                    offset = min(max((arrival - deadline) / period, 0.0), 1.0)
+                    wanted = force.force
+                    if guard is not None:
+                        wanted = guard.control(wanted, safety.force, 1.0 if next_tick else offset)
+                    command = safety.command(wanted, force.seq, seq)
+                    self._written = seq
+                    if next_tick:
+                        following_command = command
+                        self._delay = 1.0 + self._age
+                    else:
+                        device.write_force(command, seq, offset)
+                        split.change(command, offset)
+                        self._delay = offset + self._age
+                    if answered:
+                        self._response = arrival - sent
+                        self._responses.add(self._response)
+            if self._age > self._oldest_age:
+                self._oldest_age = self._age
+            if not answered:
+                self._missed += 1
+                self._response = 0.0
+                held = None if guard is None else guard.control(safety.force, safety.force, 1.0)
+                command_now = safety.missed(seq, self._velocity(), held)
+                if command_now is not None:
+                    following_command = None
+                    device.write_force(command_now, seq + 1, 0.0)
+                    self._written = seq + 1
+                elif seq + 1 - self._written >= self._bears:
+                    safety.let_go()
+            self._acting = split.mean()
+            acting = safety.force
+            self.ticks += 1
+            seq += 1
+            self._tell_listeners()
+            if self.called:
+                self.between_ticks(seq)
+        self._last_stamp = realtime.sleep_until(epoch + seq * period)
+        self._sample(seq, self._last_stamp + self.clock_offset)
+        self._tell_listeners()
+
+    def _velocity(self) -> Vector:
+        period, now, before = self.setup.period, self._position, self._before
+        return (
+            (now[0] - before[0]) / period,
+            (now[1] - before[1]) / period,
+            (now[2] - before[2]) / period,
+        )
+
+    def _hold(self, seq: int, lost: int) -> None:
+        """Take into the mean force what acted during ticks that were left out, until the device itself let go."""
+        force, already = self._safety.force, self._held
+        acted = min(max(self._bears - (seq - self._written), 0.0), float(lost))
+        for i in self._axes:
+            self._acting[i] = (self._acting[i] * already + force[i] * acted) / (already + lost)
+        self._held += lost
+        if acted < lost and force != ZERO:
+            self._safety.let_go()
+            self.tell("device", f"no force from tick {self._written} to {seq + lost}; the device let go by itself")
+
+    def finish(self) -> None:
+        """Bring the force down to zero and close the device, on every way out."""
+        if not self._open:
+            return
+        self._open = False
+        try:
+            start = time.monotonic()
+            for n, force in enumerate(self._safety.soft_stop(), 1):
+                self._soft_stop_ticks = n
+                self._device.write_force(force, self.seq + n - 1, 0.0)
+                if self.setup.pace == "realtime":
+                    realtime.sleep_until(start + n * self.setup.period)
+        finally:
+            self._device.close()

@@ -1,0 +1,320 @@
+"""The last line before the device: no force is handed over that is stale, unlimited or unasked for.
+
+A small machine of states, the same for the virtual device and for hardware::
+
+    waiting ──first force──▶ ramp ──▶ active ──no fresh force for `watchdog` ticks──▶ damping ──▶ zero
+                              ▲                                                                  │
+                              ├──────────────────────── a fresh force ───────────────────────────┘
+                            zero ◀──back inside── fault ◀──outside the workspace── any of them
+
+Limits come from the device and from the launch file, whichever is lower; a launch file that asks for more is told so.
+Whatever messages come in whatever order: on each axis the force stays within the peak, all changes made during one tick
+add up to no more than the slew, and the mean square of the force stays within the continuous limit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from messages.types import ZERO, Force, Vector
+from nodes.driver.device import DeviceLimits
+from nodes.driver.limits import STOP_TIME, SafetyParameters, lower
+from nodes.driver.motor_heat import Motor
+from nodes.kernels import limit
+
+REASONS = 8
+"""Changes of state that the summary of a run tells; all of them are on the driver's event topic."""
+
+
+class Safety:
+    """Decides what is handed to the device at each tick.
+
+    Parameters
+    ----------
+    parameters : SafetyParameters
+        Limits of the launch file.
+    device : DeviceLimits
+        Limits of the device; they hold whatever the parameters say.
+    period : float
+        Sampling period T [s].
+    axes : list of int
+        Axes that the scene computes; the others get no force.
+    tell : callable
+        Called with kind and reason of what must not be overlooked.
+    where : str
+        Path of the parameters, for what is told.
+
+    Attributes
+    ----------
+    state : str
+        ``waiting``, ``ramp``, ``active``, ``damping``, ``zero`` or ``fault``.
+    force : tuple of float, shape (3,)
+        What was handed over last [N].
+    force_seq : int
+        Tick that the last admitted force answers; -1 before the first one.
+    refused : dict of str to int
+        Forces refused, by reason: ``future``, ``replayed``, ``stale``, ``not_finite``.
+    limited : dict of str to int
+        Forces lowered, by limit: ``peak``, ``slew``, ``continuous``.
+    limits : Limits
+        What holds.
+    """
+
+    def __init__(
+        self,
+        parameters: SafetyParameters,
+        device: DeviceLimits,
+        period: float,
+        axes: list[int],
+        tell: Callable[[str, str], None],
+        where: str = "safety",
+    ) -> None:
+        self.limits = lower(parameters, device, period, where)
+        self._damping = parameters.damping
+        self._tell = tell
+        self._axes = axes
+        self._period = period
+        self._ramp_ticks = round(parameters.ramp / period)
+        self._ramp_from = 0
+        self._workspace = [
+            (axis, low, high)
+            for axis, (low, high) in enumerate(self.limits.workspace)
+            if math.isfinite(low) or math.isfinite(high)
+        ]
+        continuous = self.limits.continuous
+        self._motor = (
+            None if continuous is None else Motor(continuous, parameters.thermal_time, period, self.limits.slew)
+        )
+        # A device without limits needs none of what watches them.
+        self._unlimited = self._motor is None and self.limits.peak is None and self.limits.slew is None
+        self._since = 0
+        self._tick = -1
+        self._slewed = [0.0, 0.0, 0.0]
+        self.state = "waiting"
+        self.force: Vector = ZERO
+        self.force_seq = -1
+        self.refused = {"future": 0, "replayed": 0, "stale": 0, "not_finite": 0}
+        self.limited = {"peak": 0, "slew": 0, "continuous": 0}
+        self._entered: dict[str, int] = {}
+        self._reasons: deque[str] = deque(maxlen=REASONS)
+        for text in self.limits.told:
+            tell("limit", text)
+
+    def summary(self) -> dict[str, Any]:
+        """Summarise what happened.
+
+        Returns
+        -------
+        dict
+            ``state`` now, how often each state was ``entered``, forces ``refused`` by reason and ``limited`` by limit, the
+            last ``reasons`` for a change of state, and what was ``told`` about the launch file's limits.
+        """
+        return {
+            "state": self.state,
+            "entered": dict(self._entered),
+            "refused": dict(self.refused),
+            "limited": dict(self.limited),
+            "reasons": list(self._reasons),
+            "told": list(self.limits.told),
+        }
+
+    def _enter(self, state: str, seq: int, reason: str) -> None:
+        if state != self.state:
+            text = f"{self.state} → {state} at tick {seq}: {reason}"
+            self.state = state
+            self._entered[state] = self._entered.get(state, 0) + 1
+            self._reasons.append(text)
+            self._tell("safety", text)
+
+    def admit(self, force: Force, seq: int) -> bool:
+        """Judge whether a received force may be used at all.
+
+        Parameters
+        ----------
+        force : Force
+            As decoded.
+        seq : int
+            The present tick.
+
+        Returns
+        -------
+        bool
+            False for one that was seen before (replayed), that is older than ``max_age``, that answers a tick which has not
+            been, or that is not finite.
+        """
+        x, y, z = force.force
+        if not math.isfinite(x + y + z):
+            why, reason = "not_finite", f"a force for tick {force.seq} that is not finite: {force.force}"
+        elif force.seq > seq:
+            why, reason = "future", f"a force for tick {force.seq}, which has not been: now is {seq}"
+        elif force.seq <= self.force_seq:
+            why = "replayed"
+            reason = f"a force for tick {force.seq} once more: {self.force_seq} was the last (replayed or out of order)"
+        elif seq - force.seq > self.limits.max_age:
+            why, reason = "stale", f"a force {seq - force.seq} ticks old at tick {seq}, limit {self.limits.max_age}"
+        else:
+            return True
+        self.refused[why] += 1
+        self._tell(f"refused_{why}", reason)
+        return False
+
+    def command(self, wanted: Vector, answers: int, seq: int) -> Vector:
+        """Turn an admitted force into what the device gets.
+
+        Parameters
+        ----------
+        wanted : tuple of float, shape (3,)
+            The force asked for [N].
+        answers : int
+            The tick that it answers.
+        seq : int
+            The present tick.
+
+        Returns
+        -------
+        tuple of float, shape (3,)
+            Force within all limits [N].
+        """
+        self.force_seq = answers
+        self._since = seq
+        return self._hand_over(wanted if self.state == "active" else self._become_active(wanted, seq), seq)
+
+    def _become_active(self, wanted: Vector, seq: int) -> Vector:
+        """Let forces in again: none in a fault, a growing share of them during the ramp."""
+        if self.state == "fault":
+            return ZERO
+        if self.state != "ramp":
+            self._ramp_from = seq
+            reason = "the first force" if self.state == "waiting" else "fresh forces again"
+            self._enter("ramp" if self._ramp_ticks else "active", seq, reason)
+        if self.state == "ramp":
+            done = seq - self._ramp_from + 1
+            if done < self._ramp_ticks:
+                share = done / self._ramp_ticks
+                return wanted[0] * share, wanted[1] * share, wanted[2] * share
+            self._enter("active", seq, f"ramp of {self._ramp_ticks} ticks done")
+        return wanted
+
+    def missed(self, seq: int, velocity: Vector, held: Vector | None = None) -> Vector | None:
+        """Decide about a tick that closes without the force that answers it.
+
+        Parameters
+        ----------
+        seq : int
+            The tick that closes.
+        velocity : tuple of float, shape (3,)
+            The device's own velocity [m/s].
+        held : tuple of float, shape (3,), or None
+            What to hold until the watchdog bites [N]; None for the last force.
+
+        Returns
+        -------
+        tuple of float, shape (3,), or None
+            Force to hand over [N]; None to let the device hold the last one.
+        """
+        limits = self.limits
+        silent = seq - self._since
+        if self.state == "waiting":
+            return None
+        if self.state in ("active", "ramp"):
+            if silent < limits.watchdog:
+                last = self.force
+                return None if self._hand_over(last if held is None else held, seq) == last else self.force
+            self._enter("damping", seq, f"no fresh force for {silent} ticks, limit {limits.watchdog}")
+        if self.state == "damping":
+            if silent < limits.watchdog + limits.damping_ticks:
+                b = -self._damping
+                return self._hand_over((b * velocity[0], b * velocity[1], b * velocity[2]), seq)
+            self._enter("zero", seq, f"no fresh force for {silent} ticks")
+        return self._hand_over(ZERO, seq)
+
+    def let_go(self) -> None:
+        """Note that the device has let go of the force by itself, because the driver hung."""
+        self.force = ZERO
+
+    def watch_position(self, position: Vector, seq: int) -> bool:
+        """Look whether the device is inside its workspace; outside there is no force.
+
+        Parameters
+        ----------
+        position : tuple of float, shape (3,)
+            Sampled position [m].
+        seq : int
+            The present tick.
+
+        Returns
+        -------
+        bool
+            False when the position is not finite: it must not be used.
+        """
+        if not math.isfinite(position[0] + position[1] + position[2]):
+            self._enter("fault", seq, f"the device gives position {position}")
+            return False
+        for axis, low, high in self._workspace:
+            if not low <= position[axis] <= high:
+                self._enter(
+                    "fault", seq, f"{'xyz'[axis]} = {position[axis]:.4g} m, workspace {low:.4g} to {high:.4g} m"
+                )
+                return True
+        if self.state == "fault":
+            # Not active yet: a force must come first, which may then grow by the ramp.
+            self._enter("zero", seq, "back inside the workspace")
+        return True
+
+    def _hand_over(self, wanted: Vector, seq: int) -> Vector:
+        """Apply all limits, tick by tick: several forces in one tick share one slew."""
+        if self._unlimited:
+            force = [0.0, 0.0, 0.0]
+            for i in self._axes:
+                force[i] = wanted[i]
+            self.force = (force[0], force[1], force[2])
+            return self.force
+        last, slewed, motor = self.force, self._slewed, self._motor
+        peak, slew = self.limits.peak, self.limits.slew
+        if seq != self._tick:
+            if motor is not None:
+                motor.close(last, seq - self._tick if self._tick >= 0 else 0)
+            self._tick = seq
+            slewed[0] = slewed[1] = slewed[2] = 0.0
+        limited = [0.0, 0.0, 0.0]
+        for i in self._axes:
+            left = None if slew is None else max(slew - slewed[i], 0.0)
+            value = limited[i] = limit(wanted[i], last[i], peak, left)
+            if value != wanted[i]:
+                which = "peak" if peak is not None and abs(wanted[i]) > peak else "slew"
+                self.limited[which] += 1
+        if motor is not None:
+            lefts = None if slew is None else min(max(slew - slewed[i], 0.0) for i in self._axes)
+            cooled = motor.lower(last, limited, lefts)
+            if cooled is not limited:
+                self.limited["continuous"] += 1
+                self._tell("limit", f"continuous force at tick {seq}: limit {self.limits.continuous:.3g} N reached")
+                limited = cooled
+            motor.note(limited)
+        for i in self._axes:
+            slewed[i] += abs(limited[i] - last[i])
+        self.force = (limited[0], limited[1], limited[2])
+        return self.force
+
+    def soft_stop(self) -> list[Vector]:
+        """Plan the way to zero force for the end of the loop.
+
+        Returns
+        -------
+        list of tuple of float, shape (s, 3)
+            Forces for the next ticks [N], the last one zero: ten equal steps, or more where the slew limit asks for it, fewer
+            where ten periods are longer than `STOP_TIME`.
+        """
+        start = self.force
+        if start == ZERO:
+            return [ZERO]
+        steps = max(1, min(10, int(STOP_TIME / self._period)))
+        if self.limits.slew is not None:
+            steps = max(steps, math.ceil(max(map(abs, start)) / self.limits.slew))
+        return [
+            (start[0] * left / steps, start[1] * left / steps, start[2] * left / steps)
+            for left in range(steps - 1, -1, -1)
+        ]

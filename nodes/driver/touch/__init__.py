@@ -1,0 +1,1 @@
+"""3D Systems Touch and Touch X through OpenHaptics."""

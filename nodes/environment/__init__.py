@@ -1,0 +1,1 @@
+"""The environment: surfaces, and the node that finds the proxy on them."""

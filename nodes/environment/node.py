@@ -1,0 +1,108 @@
+"""The environment node: for each device position, where the proxy is.
+
+It holds no state but the surface, so a lost or repeated position costs nothing. It forwards position and measured delay, so
+that the coupling needs one input only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import msgspec
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.types import DeviceState, Proxy
+from nodes.base.follow import follow
+from nodes.base.node import Node
+from nodes.base.setup import Setup
+from nodes.environment.surfaces import parse_surface
+
+
+class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the environment.
+
+    Attributes
+    ----------
+    surface : dict
+        ``kind`` and parameters of the surface: see nodes/environment/surfaces.py.
+    """
+
+    surface: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "free"})
+
+
+class Environment(Node):
+    """Answers device states with proxies."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = EnvironmentParameters
+    publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
+    listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
+    answers: ClassVar[bool] = True
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Make the surface before anything is started.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        parse_surface(setup.parameters.get("surface", {"kind": "free"}), f"{setup.name}.surface")
+
+    def configure(self) -> None:
+        """Build the surface."""
+        self._meet = parse_surface(self.store.current.surface, f"{self.setup.name}.surface").meeting()
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare another surface.
+
+        Parameters
+        ----------
+        parameters : EnvironmentParameters
+            The parameters after the change.
+
+        Returns
+        -------
+        callable
+            Puts it in place between two ticks.
+        """
+        meet = parse_surface(parameters.surface, f"{self.setup.name}.surface").meeting()
+
+        def apply(seq: int) -> dict[str, Any]:
+            self._meet = meet
+            return {"seq": seq, "surface": parameters.surface}
+
+        return apply
+
+    def loop(self) -> None:
+        """Answer until stopped."""
+        self.state = "running"
+        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
+        topic, send, simulated = topics.PROXY.encode(), self.publisher.send, self._simulated
+        while not self.stopping:
+            state = take()
+            if state is not None:
+                position = state.position
+                proxy, normal, distance, contact = self._meet(position)
+                message = Proxy(
+                    seq=state.seq,
+                    stamp=state.stamp if simulated else self.now(),
+                    position=position,
+                    proxy=proxy,
+                    normal=normal,
+                    distance=distance,
+                    contact=contact,
+                    delay=state.delay,
+                )
+                send(topic, encode(message))
+                self.ticks += 1
+            if self.called:
+                self.between_ticks(self.seq + 1)

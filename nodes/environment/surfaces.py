@@ -1,0 +1,168 @@
+"""What the device can touch: surfaces as a registry, each one a few numbers and the question "where is the proxy?".
+
+A surface answers on plain floats and computes only the axis it lies across. Other packages add surfaces through the entry
+points ``haptic.surfaces``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from typing import Any, ClassVar, Literal, TypeAlias
+
+import msgspec
+
+from messages.types import ZERO, Vector
+from nodes.base.setup import AXIS_INDEX, Axis
+from nodes.kernels import plane_distance
+from nodes.parameters.store import ParameterError, convert
+
+GROUP = "haptic.surfaces"
+
+Meeting: TypeAlias = tuple[Vector, Vector, float, bool]
+"""Proxy [m], outward normal, signed distance [m], contact."""
+
+
+class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all surfaces: the fields of a subclass are its parameters.
+
+    Attributes
+    ----------
+    kind : str
+        Class variable: the registered name.
+    """
+
+    kind: ClassVar[str] = ""
+
+    def meeting(self) -> Callable[[Vector], Meeting]:
+        """Build the question of the hot path.
+
+        Returns
+        -------
+        callable
+            From a device position [m] to proxy, normal, distance and contact.
+        """
+        raise TypeError(f"surface kind {type(self).kind!r} does not define meeting()")
+
+
+class Free(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Nothing to touch: what a device does by itself."""
+
+    kind: ClassVar[str] = "free"
+
+    def meeting(self) -> Callable[[Vector], Meeting]:
+        """Build the question of the hot path.
+
+        Returns
+        -------
+        callable
+            The proxy is the device position, always.
+        """
+        return lambda position: (position, ZERO, 0.0, False)
+
+
+class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A one-sided flat wall or floor across one axis.
+
+    Attributes
+    ----------
+    axis : str
+        Axis that it lies across.
+    position : float
+        Its coordinate on that axis [m].
+    normal : int
+        Side that is free: 1 towards larger coordinates (a floor, on z), −1 towards smaller ones.
+    """
+
+    kind: ClassVar[str] = "plane"
+    axis: Axis = "z"
+    position: float = 0.0
+    normal: Literal[1, -1] = 1
+
+    def meeting(self) -> Callable[[Vector], Meeting]:
+        """Build the question of the hot path.
+
+        Returns
+        -------
+        callable
+            The proxy lies on the plane while the device is inside.
+        """
+        i, surface, sign = AXIS_INDEX[self.axis], self.position, float(self.normal)
+        normal: Vector = tuple(sign if j == i else 0.0 for j in range(3))  # type: ignore[assignment]
+
+        def meet(position: Vector) -> Meeting:
+            distance = plane_distance(position[i], surface, sign)
+            if distance >= 0.0:
+                return position, normal, distance, False
+            proxy = (surface, position[1], position[2])
+            if i == 1:
+                proxy = (position[0], surface, position[2])
+            elif i == 2:
+                proxy = (position[0], position[1], surface)
+            return proxy, normal, distance, True
+
+        return meet
+
+
+class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A point that holds the device from both sides: the linear loop of the theory, without any contact.
+
+    Attributes
+    ----------
+    position : tuple of float, shape (3,)
+        The point [m].
+    """
+
+    kind: ClassVar[str] = "anchor"
+    position: Vector = ZERO
+
+    def meeting(self) -> Callable[[Vector], Meeting]:
+        """Build the question of the hot path.
+
+        Returns
+        -------
+        callable
+            The proxy is the point, always, and both sides touch.
+        """
+        anchor = self.position
+        return lambda _: (anchor, ZERO, 0.0, True)
+
+
+def surface_kinds() -> dict[str, type[Surface]]:
+    """Find all installed surfaces.
+
+    Returns
+    -------
+    dict of str to type of Surface
+        Registered name to class, sorted by name.
+    """
+    found: dict[str, Any] = {point.name: point.load() for point in entry_points(group=GROUP)}
+    return dict(sorted(found.items()))
+
+
+def parse_surface(data: dict[str, Any], where: str) -> Surface:
+    """Make a surface from its parameters.
+
+    Parameters
+    ----------
+    data : dict
+        ``kind`` and the fields of that kind.
+    where : str
+        What the path starts with in errors.
+
+    Returns
+    -------
+    Surface
+        The surface.
+
+    Raises
+    ------
+    ParameterError
+        When the kind is unknown or a field is refused.
+    """
+    kinds = surface_kinds()
+    kind = data.get("kind")
+    if kind not in kinds:
+        raise ParameterError(f"{where}.kind: {kind!r} is not a surface; there is: {', '.join(kinds)}")
+    made: Surface = convert({k: v for k, v in data.items() if k != "kind"}, kinds[kind], where)
+    return made

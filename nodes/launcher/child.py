@@ -1,0 +1,149 @@
+"""One node of a launch as the supervisor sees it: a process of its own to start, look after and end."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import zmq
+
+from messages.topics import DEVICE_STATE
+from messages.transport.requests import ControlError, call
+from nodes.base.kinds import load
+from nodes.base.setup import Setup
+
+START_TIMEOUT = 30.0
+"""How long a node's process may take until it is ready [s]."""
+
+
+class Child:
+    """One node's process.
+
+    Parameters
+    ----------
+    setup : Setup
+        The node.
+    respawns : int
+        How often it may be started again, -1 for ever.
+    delay : float
+        Wait before that [s].
+    required : bool
+        Whether the launch ends when it does.
+    """
+
+    patience = START_TIMEOUT
+
+    def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
+        self.setup = setup
+        self.respawns = respawns
+        self.delay = delay
+        self.required = required
+        self.restarts = 0
+        self.process: subprocess.Popen[bytes] | None = None
+        self.again_at: float | None = None
+        self.to_start = False
+        self.ready = False
+        self.over = False
+
+    @property
+    def running(self) -> bool:
+        """Whether the process exists."""
+        return self.process is not None and self.process.poll() is None
+
+    @property
+    def code(self) -> int | None:
+        """Exit code of the process; negative for a signal, None while it runs."""
+        return None if self.process is None else self.process.returncode
+
+    @property
+    def end(self) -> str:
+        """How it ended, in words."""
+        code = self.code
+        if code is not None and code < 0:
+            return signal.Signals(-code).name
+        return f"exit code {code}"
+
+    @property
+    def drives(self) -> bool:
+        """Whether it is the driver: it publishes the device's state."""
+        return DEVICE_STATE in load(self.setup.factory).publishes
+
+    @property
+    def listens(self) -> bool:
+        """Whether it only listens (a logger)."""
+        return bool(self.setup.manifest)
+
+    def start(self, run_dir: Path) -> None:
+        """Start the process.
+
+        Parameters
+        ----------
+        run_dir : Path
+            Directory of the run; the node's setup is written there.
+        """
+        path = run_dir / f"{self.setup.name}.json"
+        path.write_bytes(msgspec.json.encode(self.setup))
+        # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends the nodes in order.
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "nodes", str(path)],
+            stdin=subprocess.DEVNULL,
+            stdout=sys.stderr,
+            process_group=0,
+        )
+        self.again_at = None
+
+    def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
+        """Ask for its state.
+
+        Parameters
+        ----------
+        context : zmq.Context
+            The launcher's.
+        timeout : float
+            Longest wait [s].
+
+        Returns
+        -------
+        str
+            As in its status; ``starting`` while it does not answer.
+        """
+        try:
+            return str(call(context, self.setup.control, "status", timeout=timeout)["state"])
+        except ControlError:
+            return "starting"
+
+    def send(self, number: signal.Signals) -> None:
+        """Ask it to end.
+
+        Parameters
+        ----------
+        number : signal.Signals
+            How urgently: SIGINT, SIGTERM or SIGKILL.
+        """
+        assert self.process is not None  # noqa: S101
+        self.process.send_signal(number)
+        self.process.send_signal(signal.SIGCONT)
+
+    def release(self) -> None:
+        """Let go of what the supervisor held for it."""
+
+    def report(self, run_dir: Path) -> dict[str, Any]:
+        """Read what it told at its end.
+
+        Parameters
+        ----------
+        run_dir : Path
+            Directory of the run.
+
+        Returns
+        -------
+        dict
+            Empty when it told nothing.
+        """
+        path = run_dir / f"{self.setup.name}.report.json"
+        found: dict[str, Any] = msgspec.json.decode(path.read_bytes()) if path.exists() else {}
+        return found

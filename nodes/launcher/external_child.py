@@ -1,0 +1,304 @@
+"""A node that somebody else starts: on another machine, under a debugger, or written in another language.
+
+The launcher waits for it on its control endpoint, hands it its setup, keeps measuring how far its clock is from the
+launcher's, takes it as lost when it stays silent, and asks it to stop at the end. What no signal can reach ends by itself: such
+a node has a lease, which every request of the launcher renews. One that is started once more in place of a lost one is a
+respawn like any other: the launch file says whether it is taken back.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import zmq
+
+from messages.transport.endpoints import is_remote, split
+from messages.transport.requests import ControlError, Line
+from nodes.base.setup import Setup
+from nodes.launcher.child import Child
+from nodes.launcher.clock_offset import ClockOffset
+
+PATIENCE = 120.0
+"""How long the launcher waits for somebody to start a node [s]."""
+
+LOST = 5.0
+"""After so long without an answer a node that was there is taken as lost [s]."""
+
+UNREPORTED = 2.0
+"""After so long without an answer a node that has said it is finished is believed to be gone, report or not [s]."""
+
+LEASE = 6.0
+"""After so long without a request such a node takes its launcher as lost, and stops [s]."""
+
+PERIOD = 0.5
+_QUICK = 0.05
+
+_ROUNDS = 8
+"""How often the clock is measured at once, before and after the start."""
+
+
+def command(setup: Setup) -> str:
+    """Tell how to start a node by hand.
+
+    Parameters
+    ----------
+    setup : Setup
+        The node.
+
+    Returns
+    -------
+    str
+        One line for people: where, and the command.
+    """
+    bare, key = split(setup.control)
+    if bare.startswith("ipc://"):
+        own = f"{setup.run_dir}/{setup.name}.json"
+        return f"haptic node start {setup.name} --run {setup.run}   (or a program of your own, with {own})"
+    host, _, port = bare.removeprefix("tcp://").rpartition(":")
+    curve = " --curve" if key and not is_remote(bare) else ""
+    return f"on {host}: haptic node start {setup.name} --bind {host}:{int(port) - 1}{curve}"
+
+
+class ByHand(Child):
+    """A node that the launcher waits for instead of starting it.
+
+    Parameters
+    ----------
+    setup : Setup
+        The node.
+    respawns : int
+        How often it may be started again, -1 for ever.
+    delay : float
+        Wait before that [s].
+    required : bool
+        Whether the launch ends when it does.
+    context : zmq.Context
+        The launcher's.
+    say : callable
+        Takes one line for the user.
+    """
+
+    patience = PATIENCE
+
+    def __init__(
+        self,
+        setup: Setup,
+        respawns: int,
+        delay: float,
+        required: bool,
+        context: zmq.Context[zmq.Socket[bytes]],
+        say: Callable[[str], None],
+    ) -> None:
+        super().__init__(setup, respawns, delay, required)
+        self._line = Line(context, setup.control)
+        self._say = say
+        self._far = split(setup.control)[0].startswith("tcp://")
+        self._thread: threading.Thread | None = None
+        self._ending = threading.Event()
+        self._reset()
+
+    def _reset(self) -> None:
+        self._clock = ClockOffset()
+        self._state = "not started"
+        self._seen = 0.0
+        self._process = 0
+        self._code: int | None = None
+        self._end = ""
+        self._over: tuple[int, str] | None = None
+        self._stop = False
+        self._report: dict[str, Any] = {}
+
+    @property
+    def running(self) -> bool:
+        """Whether it is there, or still waited for."""
+        return self._code is None and self._thread is not None
+
+    @property
+    def code(self) -> int | None:
+        """0 after a clean end, 1 after a failure or when it was lost, None while it runs."""
+        return self._code
+
+    @property
+    def end(self) -> str:
+        """How it ended, in words."""
+        return self._end
+
+    def start(self, run_dir: Path) -> None:
+        """Tell how to start it, and wait for it on a thread.
+
+        Parameters
+        ----------
+        run_dir : Path
+            Directory of the run; the node's setup is written there.
+        """
+        if self._thread is not None:
+            self.release()
+        (run_dir / f"{self.setup.name}.json").write_bytes(msgspec.json.encode(self.setup))
+        self._reset()
+        self.again_at = None
+        self._say(f"waiting for {self.setup.name}: {command(self.setup)}")
+        self._ending.clear()
+        self._thread = threading.Thread(target=self._watch, name=f"{self.setup.name}-watch", daemon=True)
+        self._thread.start()
+
+    def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
+        """Tell its state as last heard.
+
+        Parameters
+        ----------
+        context : zmq.Context
+            Not used: a thread asks all the time.
+        timeout : float
+            Not used either.
+
+        Returns
+        -------
+        str
+            As in its status, or ``not started``.
+        """
+        del context, timeout
+        return self._state
+
+    def send(self, number: signal.Signals) -> None:
+        """Ask it to stop; what does not answer any more is left to its lease.
+
+        Parameters
+        ----------
+        number : signal.Signals
+            SIGKILL gives it up.
+        """
+        if number == signal.SIGKILL or not self._seen:
+            self._code, self._end = self._over or (1, self._end or "given up")
+        self._stop = True
+
+    def release(self) -> None:
+        """Stop watching."""
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def report(self, run_dir: Path) -> dict[str, Any]:
+        """Give what it told at its end.
+
+        Parameters
+        ----------
+        run_dir : Path
+            Not used: it came through the control socket.
+
+        Returns
+        -------
+        dict
+            Empty when it told nothing.
+        """
+        del run_dir
+        return self._report
+
+    # -- on the watching thread --------------------------------------------------------------------------------------
+
+    def _ask(self, op: str, **args: object) -> Any:
+        answer = self._line.call(op, timeout=1.0, **args)
+        self._seen = time.monotonic()
+        return answer
+
+    def _watch(self) -> None:
+        try:
+            self._watch_on()
+        finally:
+            self._line.drop()
+
+    def _watch_on(self) -> None:
+        while not self._ending.is_set() and self._code is None:
+            try:
+                self._visit()
+            except ControlError as error:
+                silent = time.monotonic() - self._seen if self._seen else 0.0
+                if self._over and silent > UNREPORTED:
+                    self._code, self._end = self._over
+                elif silent > LOST:
+                    self._code, self._end = 1, f"no answer for {LOST:g} s ({error})"
+            ready = self._state in ("ready", "running")
+            self._ending.wait(PERIOD if ready and not self._stop else _QUICK)
+
+    def _visit(self) -> None:
+        status = self._ask("status")
+        state, process = str(status["state"]), int(status.get("pid", 0))
+        if self._process and process != self._process:
+            # Faster than the loss was noticed; what is there now knows neither setup nor, as a driver, that it was started.
+            self._code, self._end = 1, f"process {process} in place of {self._process}"
+            return
+        self._process = process
+        if state == "unconfigured":
+            with self._refusal("configure"):
+                self._ask("configure", setup=msgspec.to_builtins(self._with_clock()))
+            # The node makes sockets of its own in place of the one that waited.
+            self._line.drop()
+            return
+        if state in ("ready", "running") and self._state not in ("ready", "running"):
+            self._arrive()
+        elif self._far:
+            self._measure()
+        if self._stop and state not in ("finished", "failed"):
+            self._ask("stop")
+        if state in ("finished", "failed"):
+            self._over = (0, "a clean end") if state == "finished" else (1, "a failure")
+            with self._optional():
+                self._report = dict(self._ask("report"))
+            self._code, self._end = self._over
+        self._state = state
+
+    def _with_clock(self) -> Setup:
+        """Give the setup with the clock as measured, so that a node which answers at once stamps rightly from the first."""
+        for _ in range(_ROUNDS):
+            self._measure(tell=False)
+        offset, error = self._clock.best(time.monotonic())
+        if not math.isfinite(error):
+            return self.setup
+        return msgspec.structs.replace(self.setup, clock_offset=offset, clock_error=error)
+
+    @contextlib.contextmanager
+    def _refusal(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except ControlError as error:
+            if "no answer" in str(error):
+                raise
+            self._code, self._end = 1, f"{what} refused: {error}"
+
+    @contextlib.contextmanager
+    def _optional(self) -> Iterator[None]:
+        """Let a node refuse what it need not know; an answer that was lost on the way is asked for again."""
+        try:
+            yield
+        except ControlError as error:
+            if "no answer" in str(error):
+                raise
+
+    def _arrive(self) -> None:
+        told = ""
+        if self._far:
+            for _ in range(_ROUNDS):
+                self._measure()
+            offset, error = self._clock.best(time.monotonic())
+            told = f"; its clock is {-offset:+.6f} s from here, known to ±{error * 1e6:.0f} µs"
+        self._say(f"{self.setup.name}: is there{told}")
+
+    def _measure(self, tell: bool = True) -> None:
+        """Measure the clock and tell the node; one that has no use for it (another language) may refuse."""
+        asked = time.monotonic()
+        with self._optional():
+            remote = float(self._ask("clock")["monotonic_s"])
+            self._clock.add(asked, remote, time.monotonic())
+        if not math.isfinite(self._clock.best(asked)[1]):
+            return
+        offset, bound = self._clock.best(time.monotonic())
+        if tell:
+            with self._optional():
+                self._ask("clock.set", offset=offset, error=bound)

@@ -1,0 +1,243 @@
+"""Starting one node by hand: beside a launch on this machine, or for a launch on another one.
+
+For another machine's launch it waits on the node's control endpoint until that launcher, whose key must be allowed here, hands
+it the setup. What kind of node that is and what code it runs is decided here, by what is installed; paths and endpoints of
+the setup that would reach beyond the node's own are refused or replaced.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import time
+from types import FrameType
+from typing import Any
+
+import msgspec
+import zmq
+
+from messages.codec import MessageRefusedError
+from messages.transport.endpoints import bind, is_remote, split
+from messages.transport.gate import Gate
+from messages.transport.keys import identity
+from messages.transport.requests import Reply, decode_request
+from messages.transport.sockets import new_context
+from nodes.base import realtime
+from nodes.base.kinds import load, node_kinds
+from nodes.base.process import live
+from nodes.base.setup import Scheduling, Setup
+from nodes.launcher import runs
+from nodes.parameters.store import ParameterError, convert
+
+
+def start_here(run: runs.RunInfo, name: str) -> int:
+    """Start a node of a launch on this machine that waits for it.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The run.
+    name : str
+        The node.
+
+    Returns
+    -------
+    int
+        Exit code of the node.
+
+    Raises
+    ------
+    ParameterError
+        When the launcher starts that node itself.
+    """
+    setup = run.nodes[name]
+    if not setup.by_hand or not split(setup.control)[0].startswith("ipc://"):
+        raise ParameterError(
+            f"{name}: the launch does not wait for it here; its launch file says so with by_hand: true"
+        )
+    return live(load(setup.factory)(setup))
+
+
+class Starter:
+    """Waits for the launcher on another machine and takes a node's setup from it.
+
+    Parameters
+    ----------
+    name : str
+        The node that is to be started; a setup for another one is refused.
+    host : str
+        Address of this machine to bind.
+    port : int
+        Port of the node's messages; requests come to the next one.
+    curve : bool
+        Whether to encrypt on loopback too; off it there is no choice.
+    """
+
+    def __init__(self, name: str, host: str, port: int, curve: bool = False) -> None:
+        self._name = name
+        place = f"tcp://{f'[{host}]' if ':' in host else host}"
+        key = f"#{identity().public}" if curve or is_remote(f"{place}:{port}") else ""
+        self.publish = f"{place}:{port}{key}"
+        self.control = f"{place}:{port + 1}{key}"
+        self._stopping = False
+
+    def wait(self) -> Setup | None:
+        """Wait for the setup.
+
+        Returns
+        -------
+        Setup or None
+            None when a signal came first.
+
+        Raises
+        ------
+        EndpointRefusedError, KeyRefusedError
+            When the endpoint or this machine's keys cannot be used.
+        """
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._on_signal)
+        context = new_context()
+        gate = Gate(context, self._deny) if split(self.control)[1] else None
+        socket = context.socket(zmq.REP)
+        try:
+            bind(socket, self.control)
+            if gate is not None:
+                gate.watch(socket, "server")
+                gate.start()
+            socket.rcvtimeo = 200
+            return self._serve(socket)
+        finally:
+            if gate is not None:
+                gate.stop()
+            # Long enough for the last answer to leave.
+            socket.close(linger=1000)
+            context.term()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self._stopping = True
+
+    def _deny(self, reason: str) -> None:
+        print(f"[{self._name}] denied: {reason}", file=sys.stderr, flush=True)
+
+    def _serve(self, socket: zmq.Socket[bytes]) -> Setup | None:
+        while not self._stopping:
+            try:
+                frames = socket.recv_multipart()
+            except zmq.Again:
+                continue
+            setup = None
+            try:
+                request = decode_request(frames)
+                if request.op == "configure":
+                    setup = self.accept(request.args.get("setup"))
+                reply = self._reply(request.op)
+            except (MessageRefusedError, ParameterError, runs.RunError) as error:
+                reply = Reply(False, error=f"{self._name}: {error}"[:4000])
+            socket.send(msgspec.msgpack.encode(reply))
+            if setup is not None:
+                return setup
+        return None
+
+    def _reply(self, op: str) -> Reply:
+        answers: dict[str, Any] = {
+            "status": {"state": "unconfigured", "node": self._name, "pid": os.getpid()},
+            "clock": {"monotonic_s": time.monotonic()},
+            "configure": None,
+            "stop": None,
+        }
+        if op == "stop":
+            self._stopping = True
+        if op not in answers:
+            return Reply(False, error=f"{self._name}: unconfigured; known: {', '.join(answers)}")
+        return Reply(True, answers[op])
+
+    def accept(self, data: Any) -> Setup:
+        """Judge a setup that came from elsewhere.
+
+        Parameters
+        ----------
+        data : object
+            Builtins.
+
+        Returns
+        -------
+        Setup
+            With this machine's own code, directory and processors.
+
+        Raises
+        ------
+        ParameterError, RunError
+            When it is not a valid setup of this node, or asks for more than a node of a launch may.
+        """
+        setup: Setup = convert(data, Setup, "setup")
+        if setup.name != self._name:
+            raise ParameterError(f"setup.name: {setup.name!r}, but {self._name!r} was started here")
+        for field, own in (("publish", self.publish), ("control", self.control)):
+            if getattr(setup, field) != own:
+                raise ParameterError(f"setup.{field}: {getattr(setup, field)}, but this node binds {own}")
+        if setup.reach or setup.listen or setup.listen_reach or setup.watch or setup.lease <= 0.0:
+            raise ParameterError("setup: reach, listen and watch must be empty and lease positive on another machine")
+        for topic, source in setup.sources.items():
+            if not split(source)[0].startswith("tcp://"):
+                raise ParameterError(f"setup.sources.{topic}: {source} is not on the network")
+        kinds = node_kinds()
+        if setup.kind not in kinds:
+            raise ParameterError(
+                f"setup.kind: {setup.kind!r} is not installed here; there is: {', '.join(sorted(kinds))}"
+            )
+        cpus = [realtime.quietest_processor()] if setup.scheduling.cpus else []
+        scheduling = Scheduling(cpus=cpus, fifo=setup.scheduling.fifo)
+        made = msgspec.structs.replace(setup, factory=kinds[setup.kind], run_dir="", scheduling=scheduling)
+        kind = load(made.factory)
+        kind.check(made)
+        kind(made)
+        return msgspec.structs.replace(made, run_dir=str(runs.new_node_dir(f"{_plain(setup.run)}-{setup.name}")))
+
+
+def _plain(run: str) -> str:
+    """Name of a run as a directory: it came over the network."""
+    if not run or "/" in run or run.startswith(".") or not run.isprintable() or len(run) > 100:
+        raise ParameterError(f"setup.run: {run!r} is not the name of a run")
+    return run
+
+
+def start_for(name: str, host: str, port: int, curve: bool = False) -> int:
+    """Start a node for a launch on another machine.
+
+    Parameters
+    ----------
+    name : str
+        The node.
+    host : str
+        Address of this machine to bind.
+    port : int
+        Port of the node's messages; requests come to the next one.
+    curve : bool
+        Whether to encrypt on loopback too; off it there is no choice.
+
+    Returns
+    -------
+    int
+        Exit code of the node; 130 when a signal came before its launcher.
+
+    Raises
+    ------
+    EndpointRefusedError, KeyRefusedError
+        When the endpoint or this machine's keys cannot be used.
+    """
+    starter = Starter(name, host, port, curve)
+    print(f"[{name}] waiting for its launcher at {starter.control}", file=sys.stderr, flush=True)
+    setup = starter.wait()
+    if setup is None:
+        return 130
+    # What earlier ones left that were killed and not started again.
+    runs.sweep()
+    try:
+        node = load(setup.factory)(setup)
+        node.set_clock(setup.clock_offset, setup.clock_error)
+        return live(node)
+    finally:
+        shutil.rmtree(setup.run_dir, ignore_errors=True)

@@ -1,0 +1,268 @@
+"""Launch files: one YAML per scenario, with arguments, checked completely before anything is started.
+
+A launch file has these parts: ``summary``, ``arguments`` (with default, unit, help, limits), ``run`` (rate, pace, apply,
+duration, axes, scheduling), ``nodes``, and where it matters ``model`` (what the scene is for, what it leaves out on
+purpose). ``$(var NAME)`` stands for an argument, as in ROS 2.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from nodes.base.kinds import node_kinds
+from nodes.launcher.launch_spec import Argument, Launch, LaunchText, NodeSpec, RunSpec
+from nodes.parameters.store import ParameterError, convert, merge, of_node
+from nodes.parameters.yaml_io import parse_yaml, read_yaml
+
+_WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
+_WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
+_NAME = re.compile(r"^[a-z][a-z0-9_]{0,31}$")
+
+
+def launch_dirs() -> list[Path]:
+    """List where launch files are looked up.
+
+    Returns
+    -------
+    list of Path
+        In the wheel, then beside the package.
+    """
+    here = Path(__file__).resolve().parent
+    return [path for path in (here / "_launch", here.parent / "launch") if path.is_dir()]
+
+
+def scenarios() -> dict[str, Path]:
+    """List the launch files that come with the project.
+
+    Returns
+    -------
+    dict of str to Path
+        Scenario to file, sorted.
+    """
+    found = {path.stem: path for folder in reversed(launch_dirs()) for path in folder.glob("*.yaml")}
+    return dict(sorted(found.items()))
+
+
+def find(name: str) -> Path:
+    """Find a launch file.
+
+    Parameters
+    ----------
+    name : str
+        A scenario of the project, or the path of a YAML file.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ParameterError
+        When there is none; the text lists what there is.
+    """
+    known = scenarios()
+    if name in known:
+        return known[name]
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") or os.sep in name:
+        if path.is_file():
+            return path
+        raise ParameterError(f"{name}: no such file")
+    raise ParameterError(f"no launch file is named {name!r}; there is: {', '.join(known)}")
+
+
+def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
+    """Read only what a launch file says about itself.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    tuple of str and dict
+        Summary, and arguments by name.
+    """
+    file = convert(read_yaml(path), LaunchText, path.name)
+    return file.summary, file.arguments
+
+
+def parse_assignments(words: list[str]) -> dict[str, Any]:
+    """Read ``name:=value`` words.
+
+    Parameters
+    ----------
+    words : list of str
+        As typed.
+
+    Returns
+    -------
+    dict of str to object
+        Values as YAML reads them.
+
+    Raises
+    ------
+    ParameterError
+        When a word is not of that form.
+    """
+    values = {}
+    for word in words:
+        name, sign, text = word.partition(":=")
+        if not sign:
+            raise ParameterError(f"{word!r}: expected name:=value")
+        values[name] = parse_yaml(text, name) if text else ""
+    return values
+
+
+def _fill_in(path: Path, arguments: Mapping[str, Argument], given: Mapping[str, Any]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for name in given:
+        if name not in arguments:
+            raise ParameterError(
+                f"{path.name}: no argument {name!r}; there is: {', '.join(arguments)} (haptic launch --show-args {path.stem})"
+            )
+    for name, argument in arguments.items():
+        value = given.get(name, argument.default)
+        where = f"{path.name}.arguments.{name}"
+        kind = type(argument.default)
+        if kind is float and type(value) is int:
+            value = float(value)
+        if kind is str and isinstance(value, (int, float)):
+            value = str(value)
+        if type(value) is not kind:
+            raise ParameterError(f"{where}: expected {kind.__name__}, got {value!r}")
+        unit = f" {argument.unit}" if argument.unit else ""
+        if argument.min is not None and isinstance(value, (int, float)) and not value >= argument.min:
+            raise ParameterError(f"{where}: {value!r}{unit}, limit: at least {argument.min:g}{unit}")
+        if argument.max is not None and isinstance(value, (int, float)) and not value <= argument.max:
+            raise ParameterError(f"{where}: {value!r}{unit}, limit: at most {argument.max:g}{unit}")
+        if argument.choices and value not in argument.choices:
+            raise ParameterError(f"{where}: {value!r}, expected one of {', '.join(argument.choices)}")
+        values[name] = value
+    return values
+
+
+def _substitute(data: Any, values: Mapping[str, Any], where: str) -> Any:
+    if isinstance(data, dict):
+        return {key: _substitute(inner, values, f"{where}.{key}") for key, inner in data.items()}
+    if isinstance(data, list):
+        return [_substitute(inner, values, f"{where}[{i}]") for i, inner in enumerate(data)]
+    if isinstance(data, str):
+        for name in _WITHIN.findall(data):
+            if name not in values:
+                raise ParameterError(f"{where}: $(var {name}) is not an argument; there is: {', '.join(values)}")
+        whole = _WHOLE.match(data)
+        if whole:
+            return values[whole.group(1)]
+        return _WITHIN.sub(lambda match: str(values[match.group(1)]), data)
+    return data
+
+
+def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) -> Launch:
+    """Read a launch file, fill in its arguments and lay files of parameters over those of its nodes.
+
+    Parameters
+    ----------
+    name : str
+        Scenario or path.
+    given : mapping of str to object
+        Arguments that differ from their defaults.
+    laid_over : sequence of Path
+        YAML files, each a mapping from node to parameters, whole or in part, as ``haptic param dump`` and
+        ``haptic study design`` write them; a later one goes before an earlier one.
+
+    Returns
+    -------
+    Launch
+        Ready to be started.
+
+    Raises
+    ------
+    ParameterError
+        With the path, the value and the limit of whatever is wrong.
+    """
+    path = find(name)
+    data = read_yaml(path)
+    file = convert(data, LaunchText, path.name)
+    values = _fill_in(path, file.arguments, given)
+    over = [_by_node(written, file.nodes, path.name) for written in laid_over]
+    run = convert(_substitute(file.run, values, f"{path.name}.run"), RunSpec, f"{path.name}.run")
+    nodes = {}
+    kinds = node_kinds()
+    for node, spec in file.nodes.items():
+        where = f"{path.name}.nodes.{node}"
+        if not _NAME.match(node):
+            raise ParameterError(f"{where}: a node's name is lower-case letters, digits and _, at most 32")
+        made: NodeSpec = convert(_substitute(spec, values, where), NodeSpec, where)
+        if made.kind not in kinds:
+            raise ParameterError(f"{where}.kind: {made.kind!r} is not installed; there is: {', '.join(sorted(kinds))}")
+        for tree in over:
+            made = msgspec.structs.replace(made, parameters=merge(made.parameters, tree.get(node, {})))
+        if made.watch:
+            made = msgspec.structs.replace(made, parameters=_watched(node, made, where))
+        nodes[node] = made
+    return Launch(
+        scenario=path.stem,
+        summary=file.summary,
+        path=str(path),
+        text=path.read_text(encoding="utf-8"),
+        arguments=values,
+        run=run,
+        nodes=nodes,
+        model=file.model,
+    )
+
+
+def without(launch: Launch, left_out: list[str]) -> Launch:
+    """Leave nodes out of a launch.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch.
+    left_out : list of str
+        Names of nodes.
+
+    Returns
+    -------
+    Launch
+        The same launch without them.
+
+    Raises
+    ------
+    ParameterError
+        When a node is not there.
+    """
+    for name in left_out:
+        if name not in launch.nodes:
+            raise ParameterError(f"{launch.scenario}.nodes: no node {name!r}; there is: {', '.join(launch.nodes)}")
+    return msgspec.structs.replace(
+        launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out}
+    )
+
+
+def _by_node(written: Path, nodes: Mapping[str, Any], where: str) -> dict[str, Any]:
+    tree = read_yaml(written)
+    if not isinstance(tree, dict) or not tree:
+        raise ParameterError(f"{written}: expected a mapping from node to parameters, got {str(tree)[:100]!r}")
+    for node, parameters in tree.items():
+        if node not in nodes:
+            raise ParameterError(f"{written}: {where} has no node {node!r}; there is: {', '.join(nodes)}")
+        if not isinstance(parameters, dict):
+            raise ParameterError(f"{written}.{node}: expected a mapping of parameters, got {str(parameters)[:100]!r}")
+    return tree
+
+
+def _watched(node: str, spec: NodeSpec, where: str) -> dict[str, Any]:
+    if not Path(spec.watch).is_file():
+        raise ParameterError(f"{where}.watch: {spec.watch}: no such file; write one with haptic param dump {node}")
+    merged: dict[str, Any] = merge(spec.parameters, of_node(read_yaml(spec.watch), node))
+    return merged

@@ -1,0 +1,304 @@
+"""Runs of launches on this machine: where they live, how to find them, how nothing stale stays behind.
+
+A run is a private directory (mode 0700) below the runtime directory. It holds the sockets, one setup file per node, and
+``run.json``, which tells listeners who publishes what. It is removed at every end: by the launcher, by the guard when the
+launcher was killed, and by the next launch should both have been killed.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import time
+from pathlib import Path
+
+import msgspec
+
+from messages import topics
+from nodes.base.setup import Setup
+
+MAX_IPC_PATH = 107
+"""Longest path of a Unix socket [bytes]."""
+
+
+class RunError(RuntimeError):
+    """There is no such run, or its directory cannot be used."""
+
+
+class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """What ``run.json`` holds.
+
+    Attributes
+    ----------
+    run, scenario : str
+        Name of the run (unique on the host) and of its launch file.
+    launcher : int
+        Process number of the launcher.
+    nodes : dict of str to Setup
+        All nodes by name.
+    wall_minus_monotonic : float
+        What to add to a stamp to get wall time [s].
+    manifest : dict of str to str
+        What goes into every recording.
+    """
+
+    run: str
+    scenario: str
+    launcher: int
+    nodes: dict[str, Setup]
+    wall_minus_monotonic: float = 0.0
+    manifest: dict[str, str] = {}
+
+    @property
+    def processors(self) -> set[int]:
+        """Processors of this host on which the loop runs with real-time priority."""
+        own = [setup.scheduling for setup in self.nodes.values() if not setup.by_hand]
+        return {cpu for scheduling in own if scheduling.fifo for cpu in scheduling.cpus}
+
+    def publishers(self) -> dict[str, str]:
+        """List the endpoints for listeners.
+
+        Returns
+        -------
+        dict of str to str
+            Node name to endpoint.
+        """
+        return {name: setup.listen or setup.publish for name, setup in self.nodes.items()}
+
+    def endpoints(self) -> dict[str, str]:
+        """List who publishes what.
+
+        Returns
+        -------
+        dict of str to str
+            Topic to endpoint.
+        """
+        from nodes.base.kinds import load
+
+        found = {}
+        for name, setup in self.nodes.items():
+            for topic in (*load(setup.factory).publishes, topics.status(name), topics.event(name)):
+                found[topic] = setup.listen or setup.publish
+        return found
+
+
+def runtime_dir() -> Path:
+    """Find the directory that holds all runs of this user, and make it private.
+
+    Returns
+    -------
+    Path
+        ``$HAPTIC_RUNTIME_DIR``, or ``haptic`` below ``$XDG_RUNTIME_DIR``, or ``/tmp/haptic-<uid>``.
+
+    Raises
+    ------
+    RunError
+        When it belongs to somebody else or is open to others.
+    """
+    if "HAPTIC_RUNTIME_DIR" in os.environ:
+        path = Path(os.environ["HAPTIC_RUNTIME_DIR"])
+    elif "XDG_RUNTIME_DIR" in os.environ and os.access(os.environ["XDG_RUNTIME_DIR"], os.W_OK):
+        path = Path(os.environ["XDG_RUNTIME_DIR"]) / "haptic"
+    else:
+        # A predictable name in a shared directory is safe because owner and mode are checked below.
+        path = Path("/tmp") / f"haptic-{os.getuid()}"  # noqa: S108
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = path.lstat()
+    if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077 or not stat.S_ISDIR(found.st_mode):
+        raise RunError(f"{path}: must be a directory of user {os.getuid()} with mode 0700; remove it or chmod 700 it")
+    return path
+
+
+def new_run_dir(run: str) -> Path:
+    """Make the private directory of a run.
+
+    Parameters
+    ----------
+    run : str
+        Name of the run.
+
+    Returns
+    -------
+    Path
+        The directory, mode 0700.
+
+    Raises
+    ------
+    RunError
+        When the name is taken or the path is too long for a socket.
+    """
+    path = runtime_dir() / run
+    longest = len(os.fsencode(path / ("n" * 32 + ".listen")))
+    if longest > MAX_IPC_PATH:
+        raise RunError(
+            f"{path}: socket paths could reach {longest} bytes, limit {MAX_IPC_PATH}; set HAPTIC_RUNTIME_DIR to a shorter path"
+        )
+    try:
+        path.mkdir(mode=0o700)
+    except FileExistsError as error:
+        raise RunError(f"{path}: a run of that name exists already") from error
+    return path
+
+
+OWNER = "owner"
+"""File that tells which process keeps a directory here for a run whose launcher is on another machine."""
+
+
+def new_node_dir(run: str) -> Path:
+    """Make the private directory of a node whose launcher is on another machine, or take over that of its killed predecessor.
+
+    Parameters
+    ----------
+    run : str
+        Name of the run and the node.
+
+    Returns
+    -------
+    Path
+        The directory, mode 0700. What a killed predecessor left (when tick 0 was) is still in it.
+
+    Raises
+    ------
+    RunError
+        When a live process keeps it, or the path is too long for a socket.
+    """
+    path = runtime_dir() / run
+    if not (path / OWNER).exists() or _is_kept(path):
+        new_run_dir(run)
+    (path / OWNER).write_text(str(os.getpid()), encoding="ascii")
+    return path
+
+
+def _is_kept(path: Path) -> bool:
+    """Whether a live process keeps a directory for a run of another machine."""
+    try:
+        return alive(int((path / OWNER).read_text(encoding="ascii")))
+    except (FileNotFoundError, ValueError):
+        return False
+
+
+def alive(pid: int) -> bool:
+    """Whether a process exists and is not a zombie.
+
+    Parameters
+    ----------
+    pid : int
+        Process number.
+
+    Returns
+    -------
+    bool
+        True when it runs (or sleeps, or is stopped).
+    """
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return text.rsplit(")", 1)[1].split()[0] not in "ZX"
+
+
+def belongs(pid: int, run_dir: Path) -> bool:
+    """Whether a live process is a node of a run (process numbers are used again).
+
+    Parameters
+    ----------
+    pid : int
+        Process number.
+    run_dir : Path
+        Directory of the run.
+
+    Returns
+    -------
+    bool
+        True when its command line names the directory.
+    """
+    try:
+        return alive(pid) and os.fsencode(run_dir) in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def write_run(path: Path, info: RunInfo) -> None:
+    """Publish what a run consists of.
+
+    Parameters
+    ----------
+    path : Path
+        Directory of the run.
+    info : RunInfo
+        Its content.
+    """
+    draft = path / "run.draft"
+    draft.write_bytes(msgspec.json.encode(info))
+    draft.replace(path / "run.json")
+
+
+def runs() -> dict[str, RunInfo]:
+    """List the live runs of this user on this machine.
+
+    Returns
+    -------
+    dict of str to RunInfo
+        By name, oldest first.
+    """
+    found = []
+    for path in runtime_dir().glob("*/run.json"):
+        try:
+            info = msgspec.json.decode(path.read_bytes(), type=RunInfo)
+            started = path.stat().st_mtime
+        except (FileNotFoundError, msgspec.DecodeError):
+            continue
+        if alive(info.launcher):
+            found.append((started, info))
+    return {info.run: info for _, info in sorted(found, key=lambda item: item[0])}
+
+
+def find_run(name: str | None = None) -> RunInfo:
+    """Find one live run.
+
+    Parameters
+    ----------
+    name : str, optional
+        Its name, or that of its scenario; not needed when only one runs.
+
+    Returns
+    -------
+    RunInfo
+        The run.
+
+    Raises
+    ------
+    RunError
+        When none or several fit.
+    """
+    live = runs()
+    fits = [info for info in live.values() if name is None or name in (info.run, info.scenario)]
+    if len(fits) == 1:
+        return fits[0]
+    if not live:
+        raise RunError("nothing is running; start something with: haptic launch floor_drop")
+    if not fits:
+        raise RunError(f"no run is named {name!r}; running: {', '.join(live)}")
+    raise RunError(f"several runs: {', '.join(info.run for info in fits)}; choose one with --run NAME")
+
+
+def sweep() -> list[str]:
+    """Remove the directories of runs whose launcher and nodes are all gone.
+
+    Returns
+    -------
+    list of str
+        Names of the runs removed.
+    """
+    swept = []
+    live = runs()
+    for path in runtime_dir().iterdir():
+        # A directory that is being set up has no run.json yet; its launcher takes well under a minute.
+        if not path.is_dir() or path.name in live or time.time() - path.stat().st_mtime < 60.0:
+            continue
+        pids = [int(entry) for entry in os.listdir("/proc") if entry.isdigit()]
+        if not _is_kept(path) and not any(belongs(pid, path) for pid in pids):
+            shutil.rmtree(path, ignore_errors=True)
+            swept.append(path.name)
+    return swept

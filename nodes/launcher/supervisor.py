@@ -1,0 +1,280 @@
+"""Supervision of one run in ROS 2's manner: start, respawn, required nodes, and an end that leaves nothing behind.
+
+An end goes in order: first the driver (which brings the force to zero), then the rest of the chain, last the loggers, so that
+every message is recorded. Each node is asked with SIGINT, then SIGTERM, then SIGKILL; a stopped one is woken up first. Who
+asks a second time (Ctrl-C) waits less for all but the driver, which needs its time to bring the force down.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import zmq
+
+from messages.transport.requests import ControlError, call
+from messages.transport.sockets import new_context
+from nodes.base import realtime
+from nodes.launcher import reaper, runs
+from nodes.launcher.child import Child
+from nodes.launcher.external_child import ByHand
+from nodes.launcher.launch_spec import Launch
+from nodes.launcher.wiring import manifest_of, wire
+
+INT_TIMEOUT = 3.0
+TERM_TIMEOUT = 2.0
+HURRY_TIMEOUT = 0.3
+_INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+
+
+class LaunchFailedError(RuntimeError):
+    """A launch that could not be started or had to be ended; the text names the node and the reason."""
+
+
+class Supervisor:
+    """Starts and ends the nodes of one launch.
+
+    Parameters
+    ----------
+    launch : Launch
+        What to run.
+    say : callable
+        Takes one line for the user.
+    """
+
+    def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
+        self._launch = launch
+        self._say = say
+        self.run = f"{launch.scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{time.monotonic_ns() % 10**6:06d}"
+        self.reports: dict[str, dict[str, Any]] = {}
+        self.exit_reason = ""
+        self.failed = False
+        self.startup_s = 0.0
+        self._stop_asked = ""
+        self._hurry = False
+
+    def stop(self, reason: str) -> None:
+        """Ask for the end; asked twice, for a quick one. Safe in a signal handler.
+
+        Parameters
+        ----------
+        reason : str
+            Why.
+        """
+        self._hurry = bool(self._stop_asked)
+        self._stop_asked = self._stop_asked or reason
+
+    def supervise(self, progress: Callable[[Supervisor], None] | None = None) -> None:
+        """Run the launch from start to end.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called about five times a second while the loop runs.
+
+        Raises
+        ------
+        LaunchFailedError
+            When a node could not be started.
+        """
+        with contextlib.ExitStack() as held:
+            if self._launch.run.stays_awake and (refused := held.enter_context(realtime.awake())):
+                self._say(refused)
+            self._supervise(progress, held)
+
+    def _supervise(self, progress: Callable[[Supervisor], None] | None, held: contextlib.ExitStack) -> None:
+        self._begun = time.monotonic()
+        runs.sweep()
+        run_dir = runs.new_run_dir(self.run)
+        self.run_dir = run_dir
+        self.context: zmq.Context[zmq.Socket[bytes]] | None = None
+        self.children: dict[str, Child] = {}
+        try:
+            offset = time.time() - time.monotonic()
+            manifest = manifest_of(self._launch, self.run, offset)
+            setups = wire(self._launch, self.run, run_dir, manifest)
+            info = runs.RunInfo(
+                run=self.run,
+                scenario=self._launch.scenario,
+                launcher=os.getpid(),
+                nodes=setups,
+                wall_minus_monotonic=offset,
+                manifest=manifest,
+            )
+            self._guard = self._start_guard(run_dir)
+            self.context = new_context()
+            for name, setup in setups.items():
+                spec = self._launch.nodes[name]
+                respawns = spec.respawn_max if spec.respawn else 0
+                self.children[name] = (
+                    ByHand(setup, respawns, spec.respawn_delay, spec.required, self.context, self._say)
+                    if setup.by_hand
+                    else Child(setup, respawns, spec.respawn_delay, spec.required)
+                )
+                self.children[name].start(run_dir)
+            runs.write_run(run_dir, info)
+            self._await_ready()
+            # From here on: nodes that start again are imported elsewhere, too, and then go where they belong.
+            held.enter_context(realtime.off(info.processors))
+            self._start_driver()
+            self._watch(progress)
+        finally:
+            self._end_all()
+            for child in self.children.values():
+                child.release()
+            if self.context is not None:
+                self.context.term()
+            shutil.rmtree(run_dir, ignore_errors=True)
+            if hasattr(self, "_guard"):
+                self._dismiss_guard()
+
+    # -- processes ---------------------------------------------------------------------------------------------------
+
+    def _start_guard(self, run_dir: Path) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-S", "-E", str(reaper.__file__), str(run_dir)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    def _dismiss_guard(self) -> None:
+        pipe: IO[bytes] | None = self._guard.stdin
+        assert pipe is not None  # noqa: S101
+        # It may have been killed this moment; then nothing is left for it to do.
+        with contextlib.suppress(BrokenPipeError):
+            pipe.write(b"done\n")
+            pipe.flush()
+        with contextlib.suppress(BrokenPipeError):
+            pipe.close()
+        self._guard.wait()
+
+    def _keep_guard(self) -> None:
+        if self._guard.poll() is not None:
+            self._say(f"the guard ended with exit code {self._guard.returncode}; starting another")
+            if self._guard.stdin is not None:
+                self._guard.stdin.close()
+            self._guard = self._start_guard(self.run_dir)
+
+    def _await_ready(self) -> None:
+        assert self.context is not None  # noqa: S101
+        begun = time.monotonic()
+        # All wait for those that somebody has to start by hand.
+        patience = max(child.patience for child in self.children.values())
+        for name, child in self.children.items():
+            while not self._stop_asked:
+                # The others too: one that is gone may be what this one waits for.
+                for other, there in self.children.items():
+                    if not there.running:
+                        raise LaunchFailedError(f"{other}: ended during start with {there.end}")
+                state = child.state(self.context)
+                if state in ("ready", "running"):
+                    child.ready = True
+                    break
+                if time.monotonic() - begun > patience:
+                    raise LaunchFailedError(f"{name}: still {state} after {patience:g} s")
+                time.sleep(0.01)
+
+    def _start_driver(self) -> None:
+        assert self.context is not None  # noqa: S101
+        for child in self.children.values():
+            if child.drives and child.running and not self._stop_asked:
+                call(self.context, child.setup.control, "start", timeout=10.0)
+        self.startup_s = time.monotonic() - self._begun
+
+    def _watch(self, progress: Callable[[Supervisor], None] | None) -> None:
+        next_progress = 0.0
+        while not self._stop_asked:
+            self._keep_guard()
+            for name, child in self.children.items():
+                self._look_after(name, child)
+            if progress is not None and time.monotonic() >= next_progress:
+                next_progress = time.monotonic() + 0.2
+                progress(self)
+            time.sleep(0.01)
+        self.exit_reason = self.exit_reason or self._stop_asked
+
+    def _look_after(self, name: str, child: Child) -> None:
+        if child.to_start and child.running:
+            self._restart_driver(child)
+        if child.over or child.running:
+            return
+        if child.again_at is not None:
+            if time.monotonic() >= child.again_at:
+                child.restarts += 1
+                self._say(f"{name}: started again ({child.restarts})")
+                child.start(self.run_dir)
+                child.to_start = child.drives
+            return
+        if child.code == 0 and child.drives:
+            child.over = True
+            self.exit_reason = self._read_report(name).get("status", {}).get("reason", "") or "done"
+            self.stop(self.exit_reason)
+        elif child.respawns < 0 or child.restarts < child.respawns:
+            self._say(f"{name}: ended with {child.end}; starting it again in {child.delay:g} s")
+            child.again_at = time.monotonic() + child.delay
+        else:
+            child.over = True
+            reason = f"{name}: ended with {child.end}"
+            if child.required:
+                self.failed = True
+                self.exit_reason = reason
+                self.stop(reason)
+            self._say(f"{reason}{'; ending the launch' if child.required else ''}")
+
+    def _restart_driver(self, child: Child) -> None:
+        assert self.context is not None  # noqa: S101
+        # It is not there yet at the first tries; the other nodes are looked after in between.
+        state = child.state(self.context, 0.05)
+        with contextlib.suppress(ControlError):
+            if state == "ready":
+                call(self.context, child.setup.control, "start", timeout=0.5)
+            # A lost answer shows as a driver that runs.
+            child.to_start = state not in ("ready", "running")
+
+    # -- the end -----------------------------------------------------------------------------------------------------
+
+    def _end_all(self) -> None:
+        groups = (
+            [child for child in self.children.values() if child.drives],
+            [child for child in self.children.values() if not child.drives and not child.listens],
+            [child for child in self.children.values() if child.listens],
+        )
+        for group in groups:
+            self._end(group)
+        for name in self.children:
+            self._read_report(name)
+
+    def _end(self, group: list[Child]) -> None:
+        for number, patience in (
+            (signal.SIGINT, INT_TIMEOUT),
+            (signal.SIGTERM, TERM_TIMEOUT),
+            (signal.SIGKILL, math.inf),
+        ):
+            left = [child for child in group if child.running]
+            for child in left:
+                if number != signal.SIGINT:
+                    self._say(f"{child.setup.name}: does not end; {number.name}")
+                # While its interpreter is being set up, a process answers SIGINT with a traceback, SIGTERM with silence.
+                child.send(number if child.ready else max(number, signal.SIGTERM, key=_INSISTENCE.index))
+            begun = time.monotonic()
+            while any(child.running for child in left):
+                hurry = self._hurry and number != signal.SIGKILL and not any(child.drives for child in left)
+                if time.monotonic() - begun > (HURRY_TIMEOUT if hurry else patience):
+                    break
+                time.sleep(0.005)
+
+    def _read_report(self, name: str) -> dict[str, Any]:
+        report = self.reports.get(name) or self.children[name].report(self.run_dir)
+        if report:
+            self.reports[name] = report
+        return report

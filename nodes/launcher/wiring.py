@@ -1,0 +1,265 @@
+"""From a launch to one setup per node: endpoints, who listens to whom, cores and priorities."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+
+from messages import topics
+from messages.transport.endpoints import is_remote
+from messages.transport.keys import KeyRefusedError, identity, key_of
+from nodes.base import realtime
+from nodes.base.kinds import load, node_kinds
+from nodes.base.node import Node
+from nodes.base.setup import Scheduling, Setup
+from nodes.launcher.external_child import LEASE, PATIENCE
+from nodes.launcher.launch_spec import Launch
+from nodes.parameters.store import ParameterError, convert
+
+FIFO = 50
+"""Priority of the chain in real time: above what a desktop runs, below the kernel's own threads."""
+
+
+def _core(launch: Launch) -> int | None:
+    """Choose the chain's processor, None for no pinning: once for all nodes, for the counts it goes by move on."""
+    available = sorted(os.sched_getaffinity(0))
+    cpu = launch.run.cpu
+    if cpu == "any" or (cpu == "auto" and len(available) < 2):
+        return None
+    if cpu == "auto":
+        return realtime.quietest_processor()
+    if cpu in available:
+        return cpu
+    raise ParameterError(f"{launch.scenario}.run.cpu: {cpu}, available: {', '.join(map(str, available))}")
+
+
+def _scheduling(launch: Launch, kind: type[Node], core: int | None) -> Scheduling:
+    run = launch.run
+    available = sorted(os.sched_getaffinity(0))
+    others = [cpu for cpu in available if cpu != core] or available
+    hops = [hop for hop, topic in enumerate(topics.LOOP) if topic in kind.publishes]
+    if not hops:
+        return Scheduling(cpus=others)
+    # In saturated lockstep the kernel throttles FIFO tasks, which shows as gaps of 50 ms; without pinning they gain nothing.
+    automatic = FIFO if launch.run.pace == "realtime" and run.cpu != "any" else 0
+    fifo = automatic if run.fifo == "auto" else run.fifo
+    # Who has sent must not hold up who has received: coupling above environment, and the driver, which waits for both, on top.
+    return Scheduling(cpus=[] if core is None else [core], fifo=fifo + (hops[0] or len(topics.LOOP)) if fifo else 0)
+
+
+def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str], dict[str, str]]:
+    """Classes by node, and by loop topic the node that publishes it and the one that relays it, if any."""
+    factories = node_kinds()
+    classes = {name: load(factories[spec.kind]) for name, spec in launch.nodes.items()}
+    publisher: dict[str, str] = {}
+    for name, kind in classes.items():
+        for topic in kind.publishes:
+            if topic in publisher:
+                raise ParameterError(
+                    f"{launch.scenario}.nodes.{name}: {topic} is already published by {publisher[topic]}"
+                )
+            publisher[topic] = name
+    for name, kind in classes.items():
+        for topic in kind.listens_to:
+            if topic != "*" and topic not in publisher:
+                raise ParameterError(f"{launch.scenario}.nodes.{name}: listens to {topic}, which no node publishes")
+    relays: dict[str, str] = {}
+    for name, kind in classes.items():
+        for topic in kind.relays:
+            if topic in relays:
+                raise ParameterError(f"{launch.scenario}.nodes.{name}: {topic} is already relayed by {relays[topic]}")
+            relays[topic] = name
+    return classes, publisher, relays
+
+
+def _source(name: str, topic: str, publisher: dict[str, str], relays: dict[str, str]) -> str:
+    """Name the node from which another one gets a topic: a relay stands between the publisher and everybody else."""
+    relay = relays.get(topic, name)
+    return publisher[topic] if relay == name else relay
+
+
+class _Places:
+    """Endpoints of the nodes of one launch: ipc on this machine, tcp to and from nodes on others."""
+
+    def __init__(self, launch: Launch) -> None:
+        self._launch = launch
+        self._curve = any(spec.key for spec in launch.nodes.values())
+        self._ports = {
+            name: spec.port or launch.run.port + 2 * i for i, (name, spec) in enumerate(launch.nodes.items())
+        }
+        taken: dict[tuple[str, int], str] = {}
+        for name, spec in launch.nodes.items():
+            for port in (self._ports[name], self._ports[name] + 1):
+                other = taken.setdefault((spec.host, port), name)
+                if other != name:
+                    raise ParameterError(f"{launch.scenario}.nodes.{name}.port: {port} is taken by {other}")
+
+    def _tcp(self, host: str, port: int, key: str, where: str) -> str:
+        bare = f"tcp://{f'[{host}]' if ':' in host else host}:{port}"
+        if not is_remote(bare) and not self._curve:
+            return bare
+        try:
+            return f"{bare}#{key_of(key) if key else identity().public}"
+        except KeyRefusedError as error:
+            raise ParameterError(
+                f"{self._launch.scenario}.{where}: {host} is not this machine alone: {error}"
+            ) from error
+
+    def far(self, name: str, offset: int = 0) -> str:
+        """Endpoint of a node on another machine; empty for one on this machine."""
+        spec = self._launch.nodes[name]
+        if not spec.host:
+            return ""
+        return self._tcp(spec.host, self._ports[name] + offset, spec.key or spec.host, f"nodes.{name}.key")
+
+    def reach(self, name: str, offset: int) -> str:
+        """Endpoint at which other machines reach a node on this one."""
+        hosts = [spec.host for spec in self._launch.nodes.values() if spec.host]
+        address = self._launch.run.host
+        if not address:
+            if any(is_remote(f"tcp://{host}:1") for host in hosts):
+                raise ParameterError(
+                    f"{self._launch.scenario}.run.host: needed, the address under which {hosts[0]} reaches this machine"
+                )
+            address = "127.0.0.1"
+        return self._tcp(address, self._ports[name] + offset, "", "run.host")
+
+
+def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
+    """Resolve a launch.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch.
+    run : str
+        Name of the run.
+    run_dir : Path
+        Its directory.
+    manifest : dict of str to str
+        What goes into every recording.
+
+    Returns
+    -------
+    dict of str to Setup
+        One per node.
+
+    Raises
+    ------
+    ParameterError
+        When nodes do not fit together or a parameter is refused.
+    """
+    classes, publisher, relays = _roles(launch)
+    factories = node_kinds()
+    publish = {name: f"ipc://{run_dir}/{name}.pub" for name in launch.nodes}
+    listen = {name: f"ipc://{run_dir}/{name}.listen" for name in launch.nodes}
+    places = _Places(launch)
+    far = {name: places.far(name) for name in launch.nodes}
+    by_hand = {name for name, spec in launch.nodes.items() if spec.by_hand or spec.host}
+    reached: dict[tuple[str, bool], str] = {}
+
+    def endpoint(source: str, local: dict[str, str], listener: str) -> str:
+        if far[source]:
+            return far[source]
+        if far[listener]:
+            return reached.setdefault((source, local is listen), places.reach(source, int(local is listen)))
+        return local[source]
+
+    setups = {}
+    core = _core(launch)
+    for name, spec in launch.nodes.items():
+        kind = classes[name]
+        convert(spec.parameters, kind.Parameters, name)
+        if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not kind.listens_to == ("*",):
+            raise ParameterError(
+                f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a lockstep run would no "
+                "longer be deterministic; use pace realtime"
+            )
+        everything = kind.listens_to == ("*",)
+        if everything:
+            sources = {other: endpoint(other, listen, name) for other in launch.nodes if other != name}
+        else:
+            sources = {
+                topic: endpoint(_source(name, topic, publisher, relays), publish, name) for topic in kind.listens_to
+            }
+        listeners = sum(
+            other != name
+            and (
+                "*" in classes[other].listens_to
+                or any(
+                    _source(other, topic, publisher, relays) == name
+                    for topic in classes[other].listens_to
+                    if topic in publisher
+                )
+            )
+            for other in launch.nodes
+        )
+        setups[name] = Setup(
+            run=run,
+            run_dir=str(run_dir),
+            name=name,
+            kind=spec.kind,
+            factory=factories[spec.kind],
+            period=launch.run.period,
+            pace=launch.run.pace,
+            apply=launch.run.apply,
+            axes=launch.run.axes,
+            ticks=launch.run.ticks,
+            publish=far[name] or publish[name],
+            listen="" if far[name] else listen[name],
+            control=places.far(name, 1) or f"ipc://{run_dir}/{name}.ctl",
+            by_hand=name in by_hand,
+            lease=LEASE if name in by_hand else 0.0,
+            patience=PATIENCE if by_hand else 10.0,
+            sources=sources,
+            listeners=listeners,
+            scheduling=_scheduling(launch, kind, core),
+            parameters=spec.parameters,
+            watch=os.path.abspath(spec.watch) if spec.watch else "",
+            manifest=manifest if everything else {},
+        )
+        kind.check(setups[name])
+    return {
+        name: msgspec.structs.replace(
+            setup, reach=reached.get((name, False), ""), listen_reach=reached.get((name, True), "")
+        )
+        for name, setup in setups.items()
+    }
+
+
+def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[str, str]:
+    """Describe a run for its recordings.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch.
+    run : str
+        Name of the run.
+    wall_minus_monotonic : float
+        What to add to a stamp to get wall time [s].
+
+    Returns
+    -------
+    dict of str to str
+        Text by name; parameters of the nodes as JSON.
+    """
+    uname = os.uname()
+    return {
+        "run": run,
+        "scenario": launch.scenario,
+        "summary": launch.summary,
+        "arguments": msgspec.json.encode(launch.arguments).decode(),
+        "rate_hz": repr(launch.run.rate),
+        "pace": launch.run.pace,
+        "apply": launch.run.apply,
+        "duration_s": repr(launch.run.duration),
+        "axes": ",".join(launch.run.axes),
+        "wall_minus_monotonic_s": repr(wall_minus_monotonic),
+        "host": uname.nodename,
+        "kernel": f"{uname.sysname} {uname.release} {uname.machine}",
+        "launch_file": launch.text,
+        "nodes": msgspec.json.encode({name: spec.parameters for name, spec in launch.nodes.items()}).decode(),
+    }

@@ -1,0 +1,184 @@
+"""The coupling laws: parameters in, taps out. One law per file; other packages add laws through entry points ``haptic.laws``.
+
+A law is a frozen msgspec struct whose fields are its parameters, with one method, ``compile``. What it compiles to is the
+same for all: a vector of taps over the shared deflection history (every law of the seed is just that, eq. 1, 6, 10) and, for
+recursive realisations of D^α, parallel second-order sections beside them. So a swap of laws is a swap of numbers.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import ClassVar
+
+import msgspec
+
+GROUP = "haptic.laws"
+
+
+@dataclass(frozen=True)
+class CompiledLaw:
+    """What a law renders at one sampling period.
+
+    Attributes
+    ----------
+    taps : tuple of float, shape (n + 1,)
+        h_0 ... h_n [N/m]: F[k] = Σ h_m x[k−m] + Σ sections.
+    sections : tuple of tuple of float, shape (s, 4)
+        b0, b1 [N/m], a1, a2 of parallel sections y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂.
+    evaluate : callable or None
+        A law's own code beside taps and sections, for what is not linear: from (ring, head), with ``ring[head + m]`` the
+        deflection m ticks ago, to a force [N] that is added. It is tried once before it may render, and guarded then:
+        when it raises, returns a force that is not finite or overruns its budget, the fallback takes over within the
+        same tick.
+    """
+
+    taps: tuple[float, ...]
+    sections: tuple[tuple[float, float, float, float], ...] = ()
+    evaluate: Callable[[Sequence[float], int], float] | None = None
+
+    def response(self, z: complex) -> complex:
+        """Transfer function from deflection to force.
+
+        Parameters
+        ----------
+        z : complex
+            Point of the z plane, e.g. exp(jωT).
+
+        Returns
+        -------
+        complex
+            H(z) [N/m].
+        """
+        w = 1.0 / z
+        total = 0j
+        for tap in reversed(self.taps):
+            total = total * w + tap
+        for b0, b1, a1, a2 in self.sections:
+            total += (b0 + b1 * w) / (1.0 + w * (a1 + w * a2))
+        return total
+
+    @property
+    def h1(self) -> float:
+        """Stiffness rendered to a held deflection, H(1) [N/m]."""
+        return self.response(1.0).real
+
+    @property
+    def h_nyquist(self) -> float:
+        """Gain at the Nyquist frequency, H(−1) [N/m]: what encoder noise is multiplied with."""
+        return self.response(-1.0).real
+
+    @property
+    def finite(self) -> bool:
+        """Whether every coefficient is finite."""
+        return all(map(math.isfinite, self.taps)) and all(math.isfinite(c) for s in self.sections for c in s)
+
+    def stable_sections(self) -> bool:
+        """Whether the recursive sections themselves decay.
+
+        Returns
+        -------
+        bool
+            True when all their poles lie inside the unit circle (True without sections).
+        """
+        for _, _, a1, a2 in self.sections:
+            root = cmath.sqrt(a1 * a1 - 4.0 * a2)
+            if max(abs(-a1 + root), abs(-a1 - root)) >= 2.0:
+                return False
+        return True
+
+
+class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all laws: the fields of a subclass are its parameters.
+
+    Attributes
+    ----------
+    kind : str
+        Class variable: the registered name.
+    """
+
+    kind: ClassVar[str] = ""
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Turn the parameters into taps.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            Taps and sections.
+
+        Raises
+        ------
+        ValueError
+            When the parameters cannot be realised; the text names the parameter, its value and the limit.
+        """
+        raise TypeError(f"law kind {type(self).kind!r} does not define compile(), asked for T = {period:g} s")
+
+
+def law_kinds() -> dict[str, type[Law]]:
+    """Find all installed laws.
+
+    Returns
+    -------
+    dict of str to type of Law
+        Registered name to class, sorted by name.
+    """
+    return {name: load_law(name) for name in law_names()}
+
+
+def law_names() -> list[str]:
+    """List the installed laws without importing any.
+
+    Returns
+    -------
+    list of str
+        Registered names, sorted.
+    """
+    return sorted(_installed(tuple(sys.path)))
+
+
+def load_law(kind: str) -> type[Law]:
+    """Import one law.
+
+    Parameters
+    ----------
+    kind : str
+        Registered name.
+
+    Returns
+    -------
+    type of Law
+        The class.
+
+    Raises
+    ------
+    KeyError
+        When none of that name is installed.
+    TypeError
+        When what is registered is not a law.
+    """
+    found = _installed(tuple(sys.path))[kind].load()
+    if not (isinstance(found, type) and issubclass(found, Law)):
+        raise TypeError(f"{kind}: {found!r} is registered in {GROUP}, but is not a subclass of nodes.laws.Law")
+    if found.kind != kind:
+        raise TypeError(
+            f"{kind}: {found!r} calls itself {found.kind!r}; its class variable kind must be its registered name"
+        )
+    return found
+
+
+@cache
+def _installed(path: tuple[str, ...]) -> dict[str, EntryPoint]:
+    """Read the registry once per search path: that takes milliseconds, and a running loop asks at every change."""
+    del path
+    return {point.name: point for point in entry_points(group=GROUP)}

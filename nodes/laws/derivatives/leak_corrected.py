@@ -1,0 +1,48 @@
+"""Grünwald–Letnikov with the leak moved into the last tap, so that D(1) = 0: a held offset gives no force.
+
+A clear win for α > 1 with a short memory, where the leak would make the wall softer than its K; for α < 1 it makes a
+constant exact (as if it had been there for ever) but everything slower than the memory less accurate than plain GL.
+It breaks when the vector is shorter than the differences it stands for (n + 1 <= ⌈α⌉): then the correction is no
+longer the small remainder of a series but most of the answer.
+"""
+
+from __future__ import annotations
+
+import math
+
+from nodes.laws import CompiledLaw
+from nodes.laws.derivatives.gl import coefficients
+
+
+def gl_leak_corrected(order: float, taps: int, period: float) -> CompiledLaw:
+    """D^α as the Grünwald–Letnikov sum with Σ h_m = 0.
+
+    Parameters
+    ----------
+    order : float
+        α, in (0, 4).
+    taps : int
+        n + 1, more than ⌈α⌉.
+    period : float
+        Sampling period T [s].
+
+    Returns
+    -------
+    CompiledLaw
+        ``taps`` taps, no sections.
+
+    Raises
+    ------
+    ValueError
+        When ``taps`` is not more than ⌈α⌉.
+    """
+    least = math.ceil(order) + 1
+    if taps < least:
+        raise ValueError(
+            f"taps = {taps}: leak-corrected GL of order {order:g} needs at least {least}; below that the correction "
+            "replaces the derivative. Take more taps, or plain gl"
+        )
+    series = coefficients(order, taps)
+    series[-1] = -math.fsum(series[:-1])
+    gain = float(period) ** -order
+    return CompiledLaw(tuple(gain * c for c in series))

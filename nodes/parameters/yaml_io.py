@@ -1,0 +1,256 @@
+"""YAML as the project reads and writes it: bounded, without surprises, and never half-written.
+
+Numbers are what they look like (``1e3`` is a number, ``010`` is ten, ``1:30`` and ``off`` are text), a key stands once, and
+aliases are refused because a kilobyte of them expands to gigabytes. What `write_yaml` writes reads back to the same bits.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+from pathlib import Path
+from typing import Any, ClassVar
+
+import yaml
+
+from nodes.parameters.store import ParameterError
+
+MAX_CHARACTERS = 1_000_000
+"""Longest document: several laws of the greatest length."""
+
+MAX_DEPTH = 32
+MAX_INT = 2**63 - 1
+"""Integers travel between the processes as 64 bits."""
+
+_BREAKS = re.compile("[\x85\u2028\u2029]")
+
+_RESOLVED = (
+    ("bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), "tTfF"),
+    ("null", re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""]),
+    ("int", re.compile(r"^(?:[-+]?[0-9][0-9_]*|0x[0-9a-fA-F]+)$"), "-+0123456789"),
+    (
+        "float",
+        re.compile(
+            r"^(?:[-+]?(?:[0-9][0-9_]*\.[0-9_]*(?:[eE][-+]?[0-9]+)?|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?"
+            r"|[0-9][0-9_]*[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))|\.(?:nan|NaN|NAN))$"
+        ),
+        "-+0123456789.",
+    ),
+)
+"""Plain scalars that are not text: those of YAML 1.2, and digits may be grouped with _."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Builds mappings, lists, text, numbers, truth values and None, whatever tag is written."""
+
+    yaml_constructors: ClassVar[dict[str | None, Any]] = {
+        f"tag:yaml.org,2002:{name}": yaml.SafeLoader.yaml_constructors[f"tag:yaml.org,2002:{name}"]
+        for name in ("map", "seq", "str", "bool", "null", "float")
+    }
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # as PyYAML declares it
+    depth = 0
+
+    def _mark(self) -> str:
+        event: yaml.events.Event = self.peek_event()  # type: ignore[no-untyped-call]
+        return str(event.start_mark)
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.events.AliasEvent):
+            raise yaml.YAMLError(f"aliases are not accepted; write the value out{self._mark()}")
+        self.depth += 1
+        if self.depth > MAX_DEPTH:
+            raise yaml.YAMLError(f"nested deeper than {MAX_DEPTH}{self._mark()}")
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        if not isinstance(node, yaml.MappingNode):
+            raise yaml.YAMLError(f"expected a mapping{node.start_mark}")
+        seen = set()
+        for key, _ in node.value:
+            name = self.construct_object(key, deep=True)
+            if not isinstance(name, str):
+                raise yaml.YAMLError(f"key {name!r} is not text; put it in quotes{key.start_mark}")
+            if name in seen:
+                raise yaml.YAMLError(f"{name!r} stands twice{key.start_mark}")
+            seen.add(name)
+        return super().construct_mapping(node, deep)
+
+    def construct_int(self, node: Any) -> int:
+        text = node.value.replace("_", "")
+        # The length first: Python refuses to read very long numbers, with advice that helps nobody here.
+        value = int(text, 16 if text.startswith("0x") else 10) if len(text) < 100 else MAX_INT + 1
+        if not -MAX_INT <= value <= MAX_INT:
+            raise yaml.YAMLError(f"{text[:40]}: limit ±{MAX_INT}; write a float{node.start_mark}")
+        return value
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes what `_Loader` would not read as text."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # as PyYAML declares it
+
+    def ignore_aliases(self, data: Any) -> bool:
+        del data
+        return True
+
+
+for _name, _pattern, _first in _RESOLVED:
+    for _class in (_Loader, _Dumper):
+        _class.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", _pattern, list(_first))
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_int)
+_Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """Read one YAML document, bounded in size and depth.
+
+    Parameters
+    ----------
+    text : str
+        The document.
+    source : str
+        Where it came from, for errors.
+
+    Returns
+    -------
+    object
+        Builtins.
+
+    Raises
+    ------
+    ParameterError
+        When it is not YAML, too long, too deep, or uses aliases or duplicate keys.
+    """
+    if len(text) > MAX_CHARACTERS:
+        raise ParameterError(f"{source}: {len(text)} characters, limit {MAX_CHARACTERS}")
+    try:
+        # _Loader is a SafeLoader: it constructs builtins only.
+        return yaml.load(text, Loader=_Loader)  # noqa: S506
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise ParameterError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
+
+
+def write_yaml(data: Any, width: int = 120) -> str:
+    """Write builtins as YAML that `parse_yaml` reads back unchanged.
+
+    Parameters
+    ----------
+    data : object
+        Mappings with text keys, lists, text, numbers, truth values, None.
+    width : int
+        Where lines are broken [characters].
+
+    Returns
+    -------
+    str
+        The document; innermost lists and mappings on one line.
+    """
+    for plain in (True, False):
+        text: str = yaml.dump(
+            data, Dumper=_Dumper, sort_keys=False, allow_unicode=plain, default_flow_style=None, width=width
+        )
+        # PyYAML writes Unicode's own line breaks as they are and then reads them as blanks; escaped they are safe.
+        if not _BREAKS.search(text):
+            break
+    return text
+
+
+def read_yaml(path: str | os.PathLike[str]) -> Any:
+    """Read a YAML file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Returns
+    -------
+    object
+        Builtins.
+
+    Raises
+    ------
+    ParameterError
+        When it cannot be read or parsed.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise ParameterError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ParameterError(f"{path}: not UTF-8: {error}") from error
+    return parse_yaml(text, str(path))
+
+
+class WatchedFile:
+    """A YAML file whose saved changes are picked up, never half-written ones.
+
+    A file is read only when size and time have stayed the same for two polls and the kernel confirms, by granting a read
+    lease, that no process has it open for writing. A writer that opens it while the lease is held makes the kernel send
+    SIGIO, which ends a process that does not ignore it: nodes do (nodes/base/node.py).
+
+    Parameters
+    ----------
+    path : str
+        The file.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self._seen: tuple[int, int, int] | None = None
+        self._applied: tuple[int, int, int] | None = None
+
+    def _signature(self) -> tuple[int, int, int] | None:
+        try:
+            found = os.stat(self.path)
+        except FileNotFoundError:
+            return None
+        return found.st_mtime_ns, found.st_size, found.st_ino
+
+    def poll(self) -> Any:
+        """Look whether the file was saved anew; the first time, it counts as such.
+
+        Returns
+        -------
+        object or None
+            Its content as builtins; None when there is nothing new or it is still being written.
+
+        Raises
+        ------
+        ParameterError
+            When it cannot be read or parsed; it is not tried again until it is saved again.
+        """
+        try:
+            signature = self._signature()
+            steady = signature == self._seen
+            self._seen = signature
+            if signature is None or not steady or signature == self._applied:
+                return None
+            with open(self.path, "rb") as file:
+                if not self._lease(file.fileno(), fcntl.F_RDLCK):
+                    return None
+                content = file.read(4 * MAX_CHARACTERS + 1)
+                self._lease(file.fileno(), fcntl.F_UNLCK)
+            # Saved again, or replaced by another file, while it was read: the next polls will see that one.
+            if self._signature() != signature:
+                return None
+            self._applied = signature
+            text = content.decode("utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            self._applied = self._seen
+            raise ParameterError(f"{self.path}: {error}") from error
+        return parse_yaml(text, self.path)
+
+    @staticmethod
+    def _lease(descriptor: int, kind: int) -> bool:
+        try:
+            fcntl.fcntl(descriptor, fcntl.F_SETLEASE, kind)
+        except BlockingIOError:
+            return False
+        except OSError:
+            # The file system or the file's owner gives no leases (NFS, another user's file): two equal polls must do.
+            return True
+        return True

@@ -1,0 +1,155 @@
+"""Every message accounted for: what nodes say they sent, what was recorded, what was left out on purpose, and their clocks."""
+
+from __future__ import annotations
+
+import msgspec
+
+from messages.topics import DEVICE_STATE, FORCE, LOOP, PROXY, RECEIPT, message_type
+from messages.types import DeviceState, NodeStatus
+from nodes.recording.mcap_walk import RawMessage
+from nodes.recording.reader import Recording
+
+
+class Account(msgspec.Struct):
+    """What a node says it sent against what was recorded of it.
+
+    Attributes
+    ----------
+    sent : int
+        Messages sent, by the last status of each of its processes.
+    recorded : int
+        Messages of the node recorded before that status.
+    lost : int
+        Difference; 0 when everything arrived. For a logger that came late, only what is missing in ``seq`` since then
+        and was not left out by the driver.
+    since : int
+        ``seq`` at which the recording begins: above 0 for a logger that came late.
+    finished : bool
+        Whether the last status is a final one: otherwise the node was killed, or the logger left before it.
+    """
+
+    sent: int
+    recorded: int
+    lost: int
+    since: int
+    finished: bool
+
+
+class Clock(msgspec.Struct):
+    """How far the clock of a node's host was from the launcher's; its stamps are corrected by that already.
+
+    Attributes
+    ----------
+    offset : float
+        What was added to that clock to get the time of the run, as measured last [s]; 0 on the launcher's host.
+    error : float
+        How far off that was at most, the largest bound of the whole recording [s]; 0 on the launcher's host.
+    """
+
+    offset: float
+    error: float
+
+
+def clocks(recording: Recording) -> dict[str, Clock]:
+    """Tell how far the nodes' clocks were from the launcher's, by the recorded statuses: a manifest is written too early.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    dict of str to Clock
+        By node name, for each node whose status was recorded.
+
+    Raises
+    ------
+    RecordError
+        When a status does not fit its type.
+    """
+    found: dict[str, Clock] = {}
+    for entry in recording.entries(topic for topic in recording.topics if message_type(topic) is NodeStatus):
+        status = entry.message
+        if isinstance(status, NodeStatus):
+            before = found.get(status.node)
+            found[status.node] = Clock(status.clock_offset, max(status.clock_error, before.error if before else 0.0))
+    return found
+
+
+def _tick_topics(kind: str) -> tuple[str, ...]:
+    """Topics outside its own name that a kind of node publishes."""
+    if "driver" in kind:
+        return (DEVICE_STATE,)
+    return {"environment": (PROXY,), "coupling": (FORCE, RECEIPT)}.get(kind, ())
+
+
+def accounts(recording: Recording) -> dict[str, Account]:
+    """Compare, node by node, what it says it sent with what was recorded.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    dict of str to Account
+        By node name, for each node whose status was recorded, and its messages too.
+
+    Raises
+    ------
+    RecordError
+        When a status does not fit its type.
+    """
+    topics = recording.topics
+    since = max((figures.first_seq for topic, figures in topics.items() if topic in LOOP), default=0)
+    left_out = overruns(recording) if since else 0
+    decoder = msgspec.json.Decoder(NodeStatus)
+    counts = dict.fromkeys(topics, 0)
+    sent: dict[str, dict[int, int]] = {}
+    found: dict[str, Account] = {}
+    for topic, raw, offset in recording.raw():
+        if message_type(topic) is NodeStatus:
+            status = recording.decode(decoder, raw, offset)
+            sent.setdefault(status.node, {})[status.pid] = status.sent
+            ticking = _tick_topics(status.kind)
+            own = [t for t in topics if t in ticking or t.startswith(f"/{status.node}/")]
+            total, recorded = sum(sent[status.node].values()), sum(counts[t] for t in own)
+            lost = max(total - recorded, 0)
+            if since:
+                # What a node skipped for something newer is missing in seq too, but was never sent.
+                lost = min(lost, max(sum(topics[t].gaps for t in own) - left_out, 0))
+            # Where only some topics were recorded, there is nothing to compare.
+            if not ticking or ticking[0] in topics:
+                ended = status.state in ("finished", "failed")
+                found[status.node] = Account(total, recorded, lost, since, ended)
+        counts[topic] += 1
+    return found
+
+
+def overruns(recording: Recording) -> int:
+    """Count the ticks that the driver left out while it was recorded: gaps in ``seq`` that are no losses.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    int
+        By the driver's own count; 0 without device states.
+
+    Raises
+    ------
+    RecordError
+        When a state does not fit its type.
+    """
+    ends: list[tuple[RawMessage, int]] = []
+    for topic, raw, offset in recording.raw():
+        if topic == DEVICE_STATE:
+            ends[1:] = [(raw, offset)]
+    decoder = msgspec.json.Decoder(DeviceState)
+    counts = [recording.decode(decoder, raw, offset).overruns for raw, offset in ends]
+    return counts[-1] - counts[0] if counts else 0

@@ -1,0 +1,306 @@
+"""Loggers: listen to everything, write MCAP, cost the loop nothing.
+
+A logger is a node of a launch, or ``haptic bag record`` beside it; both use the same recorder. A publisher never waits for
+one: a stalled logger loses messages beyond the publisher's queue, and the recording tells how many.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import FrameType
+from typing import Any, ClassVar, NoReturn
+
+import msgspec
+
+from messages.codec import Decoder, MessageRefusedError
+from messages.topics import message_type
+from messages.transport.sockets import Subscription, new_context
+from messages.types import Message
+from nodes.base import realtime
+from nodes.base.node import Node
+from nodes.launcher.runs import RunInfo
+from nodes.recording.writer import RecordError, RecordWriter
+
+FLUSH_PERIOD = 0.5
+"""What a killed logger loses at most [s]."""
+
+QUEUE = 200_000
+"""Messages that wait in the logger's process while its disk is busy."""
+
+QUIET_MS = 200
+"""How long no message may come before a stopped logger believes that all have [ms]."""
+
+
+class LoggerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of a logger node.
+
+    Attributes
+    ----------
+    path : str
+        The file; ``{run}`` stands for the name of the run.
+    topics : list of str
+        Topics to record; empty for all.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    """
+
+    path: str = "recordings/{run}.mcap"
+    topics: list[str] = []
+    overwrite: bool = False
+
+
+class Recorder:
+    """Writes what a subscription receives.
+
+    Parameters
+    ----------
+    inbox : Subscription
+        Connected to all publishers.
+    writer : RecordWriter
+        The file.
+
+    Attributes
+    ----------
+    recorded, refused : int
+        Messages written, and messages that were not of the protocol.
+    clock_offset : float
+        What to add to this host's monotonic clock to get the time of the run, in which receipt is recorded [s].
+    """
+
+    def __init__(self, inbox: Subscription, writer: RecordWriter) -> None:
+        self._inbox = inbox
+        self._writer = writer
+        self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
+        self._next_flush = time.monotonic() + FLUSH_PERIOD
+        self.recorded = 0
+        self.refused = 0
+        self.clock_offset = 0.0
+
+    def take(self, timeout_ms: int) -> bool:
+        """Wait for one message and record it; flush when it is time.
+
+        Parameters
+        ----------
+        timeout_ms : int
+            Longest wait [ms].
+
+        Returns
+        -------
+        bool
+            Whether a message came.
+
+        Raises
+        ------
+        RecordError
+            When the file cannot be written.
+        """
+        frames = self._inbox.receive(timeout_ms)
+        now = time.monotonic()
+        if frames is not None:
+            self._record(frames, now + self.clock_offset)
+        if now >= self._next_flush:
+            self._writer.flush()
+            self._next_flush = now + FLUSH_PERIOD
+        return frames is not None
+
+    def _record(self, frames: tuple[bytes, bytes], now: float) -> None:
+        topic, payload = frames
+        known = self._decoders.get(topic)
+        if known is None:
+            name = topic.decode("utf-8", errors="replace")
+            kind = message_type(name)
+            if kind is None:
+                self.refused += 1
+                return
+            known = self._decoders[topic] = (name, Decoder(kind))
+        try:
+            message = known[1].decode(payload)
+        except MessageRefusedError:
+            self.refused += 1
+            return
+        self._writer.write(known[0], message, now)
+        self.recorded += 1
+
+    def drain(self) -> None:
+        """Record what is still under way, until nothing comes any more (at most 10 s)."""
+        deadline = time.monotonic() + 10.0
+        while self.take(QUIET_MS) and time.monotonic() < deadline:
+            pass
+
+
+def open_writer(path: str, manifest: dict[str, str], overwrite: bool) -> RecordWriter:
+    """Create a recording, its folder included.
+
+    Parameters
+    ----------
+    path : str
+        The file.
+    manifest : dict of str to str
+        Of the run.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    RecordWriter
+        Ready to write.
+
+    Raises
+    ------
+    RecordError
+        When it cannot be created.
+    """
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordError(f"{path}: its folder cannot be made: {error.strerror}") from error
+    facts = {name: text for name, text in manifest.items() if name not in ("launch_file", "nodes")}
+    nodes = msgspec.json.decode(manifest.get("nodes", "{}"), type=dict[str, Any])
+    return RecordWriter(
+        path,
+        facts,
+        launch_file=manifest.get("launch_file", ""),
+        parameters={name: msgspec.json.encode(values).decode() for name, values in nodes.items()},
+        overwrite=overwrite,
+    )
+
+
+class Logger(Node):
+    """Records a launch from its first message to its last."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = LoggerParameters
+    listens_to: ClassVar[tuple[str, ...]] = ("*",)
+
+    def configure(self) -> None:
+        """Create the file, so that a bad path fails the start and not the run."""
+        parameters: LoggerParameters = self.store.current
+        self._path = parameters.path.replace("{run}", self.setup.run)
+        try:
+            self._writer = open_writer(self._path, self.setup.manifest, parameters.overwrite)
+        except RecordError as error:
+            raise OSError(str(error)) from error
+        self._recorder: Recorder | None = None
+
+    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
+        """Listen to all publishers of the run.
+
+        Parameters
+        ----------
+        subscribe : callable
+            Makes a subscription from endpoints, topics and queue length.
+        """
+        parameters: LoggerParameters = self.store.current
+        self._listening = subscribe(set(self.setup.sources.values()), parameters.topics or [""], QUEUE)
+        self._recorder = Recorder(self._listening, self._writer)
+
+    def report(self) -> dict[str, Any]:
+        """Tell what was recorded.
+
+        Returns
+        -------
+        dict
+            ``recording``, ``recorded``, ``refused``. The path as it was given, or in full on another machine, where the
+            launcher's directory means nothing.
+        """
+        recorder = self._recorder
+        return {
+            "recording": os.path.abspath(self._path) if self.setup.control.startswith("tcp://") else self._path,
+            "recorded": recorder.recorded if recorder else 0,
+            "refused": recorder.refused if recorder else 0,
+        }
+
+    def loop(self) -> None:
+        """Record until stopped, then what is still under way."""
+        self.state = "running"
+        recorder = self._recorder
+        assert recorder is not None  # noqa: S101  # connect() came first
+        try:
+            while not self.stopping:
+                recorder.clock_offset = self.clock_offset
+                recorder.take(50)
+                self.received = self.ticks = recorder.recorded
+                self.refused = recorder.refused
+                self.between_ticks(0)
+            recorder.drain()
+        except RecordError as error:
+            self._give_up(error)
+        finally:
+            self.received = self.ticks = recorder.recorded
+
+    def _give_up(self, error: RecordError) -> NoReturn:
+        """End with an event and exit code 1: a full disk is no bug, so no traceback either."""
+        self.tell("recording", str(error))
+        self.stop(str(error))
+        raise SystemExit(1) from error
+
+    def finish(self) -> None:
+        """Close the file, so that it is complete."""
+        if self._recorder is not None:
+            self._listening.close()
+        try:
+            self._writer.close()
+        except RecordError as error:
+            self._give_up(error)
+
+
+def record(run: RunInfo, path: str, topics: list[str], duration: float, overwrite: bool = False) -> int:
+    """Record a running launch from beside it, until it ends, the time is over, or a signal comes.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The run.
+    path : str
+        The file.
+    topics : list of str
+        Topics to record; empty for all.
+    duration : float
+        How long [s]; 0 for as long as the run lives.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    int
+        Messages recorded.
+
+    Raises
+    ------
+    RecordError
+        When the file cannot be written.
+    """
+    # The socket's threads inherit it.
+    with realtime.off(run.processors):
+        return _record(run, path, topics, duration, overwrite)
+
+
+def _record(run: RunInfo, path: str, topics: list[str], duration: float, overwrite: bool) -> int:
+    from nodes.launcher.runs import alive
+
+    ended: list[int] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del frame
+        ended.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)
+    context = new_context()
+    inbox = Subscription(context, set(run.publishers().values()), topics or [""], QUEUE)
+    try:
+        with open_writer(path, run.manifest, overwrite) as writer:
+            recorder = Recorder(inbox, writer)
+            until = time.monotonic() + duration if duration else float("inf")
+            while not ended and time.monotonic() < until and alive(run.launcher):
+                recorder.take(100)
+            # While the run lives there is no end to wait for.
+            if not alive(run.launcher):
+                recorder.drain()
+            return recorder.recorded
+    finally:
+        inbox.close()
+        context.term()

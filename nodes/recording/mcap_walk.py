@@ -1,0 +1,393 @@
+"""Walk the records of an MCAP file, and tell a cut file (its writer was killed) from a damaged one.
+
+The library's reader needs the summary at the end, or returns short data silently where a file is cut. A recording of an
+experiment deserves better: here every length is checked against what is there, every checksum that the file carries is
+verified, and whatever is wrong is told with its offset.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import zstandard
+
+from nodes.recording.writer import RecordError
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
+"""Opcodes of the MCAP specification that are read here; others are stepped over."""
+
+MAX_RECORD = 1 << 28
+"""Largest record that is read and largest chunk that is unpacked [bytes]; this project writes chunks of 64 KiB."""
+
+FRAME = struct.Struct("<BQ")
+"""Opcode and length in front of each record."""
+
+CHUNK_HEAD = struct.Struct("<QQQI")
+"""First and last log time, uncompressed size and checksum, in front of a chunk's compression and data."""
+
+_MESSAGE = struct.Struct("<HIQQ")
+_U16 = struct.Struct("<H")
+_U32 = struct.Struct("<I")
+_U64 = struct.Struct("<Q")
+
+T = TypeVar("T")
+
+
+class CutError(RecordError):
+    """The file ends before its end: the writer was killed, or the disk was full. What is before the cut is sound."""
+
+
+class Record(NamedTuple):
+    """One record as it stands in the file.
+
+    Attributes
+    ----------
+    offset : int
+        Where it starts [bytes]; for a record inside a chunk, where the chunk starts.
+    opcode : int
+        Its kind, by the MCAP specification.
+    content : bytes
+        What follows the length.
+    """
+
+    offset: int
+    opcode: int
+    content: bytes
+
+
+class Channel(NamedTuple):
+    """A channel: one topic with its encoding.
+
+    Attributes
+    ----------
+    number, schema : int
+        Its own number and its schema's.
+    topic, encoding : str
+        Topic name and message encoding.
+    """
+
+    number: int
+    schema: int
+    topic: str
+    encoding: str
+
+
+class Schema(NamedTuple):
+    """A message schema.
+
+    Attributes
+    ----------
+    number : int
+        Its number.
+    name, encoding : str
+        Name of the type and encoding of the schema.
+    data : bytes
+        The schema itself.
+    """
+
+    number: int
+    name: str
+    encoding: str
+    data: bytes
+
+
+class RawMessage(NamedTuple):
+    """A message, still encoded.
+
+    Attributes
+    ----------
+    channel, sequence : int
+        Number of its channel; its seq modulo 2³².
+    log_time, publish_time : int
+        Receipt and source stamp [ns].
+    data : bytes
+        The encoded message.
+    """
+
+    channel: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+def _string(content: bytes, at: int) -> tuple[str, int]:
+    (length,) = _U32.unpack_from(content, at)
+    end = at + 4 + length
+    if end > len(content):
+        raise ValueError(f"a text of {length} bytes does not fit")
+    return content[at + 4 : end].decode(), end
+
+
+def _parsed(path: Path, record: Record, what: str, parse: Callable[[bytes], T]) -> T:
+    try:
+        return parse(record.content)
+    except (struct.error, ValueError) as error:
+        raise RecordError(f"{path}: damaged {what} at byte {record.offset}: {error}") from error
+
+
+def parse_channel(path: Path, record: Record) -> Channel:
+    """Parse a channel record.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the error's text.
+    record : Record
+        A record with opcode CHANNEL.
+
+    Returns
+    -------
+    Channel
+        The channel.
+
+    Raises
+    ------
+    RecordError
+        When its content is damaged.
+    """
+
+    def parse(content: bytes) -> Channel:
+        topic, at = _string(content, 4)
+        encoding, _ = _string(content, at)
+        return Channel(_U16.unpack_from(content, 0)[0], _U16.unpack_from(content, 2)[0], topic, encoding)
+
+    return _parsed(path, record, "channel", parse)
+
+
+def parse_schema(path: Path, record: Record) -> Schema:
+    """Parse a schema record.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the error's text.
+    record : Record
+        A record with opcode SCHEMA.
+
+    Returns
+    -------
+    Schema
+        The schema.
+
+    Raises
+    ------
+    RecordError
+        When its content is damaged.
+    """
+
+    def parse(content: bytes) -> Schema:
+        name, at = _string(content, 2)
+        encoding, at = _string(content, at)
+        (length,) = _U32.unpack_from(content, at)
+        if at + 4 + length > len(content):
+            raise ValueError(f"a schema of {length} bytes does not fit")
+        return Schema(_U16.unpack_from(content, 0)[0], name, encoding, content[at + 4 : at + 4 + length])
+
+    return _parsed(path, record, "schema", parse)
+
+
+def parse_metadata(path: Path, record: Record) -> tuple[str, dict[str, str]]:
+    """Parse a metadata record.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the error's text.
+    record : Record
+        A record with opcode METADATA.
+
+    Returns
+    -------
+    tuple of str and dict of str to str
+        Name and content.
+
+    Raises
+    ------
+    RecordError
+        When its content is damaged.
+    """
+
+    def parse(content: bytes) -> tuple[str, dict[str, str]]:
+        name, at = _string(content, 0)
+        (length,) = _U32.unpack_from(content, at)
+        at += 4
+        end = at + length
+        values: dict[str, str] = {}
+        while at < end:
+            key, at = _string(content, at)
+            values[key], at = _string(content, at)
+        return name, values
+
+    return _parsed(path, record, "metadata", parse)
+
+
+def parse_message(path: Path, record: Record) -> RawMessage:
+    """Parse a message record.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the error's text.
+    record : Record
+        A record with opcode MESSAGE.
+
+    Returns
+    -------
+    RawMessage
+        The message, its data still encoded.
+
+    Raises
+    ------
+    RecordError
+        When its content is damaged.
+    """
+    if len(record.content) < _MESSAGE.size:
+        raise RecordError(f"{path}: damaged message at byte {record.offset}: {len(record.content)} bytes")
+    channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record.content)
+    return RawMessage(channel, sequence, log_time, publish_time, record.content[_MESSAGE.size :])
+
+
+def unpack_chunk(path: Path, record: Record) -> list[Record]:
+    """Decompress a chunk, check it against its checksum, and split it into records.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the error's text.
+    record : Record
+        A record with opcode CHUNK.
+
+    Returns
+    -------
+    list of Record
+        Schemas, channels and messages in the order of the file.
+
+    Raises
+    ------
+    RecordError
+        When it is damaged, too large, or compressed in another way than zstd.
+    """
+
+    def parse(content: bytes) -> list[Record]:
+        _, _, size, checksum = CHUNK_HEAD.unpack_from(content)
+        compression, at = _string(content, CHUNK_HEAD.size)
+        (length,) = _U64.unpack_from(content, at)
+        data = content[at + 8 : at + 8 + length]
+        if len(data) != length or size > MAX_RECORD:
+            raise ValueError(f"{length} bytes that unpack to {size}, limit {MAX_RECORD}")
+        if compression == "zstd":
+            # The size inside the zstd frame decides how much memory is taken: check it before it is believed.
+            if zstandard.frame_content_size(data) not in (size, -1):
+                raise ValueError("the compressed frame has another size than the chunk says")
+            data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+        elif compression:
+            raise ValueError(f"compressed with {compression!r}; zstd is what is read here")
+        if len(data) != size or (checksum and zlib.crc32(data) != checksum):
+            raise ValueError(f"checksum or size does not match ({len(data)} of {size} bytes)")
+        found = []
+        at = 0
+        while at < size:
+            opcode, length = FRAME.unpack_from(data, at)
+            at += FRAME.size
+            if at + length > size:
+                raise ValueError(f"a record of {length} bytes does not fit into the chunk")
+            found.append(Record(record.offset, opcode, data[at : at + length]))
+            at += length
+        return found
+
+    try:
+        return _parsed(path, record, "chunk", parse)
+    except zstandard.ZstdError as error:
+        raise RecordError(f"{path}: damaged chunk at byte {record.offset}: {error}") from error
+
+
+def footer_sound(content: bytes, checksum: int) -> bool:
+    """Check the footer against the summary.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of the footer record, 20 bytes.
+    checksum : int
+        CRC-32 of the summary.
+
+    Returns
+    -------
+    bool
+        Whether the checksum in it matches (or it has none).
+    """
+    (told,) = _U32.unpack_from(content, 16)
+    return told in (0, zlib.crc32(FRAME.pack(FOOTER, 20) + content[:16], checksum))
+
+
+def walk(path: Path) -> Iterator[Record]:
+    """Walk the records of a file from its beginning to its end.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Yields
+    ------
+    Record
+        Each record outside chunks, chunks as they are.
+
+    Raises
+    ------
+    CutError
+        After the last whole record of a file without an end.
+    RecordError
+        When it cannot be opened, is no MCAP file, or a length or checksum does not match.
+    """
+    try:
+        size = path.stat().st_size
+        stream = path.open("rb")
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be opened: {error.strerror}") from error
+    with stream:
+        start = stream.read(len(MAGIC))
+        if start != MAGIC:
+            what = "is empty" if not start else f"starts with {start!r}"
+            raise RecordError(f"{path}: {what}, so it is no MCAP recording ({size} bytes)")
+        # A file with an end was finished by its writer: what does not fit in there is damage, not a cut.
+        stream.seek(max(size - len(MAGIC), len(MAGIC)))
+        ended = stream.read() == MAGIC
+        stream.seek(len(MAGIC))
+        checksum = zlib.crc32(MAGIC)
+        offset = len(MAGIC)
+        while True:
+            frame = stream.read(FRAME.size)
+            opcode, length = FRAME.unpack(frame) if len(frame) == FRAME.size else (0, 0)
+            rest = size - offset - FRAME.size
+            if opcode == 0 or length > rest:
+                if ended:
+                    raise RecordError(f"{path}: damaged at byte {offset}: opcode {opcode}, {length} of {rest} bytes")
+                raise CutError(f"{path}: cut at byte {offset}: {size - offset} bytes after it are no whole record")
+            if length > MAX_RECORD:
+                raise RecordError(f"{path}: a record of {length} bytes at byte {offset}, limit {MAX_RECORD}")
+            content = stream.read(length)
+            if len(content) != length:
+                raise CutError(f"{path}: cut at byte {offset} while it was being read")
+            if opcode == DATA_END:
+                if length < 4 or _U32.unpack_from(content)[0] not in (0, checksum):
+                    raise RecordError(f"{path}: damaged: the checksum of the data up to byte {offset} does not match")
+                checksum = 0
+            elif opcode == FOOTER:
+                tail = stream.read()
+                if tail != MAGIC and MAGIC.startswith(tail):
+                    raise CutError(f"{path}: cut at byte {offset}, in its very last bytes")
+                if length != 20 or not footer_sound(content, checksum) or tail != MAGIC:
+                    raise RecordError(f"{path}: damaged: the summary before byte {offset} or the end does not match")
+                yield Record(offset, opcode, content)
+                return
+            else:
+                checksum = zlib.crc32(content, zlib.crc32(frame, checksum))
+            yield Record(offset, opcode, content)
+            offset += FRAME.size + length

@@ -1,0 +1,52 @@
+"""Publish a recording again at its original pace, so that a plotting program or a node can attach as to a running loop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterator
+
+from messages.codec import encode
+from messages.transport.sockets import Publisher
+from nodes.recording.reader import Entry, Recording
+
+
+def play(
+    recording: Recording, publisher: Publisher, *, rate: float = 1.0, topics: Collection[str] | None = None
+) -> Iterator[Entry]:
+    """Publish the messages of a recording as they were received, stamps and seq unchanged.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    publisher : Publisher
+        Where to publish.
+    rate : float, optional
+        Speed relative to the original pace (of receipt); 2 is twice as fast, ``inf`` does not wait at all.
+    topics : collection of str, optional
+        Only these; all when left out.
+
+    Yields
+    ------
+    Entry
+        Each message, once it was published.
+
+    Raises
+    ------
+    RecordError
+        When a topic is not in the recording, or a message does not fit its type.
+    ValueError
+        When the rate is not above 0.
+    """
+    if not rate > 0.0:
+        raise ValueError(f"rate is {rate}, must be above 0")
+    begin, first = time.monotonic(), None
+    for entry in recording.entries(topics):
+        if first is None:
+            first = entry.log_time
+        # Absolute targets: what one message is late does not add up.
+        ahead = begin + (entry.log_time - first) / rate - time.monotonic()
+        if ahead > 0.0:
+            time.sleep(ahead)
+        publisher.send(entry.topic.encode(), encode(entry.message))
+        yield entry

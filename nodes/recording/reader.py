@@ -1,0 +1,358 @@
+"""Read a recording: messages, figures per topic, gaps in ``seq``, and what was recorded with it.
+
+Opening reads the file once, checks every length and checksum, and keeps figures only, so that an hour of recording
+needs no more memory than a minute. A file whose writer was killed opens like any other and says where it was cut.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import msgspec
+
+import messages.types
+from messages.topics import LOOP, message_type
+from messages.types import Message
+from nodes.recording import mcap_walk
+from nodes.recording.mcap_walk import Channel, CutError, RawMessage, Record, Schema
+from nodes.recording.writer import MANIFEST, RecordError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+RECOVERY = "recovery"
+"""Name of the metadata record that `nodes.recording.recover.recover` leaves in the file it writes."""
+
+_NANO = 1e9
+
+
+M = TypeVar("M", bound=Message)
+
+
+class TopicFigures(msgspec.Struct):
+    """What a recording holds of one topic.
+
+    Attributes
+    ----------
+    messages : int
+        How many.
+    gaps : int
+        How many ``seq`` are missing between the first and the last; 0 for topics that do not carry one message a tick.
+    back : int
+        How often ``seq`` did not rise on a topic with one message a tick: repeated messages, or a restarted driver.
+    first_seq, last_seq : int
+        First and last ``seq``.
+    first_stamp, last_stamp : float
+        Earliest and latest stamp [s].
+    """
+
+    messages: int = 0
+    gaps: int = 0
+    back: int = 0
+    first_seq: int = 0
+    last_seq: int = 0
+    first_stamp: float = 0.0
+    last_stamp: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        """Mean rate over the stamps [1/s]; 0 for fewer than two messages."""
+        span = self.last_stamp - self.first_stamp
+        return (self.messages - 1) / span if span > 0.0 else 0.0
+
+
+class Entry(NamedTuple):
+    """One recorded message.
+
+    Attributes
+    ----------
+    topic : str
+        Topic it came on.
+    log_time : float
+        When the logger received it, on the host's monotonic clock [s].
+    message : Message
+        The message.
+    """
+
+    topic: str
+    log_time: float
+    message: Message
+
+
+class Recording:
+    """A recording on disk.
+
+    Parameters
+    ----------
+    path : str or Path
+        An MCAP file written by `nodes.recording.writer.RecordWriter`.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    topics : dict of str to TopicFigures
+        Figures per topic, in the order of their first message.
+    metadata : dict of str to dict of str to str
+        All metadata records.
+    complete : bool
+        Whether its writer finished it; False for the file of a killed logger.
+    cut : str
+        Where it was cut; empty for a complete file.
+    first_log : float
+        First receipt, on the clock of the recording host [s].
+    wall_duration : float
+        Time from the first to the last receipt [s].
+
+    Raises
+    ------
+    RecordError
+        When it is not an MCAP file, is damaged, or holds channels that are not JSON.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.topics: dict[str, TopicFigures] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.complete = False
+        self.cut = ""
+        self.first_log = 0.0
+        self.wall_duration = 0.0
+        self._channels: dict[int, Channel] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._scan()
+
+    @property
+    def manifest(self) -> dict[str, str]:
+        """What identifies the run; empty when the recording has no manifest."""
+        return self.metadata.get(MANIFEST, {})
+
+    @property
+    def recovered(self) -> bool:
+        """Whether it was cut: either it still is, or `nodes.recording.recover.recover` completed it."""
+        return not self.complete or RECOVERY in self.metadata
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last stamp [s]: of the ticks, or of all messages when there are none."""
+        figures = [self.topics[topic] for topic in LOOP if topic in self.topics] or list(self.topics.values())
+        if not figures:
+            return 0.0
+        return max(f.last_stamp for f in figures) - min(f.first_stamp for f in figures)
+
+    def _channel(self, channel: Channel, offset: int) -> Channel:
+        """Check a channel: JSON, and one number for one topic throughout."""
+        if channel.encoding != "json":
+            raise RecordError(
+                f"{self.path}: {channel.topic} is encoded as {channel.encoding!r}; only json is read here"
+            )
+        if self._channels.setdefault(channel.number, channel) != channel:
+            raise RecordError(f"{self.path}: damaged at byte {offset}: channel {channel.number} changes its topic")
+        return channel
+
+    def _records(self) -> Iterator[Record]:
+        """Walk all records with chunks unpacked, the summary left out."""
+        for record in mcap_walk.walk(self.path):
+            if record.opcode == mcap_walk.CHUNK:
+                yield from mcap_walk.unpack_chunk(self.path, record)
+            elif record.opcode == mcap_walk.DATA_END:
+                # What follows repeats schemas and channels; the walk must still see the end.
+                continue
+            else:
+                yield record
+
+    def _scan(self) -> None:
+        first_log, last_log = 1 << 64, 0
+        try:
+            for record in self._records():
+                if record.opcode == mcap_walk.MESSAGE:
+                    raw = mcap_walk.parse_message(self.path, record)
+                    self._count(raw, record.offset)
+                    first_log, last_log = min(first_log, raw.log_time), max(last_log, raw.log_time)
+                elif record.opcode == mcap_walk.SCHEMA:
+                    schema = mcap_walk.parse_schema(self.path, record)
+                    self._schemas[schema.number] = schema
+                elif record.opcode == mcap_walk.CHANNEL:
+                    self._channel(mcap_walk.parse_channel(self.path, record), record.offset)
+                elif record.opcode == mcap_walk.METADATA:
+                    name, values = mcap_walk.parse_metadata(self.path, record)
+                    self.metadata[name] = values
+                elif record.opcode == mcap_walk.FOOTER:
+                    self.complete = True
+        except CutError as error:
+            self.cut = str(error)
+        if self.topics:
+            self.first_log = first_log / _NANO
+            self.wall_duration = (last_log - first_log) / _NANO
+
+    def _count(self, raw: RawMessage, offset: int) -> None:
+        channel = self._channels.get(raw.channel)
+        if channel is None:
+            raise RecordError(
+                f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which is unknown"
+            )
+        stamp = raw.publish_time / _NANO
+        figures = self.topics.get(channel.topic)
+        if figures is None:
+            self.topics[channel.topic] = TopicFigures(1, 0, 0, raw.sequence, raw.sequence, stamp, stamp)
+            return
+        figures.messages += 1
+        figures.first_stamp = min(figures.first_stamp, stamp)
+        figures.last_stamp = max(figures.last_stamp, stamp)
+        if channel.topic in LOOP:
+            # MCAP keeps 32 bits of seq: differences are taken modulo 2³².
+            step = (raw.sequence - figures.last_seq + 0x80000000) % 0x100000000 - 0x80000000
+            if step > 0:
+                figures.gaps += step - 1
+            else:
+                figures.back += 1
+            figures.last_seq += step
+        else:
+            figures.last_seq = raw.sequence
+
+    def _types(self) -> dict[int, type[Message]]:
+        """Message type of each channel, by the name of its schema or else by its topic."""
+        known = {f"haptic.{t.__name__}": t for t in vars(messages.types).values() if isinstance(t, type)}
+        found: dict[int, type[Message]] = {}
+        by_topic: dict[str, type[Message]] = {}
+        for number, channel in self._channels.items():
+            schema = self._schemas.get(channel.schema)
+            kind = known.get(schema.name if schema else "") or message_type(channel.topic)
+            if kind is not None and issubclass(kind, Message):
+                found[number] = kind
+                if by_topic.setdefault(channel.topic, kind) is not kind:
+                    raise RecordError(f"{self.path}: {channel.topic} carries two types of message")
+        return found
+
+    def raw(self) -> Iterator[tuple[str, RawMessage, int]]:
+        """Go through the messages as they stand, in the order in which they were received.
+
+        Yields
+        ------
+        tuple of str, RawMessage and int
+            Topic, message and the place of its chunk [bytes].
+
+        Raises
+        ------
+        RecordError
+            When the file has changed since it was opened.
+        """
+        # A cut was told about when the file was opened.
+        with contextlib.suppress(CutError):
+            for record in self._records():
+                if record.opcode == mcap_walk.MESSAGE:
+                    raw = mcap_walk.parse_message(self.path, record)
+                    channel = self._channels.get(raw.channel)
+                    if channel is None:
+                        raise RecordError(f"{self.path}: has changed while it was read")
+                    yield channel.topic, raw, record.offset
+
+    def decode(self, decoder: msgspec.json.Decoder[M], raw: RawMessage, offset: int) -> M:
+        """Decode a message of `raw`.
+
+        Parameters
+        ----------
+        decoder : msgspec.json.Decoder
+            For its type.
+        raw : RawMessage
+            The message.
+        offset : int
+            Place of its chunk [bytes], for the error's text.
+
+        Returns
+        -------
+        Message
+            The message.
+
+        Raises
+        ------
+        RecordError
+            When it does not fit its type.
+        """
+        try:
+            return decoder.decode(raw.data)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            topic = self._channels[raw.channel].topic
+            raise RecordError(f"{self.path}: {topic} seq {raw.sequence} (chunk at byte {offset}): {error}") from error
+
+    def entries(self, topics: Iterable[str] | None = None) -> Iterator[Entry]:
+        """Go through the messages in the order in which they were received.
+
+        Parameters
+        ----------
+        topics : iterable of str, optional
+            Only these; all when left out.
+
+        Yields
+        ------
+        Entry
+            Topic, receipt time and typed message.
+
+        Raises
+        ------
+        RecordError
+            When a topic is not in the recording or of an unknown type, or a message does not fit its type.
+        """
+        wanted = set(self.topics if topics is None else topics)
+        for topic in wanted - set(self.topics):
+            raise RecordError(f"{self.path}: no topic {topic!r}; there are {', '.join(self.topics) or 'none'}")
+        types = self._types()
+        decoders: dict[int, msgspec.json.Decoder[Message]] = {}
+        for number, channel in self._channels.items():
+            if channel.topic in wanted:
+                if number not in types:
+                    raise RecordError(f"{self.path}: the type of {channel.topic} is not known here")
+                decoders[number] = msgspec.json.Decoder(types[number])
+        for topic, raw, offset in self.raw():
+            if raw.channel in decoders:
+                yield Entry(topic, raw.log_time / _NANO, self.decode(decoders[raw.channel], raw, offset))
+
+    def messages(self, topic: str) -> list[Any]:
+        """Read all messages of one topic.
+
+        Parameters
+        ----------
+        topic : str
+            Topic name.
+
+        Returns
+        -------
+        list of Message
+            In the order of receipt; empty when the topic is not in the recording.
+
+        Raises
+        ------
+        RecordError
+            When a message does not fit its type.
+        """
+        return [entry.message for entry in self.entries([topic])] if topic in self.topics else []
+
+    def arrays(self, topic: str) -> dict[str, np.ndarray[Any, Any]]:
+        """Read one topic as arrays.
+
+        Parameters
+        ----------
+        topic : str
+            Topic name.
+
+        Returns
+        -------
+        dict of str to numpy.ndarray
+            One array per field, shape (N,) or (N, 3) for vectors, and ``log_time`` [s], in the order of receipt.
+
+        Raises
+        ------
+        RecordError
+            When the topic is not in the recording or a message does not fit its type.
+        """
+        import numpy as np
+
+        entries = list(self.entries([topic]))
+        found = {"log_time": np.array([entry.log_time for entry in entries], dtype=np.float64)}
+        for field in msgspec.structs.fields(type(entries[0].message)):
+            values = [getattr(entry.message, field.name) for entry in entries]
+            found[field.name] = np.array(values)
+        return found

@@ -1,0 +1,105 @@
+"""The figures of a run, computed from its recording and from nothing else, so that a summary is true to the file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+
+from messages.topics import DEVICE_STATE
+from nodes.recording.reader import Recording
+
+QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
+"""Which quantiles of the response time are told."""
+
+
+class Summary(msgspec.Struct):
+    """Figures of one run, as its driver recorded them.
+
+    Attributes
+    ----------
+    ticks : int
+        Ticks whose outcome is recorded: each state tells how the tick before it went, the last one ends the run.
+    duration_s : float
+        From the first state's stamp to the last one's [s].
+    rate_hz : float
+        Mean rate [1/s]; 0 for fewer than two ticks.
+    missed, overruns : int
+        Ticks of the recording that were not answered in time, and ticks left out because the driver was late.
+    response_us : dict of str to float
+        p50, p99, p999 and max of the response time of the ticks answered in time [µs]; empty when there are none.
+    age_ticks_max : int
+        Oldest force that was used [ticks].
+    position_m, force_n : list of float, shape (3,)
+        Position and force at the end [m, N]; empty when no state was recorded.
+    """
+
+    ticks: int
+    duration_s: float
+    rate_hz: float
+    missed: int
+    overruns: int
+    response_us: dict[str, float]
+    age_ticks_max: int
+    position_m: list[float]
+    force_n: list[float]
+
+
+def quantile(ordered: Sequence[float], fraction: float) -> float:
+    """Quantile with linear interpolation between the two nearest values (type 7 of Hyndman and Fan 1996).
+
+    Parameters
+    ----------
+    ordered : sequence of float
+        At least one value, in rising order.
+    fraction : float
+        0 to 1.
+
+    Returns
+    -------
+    float
+        The quantile.
+    """
+    place = (len(ordered) - 1) * fraction
+    low = int(place)
+    high = min(low + 1, len(ordered) - 1)
+    return ordered[low] + (ordered[high] - ordered[low]) * (place - low)
+
+
+def summarise(recording: Recording) -> Summary:
+    """Compute the figures of a run.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its recording.
+
+    Returns
+    -------
+    Summary
+        The figures; zeros and empty where no state was recorded.
+
+    Raises
+    ------
+    RecordError
+        When a message does not fit its type.
+    """
+    states: list[Any] = recording.messages(DEVICE_STATE)
+    if not states:
+        return Summary(0, 0.0, 0.0, 0, 0, {}, 0, [], [])
+    first, last = states[0], states[-1]
+    span = last.stamp - first.stamp
+    # A response is told by the tick after it; 0 says that there was none in time.
+    responses = sorted(state.response * 1e6 for state in states if state.response > 0.0)
+    return Summary(
+        ticks=len(states) - 1,
+        duration_s=span,
+        rate_hz=(last.seq - first.seq) / span if span > 0.0 else 0.0,
+        missed=last.missed - first.missed,
+        overruns=last.overruns - first.overruns,
+        response_us={name: quantile(responses, f) for name, f in QUANTILES.items()} if responses else {},
+        age_ticks_max=max(state.age for state in states),
+        position_m=list(last.position),
+        force_n=list(last.force),
+    )

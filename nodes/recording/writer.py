@@ -1,0 +1,398 @@
+"""Write a recording: MCAP with one JSON channel per topic, readable up to the last flush whatever ends the writer.
+
+Every finished chunk goes straight to the operating system in one piece, so a killed writer leaves whole chunks and at
+most one cut record at the end, and a full disk leaves whole chunks only. No numpy here: a logger has to stay small.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, cast
+
+import msgspec
+from mcap.writer import CompressionType, Writer
+
+from messages.schema import schema_json
+from messages.types import Message
+
+CHUNK_SIZE = 65536
+"""Uncompressed size at which a chunk is finished [bytes]."""
+
+MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = "manifest", "launch_file", "parameters", "versions"
+"""Names of the metadata records."""
+
+_LATEST = 1.8e10
+"""Latest time that 64 bits of nanoseconds hold [s], rounded down."""
+
+_PACKAGES = ("haptic-nodes", "mcap", "msgspec", "pyzmq", "zstandard")
+
+
+class RecordError(Exception):
+    """A recording cannot be written or read; the text names the file, the place in it and what to do."""
+
+
+def versions() -> dict[str, str]:
+    """Tell what wrote a recording.
+
+    Returns
+    -------
+    dict of str to str
+        Version of Python, of the system and of each package that touches the data.
+    """
+    found = {"python": platform.python_version(), "system": f"{platform.system()} {platform.release()}"}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found
+
+
+class Output:
+    """The file under the MCAP writer: each write goes whole to the operating system, or leaves no trace.
+
+    The MCAP writer hands over whole records only, so the file ends between two records whenever no write is under way.
+
+    Parameters
+    ----------
+    path : Path
+        The file to create.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Attributes
+    ----------
+    size : int
+        Bytes handed over so far.
+    descriptor : int
+        File descriptor; -1 once closed.
+
+    Raises
+    ------
+    RecordError
+        When the file cannot be created, or exists and must not be replaced.
+    """
+
+    def __init__(self, path: Path, overwrite: bool) -> None:
+        self.path = path
+        self.size = 0
+        flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | (os.O_TRUNC if overwrite else os.O_EXCL)
+        try:
+            self.descriptor = os.open(path, flags, 0o644)
+        except FileExistsError as error:
+            raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten") from error
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be created: {error.strerror}") from error
+
+    def write(self, data: bytes) -> int:
+        """Hand over some bytes, all of them or none.
+
+        Parameters
+        ----------
+        data : bytes
+            Whole records.
+
+        Returns
+        -------
+        int
+            How many bytes.
+
+        Raises
+        ------
+        RecordError
+            When the disk is full or refuses; the file is cut back to where it was.
+        """
+        view = memoryview(data)
+        try:
+            while view:
+                view = view[os.write(self.descriptor, view) :]
+        except OSError as error:
+            left = len(view)
+            # A device or a pipe cannot be cut back, and has nothing to keep either.
+            with contextlib.suppress(OSError):
+                os.ftruncate(self.descriptor, self.size)
+            raise RecordError(
+                f"{self.path}: {error.strerror} after {self.size} bytes ({left} of the next {len(data)} not written)"
+            ) from error
+        self.size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        """Tell the position, as the MCAP writer asks for it.
+
+        Returns
+        -------
+        int
+            Bytes handed over so far.
+        """
+        return self.size
+
+    def flush(self) -> None:
+        """Do nothing: nothing is held back."""
+
+    def close(self) -> None:
+        """Close the file; harmless when repeated.
+
+        Raises
+        ------
+        RecordError
+            When the operating system reports a late failure.
+        """
+        descriptor, self.descriptor = self.descriptor, -1
+        if descriptor >= 0:
+            try:
+                os.close(descriptor)
+            except OSError as error:
+                raise RecordError(f"{self.path}: {error.strerror} on closing, after {self.size} bytes") from error
+
+
+def discard(path: Path) -> None:
+    """Remove a file that could not be finished; devices, pipes and links to them stay.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+    if path.is_file() and not path.is_symlink():
+        path.unlink()
+
+
+def save(path: Path, data: bytes, overwrite: bool) -> None:
+    """Write a file whole, or leave none.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    data : bytes
+        Its content.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    RecordError
+        When it cannot be created, exists already, or the disk is full.
+    """
+    output = Output(path, overwrite)
+    try:
+        output.write(data)
+    except RecordError:
+        discard(path)
+        raise
+    finally:
+        output.close()
+
+
+def mcap_writer(output: Output, library: str) -> Any:
+    """Start an MCAP writer the way this project writes: zstd, 64 KiB chunks, checksums over everything.
+
+    Parameters
+    ----------
+    output : Output
+        The file.
+    library : str
+        Who writes.
+
+    Returns
+    -------
+    mcap.writer.Writer
+        Started; typed Any because half of its methods carry no annotations.
+
+    Raises
+    ------
+    RecordError
+        When the disk is full.
+    """
+    writer: Any = Writer(
+        cast("IO[Any]", output), chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
+    )
+    writer.start(profile="haptic-nodes", library=library)
+    return writer
+
+
+class RecordWriter:
+    """Write messages to one MCAP file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to create.
+    manifest : mapping of str to str
+        What identifies the run: scenario, arguments, rate, pace, wall-clock offset and so on.
+    launch_file : str, optional
+        Text of the launch file as it was run.
+    parameters : mapping of str to str, optional
+        Parameters of each node (name to YAML text).
+    overwrite : bool, optional
+        Whether an existing file may be replaced.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    counts : dict of str to int
+        Messages written so far per topic.
+
+    Raises
+    ------
+    RecordError
+        When the file cannot be created, exists already, or the disk is full.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        manifest: Mapping[str, str],
+        *,
+        launch_file: str | None = None,
+        parameters: Mapping[str, str] | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.counts: dict[str, int] = {}
+        self._encode = msgspec.json.Encoder().encode
+        self._channels: dict[str, tuple[int, type[Message]]] = {}
+        self._schemas: dict[type[Message], int] = {}
+        self._failed = False
+        self._output = Output(self.path, overwrite)
+        try:
+            self._writer = mcap_writer(self._output, f"haptic-nodes {versions()['haptic-nodes']}")
+            self.add_metadata(MANIFEST, manifest)
+            if launch_file is not None:
+                self.add_metadata(LAUNCH_FILE, {"yaml": launch_file})
+            if parameters is not None:
+                self.add_metadata(PARAMETERS, parameters)
+            self.add_metadata(VERSIONS, versions())
+        except RecordError:
+            self._output.close()
+            raise
+
+    def _open(self, topic: str, message_type: type[Message]) -> tuple[int, type[Message]]:
+        """Register the channel of a topic at its first message."""
+        if message_type not in self._schemas:
+            self._schemas[message_type] = self._writer.register_schema(
+                f"haptic.{message_type.__name__}", "jsonschema", schema_json(message_type)
+            )
+        channel = self._writer.register_channel(topic, "json", self._schemas[message_type])
+        self._channels[topic] = (channel, message_type)
+        self.counts[topic] = 0
+        return self._channels[topic]
+
+    def _failure(self, error: RecordError) -> RecordError:
+        self._failed = True
+        return RecordError(
+            f"{error}; what was recorded before is kept, and completed by: haptic bag recover {self.path}"
+        )
+
+    def _usable(self) -> None:
+        if self._failed:
+            raise RecordError(f"{self.path}: writing failed before; nothing more can be recorded in this file")
+        if self._output.descriptor < 0:
+            raise RecordError(f"{self.path}: closed already")
+
+    def write(self, topic: str, message: Message, log_time_s: float) -> None:
+        """Add one message. Takes about 8 µs.
+
+        Parameters
+        ----------
+        topic : str
+            Topic it came on.
+        message : Message
+            The message; its ``stamp`` becomes the publish time. Times before 0 are recorded as 0 (MCAP counts unsigned
+            nanoseconds); the message itself keeps its stamp.
+        log_time_s : float
+            When it was received, on the host's monotonic clock [s].
+
+        Raises
+        ------
+        RecordError
+            When the topic carried another type before, when the disk is full, or after an earlier failure or `close`.
+        """
+        self._usable()
+        message_type = type(message)
+        channel, expected = self._channels.get(topic) or self._open(topic, message_type)
+        if message_type is not expected:
+            raise RecordError(f"{self.path}: {topic} carries {expected.__name__}, not {message_type.__name__}")
+        try:
+            self._writer.add_message(
+                channel,
+                round(min(max(log_time_s, 0.0), _LATEST) * 1e9),
+                self._encode(message),
+                round(min(max(message.stamp, 0.0), _LATEST) * 1e9),
+                message.seq & 0xFFFFFFFF,
+            )
+        except RecordError as error:
+            raise self._failure(error) from error
+        self.counts[topic] += 1
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add one metadata record.
+
+        Parameters
+        ----------
+        name : str
+            Name of the record, e.g. ``summary``.
+        values : mapping of str to str
+            Its content.
+
+        Raises
+        ------
+        RecordError
+            When the disk is full, or after an earlier failure or `close`.
+        """
+        self._usable()
+        try:
+            self._writer.add_metadata(name, dict(values))
+        except RecordError as error:
+            raise self._failure(error) from error
+
+    def flush(self) -> None:
+        """Finish the chunk and hand it to the operating system: a kill of this process loses nothing written before.
+
+        Call it every half second. (It does not wait for the disk: a power cut may still lose the last seconds.)
+
+        Raises
+        ------
+        RecordError
+            When the disk is full, or after an earlier failure or `close`.
+        """
+        self._usable()
+        try:
+            self._writer.flush()
+        except RecordError as error:
+            raise self._failure(error) from error
+
+    def close(self) -> None:
+        """Write the summary and close the file. Harmless when repeated; after a failed write it only closes.
+
+        Raises
+        ------
+        RecordError
+            When the disk has no room for the summary; the messages are kept, and `nodes.recording.reader.recover` completes
+            the file.
+        """
+        if self._output.descriptor < 0:
+            return
+        try:
+            if not self._failed:
+                self._writer.finish()
+        except RecordError as error:
+            raise self._failure(error) from error
+        finally:
+            self._output.close()
+
+    def __enter__(self) -> RecordWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

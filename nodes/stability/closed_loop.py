@@ -1,0 +1,292 @@
+"""What a law really renders, and whether the loop with a known device is stable: exact, whatever the law or the delay.
+
+Between two ticks the force is held, so device, delay and taps close to a polynomial in z without any approximation
+(theory.md §3): stable iff its largest root lies inside the unit circle. Nothing here is on the hot path: a law is
+judged when it is parsed, shown, switched or designed. numpy is imported inside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from nodes.laws import CompiledLaw
+from nodes.stability.effective_damping import damping_needed, least
+from nodes.stability.held_plant import held_plant, held_step
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What a law renders at one sampling period and delay.
+
+    Attributes
+    ----------
+    h1_n_per_m : float
+        H(1): the stiffness felt at rest [N/m].
+    h_nyquist_n_per_m : float
+        H(−1): what encoder noise is multiplied with [N/m].
+    f_min_n_s_per_m : float
+        Least f(ω) over 0 < ω ≤ ω_N, of the law without delay [N s/m]; the lower, the more damping (seed, eq. 9).
+    f_min_rad_per_s : float
+        Where that is [rad/s].
+    f_nyquist_n_s_per_m : float
+        f(ω_N) [N s/m].
+    f_mean_n_s_per_m : float
+        Mean of f over (0, ω_N): T·D(1)/2, the waterbed (theory.md §2) [N s/m].
+    damping_needed_n_s_per_m : float
+        Least damping of the device with which the law is passive at this delay (Colgate) [N s/m].
+    passive_scale : float or None
+        Largest factor on the whole law that keeps it passive on this device; None when no damping was declared.
+    pole_radius : float or None
+        Largest pole of the closed loop; None when no mass was declared.
+    """
+
+    h1_n_per_m: float
+    h_nyquist_n_per_m: float
+    f_min_n_s_per_m: float
+    f_min_rad_per_s: float
+    f_nyquist_n_s_per_m: float
+    f_mean_n_s_per_m: float
+    damping_needed_n_s_per_m: float
+    passive_scale: float | None
+    pole_radius: float | None
+
+
+def closed_loop(
+    law: CompiledLaw,
+    period: float,
+    mass: float,
+    damping: float,
+    delay: float = 0.0,
+    stiffness: float = 0.0,
+) -> NDArray[np.float64]:
+    """Characteristic polynomial of taps, delay and device.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        A law without recursive sections.
+    period : float
+        Sampling period T [s].
+    mass, damping : float
+        Device, a hand's share included [kg], [N s/m].
+    delay : float
+        Whole or fractional delay [ticks].
+    stiffness : float
+        Hand's stiffness [N/m].
+
+    Returns
+    -------
+    ndarray, shape (n + i + 3,) or, with a fractional delay, (n + i + 4,)
+        Real coefficients, highest power of z first, the first one 1.
+
+    Raises
+    ------
+    ValueError
+        For a law with sections: their poles cluster at z = 1, and an expanded polynomial would lose them
+        (`pole_radius` uses the state matrix instead).
+    """
+    import numpy as np
+
+    if law.sections:
+        raise ValueError("law: recursive sections have no well-conditioned polynomial; use pole_radius")
+    plant = held_plant(mass, damping, period, delay, stiffness)
+    numerator = np.trim_zeros(np.array(plant.numerator), "b")
+    # With z² N + z N' the loop has one common factor z when the delay is whole.
+    padding = plant.whole + len(numerator) - 2 + len(law.taps) - 1
+    total = np.concatenate([plant.denominator, np.zeros(padding)])
+    feedback = np.convolve(numerator, law.taps)
+    total[len(total) - len(feedback) :] += feedback
+    return total
+
+
+def pole_radius(
+    law: CompiledLaw,
+    period: float,
+    mass: float,
+    damping: float,
+    delay: float = 0.0,
+    stiffness: float = 0.0,
+) -> float:
+    """Largest pole of the closed loop: stable iff below 1.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    mass, damping : float
+        Device, a hand's share included [kg], [N s/m].
+    delay : float
+        Whole or fractional delay [ticks].
+    stiffness : float
+        Hand's stiffness [N/m].
+
+    Returns
+    -------
+    float
+        Pole radius. A loop decays by this factor per tick.
+    """
+    from nodes.stability.roots import largest_root
+
+    if not law.sections:
+        return largest_root(closed_loop(law, period, mass, damping, delay, stiffness))
+    import numpy as np
+
+    return float(np.abs(np.linalg.eigvals(state_matrix(law, period, mass, damping, delay, stiffness))).max())
+
+
+def state_matrix(
+    law: CompiledLaw,
+    period: float,
+    mass: float,
+    damping: float,
+    delay: float = 0.0,
+    stiffness: float = 0.0,
+) -> NDArray[np.float64]:
+    """One tick of the closed loop as a matrix: device, deflection history, sections and forces on their way.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    mass, damping : float
+        Device, a hand's share included [kg], [N s/m].
+    delay : float
+        Whole or fractional delay [ticks].
+    stiffness : float
+        Hand's stiffness [N/m].
+
+    Returns
+    -------
+    ndarray, shape (2 + n + 2 s + i + 1,) squared
+        State [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁] times this matrix is the next state; forces are
+        scaled by T²/m to lengths, so that the matrix is balanced.
+    """
+    import numpy as np
+
+    whole, (a11, a12, a21, a22), new, old = held_step(mass, damping, period, delay, stiffness)
+    unit = period * period / mass
+    history = max(len(law.taps) - 1, 1 if law.sections else 0)
+    first_section, first_force = 2 + history, 2 + history + 2 * len(law.sections)
+    size = first_force + whole + 1
+    force = np.zeros(size)
+    force[0] = -law.taps[0] * unit
+    force[2 : 1 + len(law.taps)] = -np.array(law.taps[1:]) * unit
+    step = np.zeros((size, size))
+    for s, (b0, b1, a1, a2) in enumerate(law.sections):
+        row = first_section + 2 * s
+        step[row, 0], step[row, 2], step[row, row], step[row, row + 1] = b0 * unit, b1 * unit, -a1, -a2
+        step[row + 1, row] = 1.0
+        force -= step[row]
+    step[0, :2] = a11, a12 / period
+    step[1, :2] = a21 * period, a22
+    by_new = np.array([new[0], new[1] * period]) / unit
+    by_old = np.array([old[0], old[1] * period]) / unit
+    if whole == 0:
+        step[:2] += np.outer(by_new, force)
+    else:
+        step[:2, first_force + whole - 1] += by_new
+    step[:2, first_force + whole] += by_old
+    if history:
+        step[2, 0] = 1.0
+        step[np.arange(3, 2 + history), np.arange(2, 1 + history)] = 1.0
+    step[first_force] += force
+    step[np.arange(first_force + 1, size), np.arange(first_force, size - 1)] = 1.0
+    return step
+
+
+def rendered(
+    law: CompiledLaw,
+    period: float,
+    mass: float | None = None,
+    damping: float | None = None,
+    delay: float = 0.0,
+    stiffness: float = 0.0,
+    nominal: float | None = None,
+) -> Rendered:
+    """Tell what a law really renders.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    mass, damping : float or None
+        Device, a hand's share included [kg], [N s/m]; without them there is no pole radius.
+    delay : float
+        Whole or fractional delay of the loop [ticks].
+    stiffness : float
+        Hand's stiffness [N/m].
+    nominal : float or None
+        K that f(ω) takes as the spring [N/m]. The default is H(1), the spring that is really there; with the law's
+        nominal K, f is the seed's and its mean tells the leak.
+
+    Returns
+    -------
+    Rendered
+        The figures.
+
+    Raises
+    ------
+    ValueError
+        When a parameter of the device is out of its limits.
+    """
+    spring = law.h1 if nominal is None else nominal
+    offset = 0.5 * period * (law.h1 - spring)
+    where, lowest = least(law, period)
+    needed = damping_needed(law, period, delay)
+    scale = None
+    if damping is not None:
+        scale = damping / needed if needed > 0.0 else None
+    return Rendered(
+        h1_n_per_m=law.h1,
+        h_nyquist_n_per_m=law.h_nyquist,
+        f_min_n_s_per_m=lowest + offset,
+        f_min_rad_per_s=where,
+        f_nyquist_n_s_per_m=0.5 * period * (law.h_nyquist - spring),
+        f_mean_n_s_per_m=offset,
+        damping_needed_n_s_per_m=needed,
+        passive_scale=scale,
+        pole_radius=None if mass is None else pole_radius(law, period, mass, damping or 0.0, delay, stiffness),
+    )
+
+
+def law_figures(
+    law: CompiledLaw,
+    period: float,
+    mass: float | None = None,
+    damping: float | None = None,
+    delay: float = 0.0,
+    stiffness: float = 0.0,
+) -> dict[str, Any]:
+    """Tell what a law really renders, for an answer in JSON or on the control socket.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    mass, damping : float or None
+        Device, a hand's share included [kg], [N s/m]; without them there is no pole radius.
+    delay : float
+        Whole or fractional delay of the loop [ticks].
+    stiffness : float
+        Hand's stiffness [N/m].
+
+    Returns
+    -------
+    dict
+        ``taps_n_per_m``, ``sections`` (count), ``delay_ticks`` and the fields of `Rendered`.
+    """
+    figures: dict[str, Any] = {"taps_n_per_m": list(law.taps), "sections": len(law.sections), "delay_ticks": delay}
+    return figures | asdict(rendered(law, period, mass, damping, delay, stiffness))

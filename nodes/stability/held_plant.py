@@ -1,0 +1,155 @@
+"""The device between two ticks, as the stability theory sees it: exact, the force held and late by any delay.
+
+The virtual device of a simulation (sim/device/model.py) has its own closed forms of the same map; this one is computed another
+way, by the series of the matrix exponential, so that each can be tested against the other.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class HeldPlant:
+    """The device between ticks, force held and late by a whole or fractional delay, as a rational function of z.
+
+    x/u = (numerator[0] z² + numerator[1] z + numerator[2]) / (z^{whole+1} (z² + denominator[1] z + denominator[2])),
+    u the force on the device. A device with stiffness (a hand's) is the same with other numbers.
+
+    Attributes
+    ----------
+    whole : int
+        Whole ticks of the delay, i of d = i + φ.
+    numerator : tuple of float, shape (3,)
+        Coefficients of z², z, 1 [m/N].
+    denominator : tuple of float, shape (3,)
+        Coefficients of z², z, 1; the first is 1.
+    """
+
+    whole: int
+    numerator: tuple[float, float, float]
+    denominator: tuple[float, float, float]
+
+
+def held_plant(mass: float, damping: float, period: float, delay: float = 0.0, stiffness: float = 0.0) -> HeldPlant:
+    """Discretise m x'' + b x' + k x = u exactly for a held force that arrives `delay` ticks after its sample.
+
+    Parameters
+    ----------
+    mass : float
+        m > 0 [kg].
+    damping : float
+        b ≥ 0 [N s/m].
+    period : float
+        Sampling period T > 0 [s].
+    delay : float
+        d ≥ 0 [ticks]; with d = i + φ the force of tick k−i−1 acts for φT, then that of k−i.
+    stiffness : float
+        k ≥ 0 of a hand [N/m].
+
+    Returns
+    -------
+    HeldPlant
+        Its transfer function at the ticks.
+
+    Raises
+    ------
+    ValueError
+        When a parameter is out of its limits; the text names it.
+    """
+    whole, transition, new, old = held_step(mass, damping, period, delay, stiffness)
+    a11, a12, _, a22 = transition
+    # First row of adj(zI − A) times each input vector: (z − a22) g1 + a12 g2.
+    new_1, new_0 = new[0], a12 * new[1] - a22 * new[0]
+    old_1, old_0 = old[0], a12 * old[1] - a22 * old[0]
+    determinant = math.exp(-damping * period / mass)
+    # tr A = 1 + det A − k·(...): written so that the pole of a free device at z = 1 stays at 1 to the last bit.
+    trace = 1.0 + determinant if stiffness == 0.0 else a11 + a22
+    return HeldPlant(whole, (new_1, new_0 + old_1, old_0), (1.0, -trace, determinant))
+
+
+def held_step(
+    mass: float, damping: float, period: float, delay: float = 0.0, stiffness: float = 0.0
+) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
+    """One tick of m x'' + b x' + k x = u in position and velocity.
+
+    Parameters
+    ----------
+    mass : float
+        m > 0 [kg].
+    damping : float
+        b ≥ 0 [N s/m].
+    period : float
+        Sampling period T > 0 [s].
+    delay : float
+        d ≥ 0 [ticks]; with d = i + φ the force of tick k−i−1 acts for φT, then that of k−i.
+    stiffness : float
+        k ≥ 0 of a hand [N/m].
+
+    Returns
+    -------
+    whole : int
+        i.
+    transition : tuple of float, shape (4,)
+        a11, a12 [s], a21 [1/s], a22 of the state (x, v).
+    newer : tuple of float, shape (2,)
+        What the force of tick k−i adds to x [m/N] and v [m/(s N)].
+    older : tuple of float, shape (2,)
+        The same for the force of tick k−i−1; zero when the delay is whole.
+
+    Raises
+    ------
+    ValueError
+        When a parameter is out of its limits; the text names it.
+    """
+    for name, value, positive in (
+        ("mass", mass, True),
+        ("period", period, True),
+        ("damping", damping, False),
+        ("delay", delay, False),
+        ("stiffness", stiffness, False),
+    ):
+        if not math.isfinite(value) or value < 0.0 or (positive and value == 0.0):
+            raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if positive else 'at least 0'}")
+    whole = math.floor(delay)
+    fraction = delay - whole
+    a11, a12, a21, a22, g1, g2 = _transition(mass, damping, stiffness, period)
+    if fraction == 0.0:
+        return whole, (a11, a12, a21, a22), (g1, g2), (0.0, 0.0)
+    late = _transition(mass, damping, stiffness, (1.0 - fraction) * period)
+    early = _transition(mass, damping, stiffness, fraction * period)
+    older = (late[0] * early[4] + late[1] * early[5], late[2] * early[4] + late[3] * early[5])
+    return whole, (a11, a12, a21, a22), late[4:], older
+
+
+def _transition(
+    mass: float, damping: float, stiffness: float, duration: float
+) -> tuple[float, float, float, float, float, float]:
+    """Exact map of position and velocity under a held force: matrix exponential by its series, halved and squared."""
+    halvings = max(
+        0, math.ceil(math.log2(max(damping / mass * duration, math.sqrt(stiffness / mass) * duration, 0.25))) + 2
+    )
+    h = duration / 2.0**halvings
+    # Series of φ(t) = response of the velocity-free device to a unit force: x = Σ c_j t^j/j!, from the equation itself.
+    older, newer = 0.0, h * h / (2.0 * mass)
+    g1, g2 = newer, h / mass
+    for j in range(1, 40):
+        term = -(damping / mass * h / (j + 2)) * newer - (stiffness / mass * h * h / ((j + 1) * (j + 2))) * older
+        g1 += term
+        g2 += term * (j + 2) / h
+        older, newer = newer, term
+        if abs(newer) + abs(older) < 1e-20 * g1:
+            break
+    a12 = mass * g2
+    a11, a21 = 1.0 - stiffness * g1, -stiffness * g2
+    a22 = a11 - damping * g2
+    for _ in range(halvings):
+        g1, g2 = a11 * g1 + a12 * g2 + g1, a21 * g1 + a22 * g2 + g2
+        a11, a12, a21, a22 = (
+            a11 * a11 + a12 * a21,
+            a11 * a12 + a12 * a22,
+            a21 * a11 + a22 * a21,
+            a21 * a12 + a22 * a22,
+        )
+    return a11, a12, a21, a22, g1, g2

@@ -1,0 +1,326 @@
+"""How stiff a law may get before the loop with a known device becomes unstable, without simulating it.
+
+The stiffness enters the closed loop in one tap, so on the stability boundary K = −1/P(z) − D(z) for a z on the unit circle
+(P the device with its delay, D the derivative part). All boundaries are therefore the real values of one curve; between
+two of them the loop is stable throughout or not at all, and one pole radius decides which. For PD without delay the Jury
+conditions are linear in K and give the same in closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.laws import CompiledLaw, Law
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.held_plant import HeldPlant, held_plant
+
+
+@dataclass(frozen=True)
+class Device:
+    """What the law is coupled to: the device, a hand's share included, and the loop's delay.
+
+    Attributes
+    ----------
+    mass : float
+        Moving mass m [kg].
+    damping : float
+        Viscous damping b [N s/m].
+    delay : float
+        Delay of the loop, whole or fractional [ticks].
+    stiffness : float
+        Stiffness of a hand [N/m].
+    """
+
+    mass: float
+    damping: float
+    delay: float = 0.0
+    stiffness: float = 0.0
+
+
+@dataclass(frozen=True)
+class KMax:
+    """Where raising the nominal stiffness makes the loop unstable.
+
+    Attributes
+    ----------
+    k_max_n_per_m : float or None
+        Upper end of the lowest stable interval of nominal K [N/m]; None when no K is stable, infinite when every one is.
+    h1_max_n_per_m : float or None
+        The stiffness H(1) that is really rendered there [N/m].
+    method : str
+        ``closed_form`` or ``pole_radius``.
+    stable : tuple of (float, float)
+        Stable intervals of nominal K that were found, lowest first [N/m]; the closed form has at most one.
+    """
+
+    k_max_n_per_m: float | None
+    h1_max_n_per_m: float | None
+    method: str
+    stable: tuple[tuple[float, float], ...]
+
+
+def without_spring(law: Law, period: float) -> CompiledLaw:
+    """Take the nominal stiffness out of a law.
+
+    Parameters
+    ----------
+    law : Law
+        Any law. One without a parameter ``stiffness`` (raw taps) has H(1) as its nominal stiffness.
+    period : float
+        Sampling period T [s].
+
+    Returns
+    -------
+    CompiledLaw
+        The derivative part D: the law's taps with K taken from the newest.
+    """
+    compiled = law.compile(period)
+    spring = getattr(law, "stiffness", None)
+    return with_spring(compiled, -(compiled.h1 if spring is None else spring))
+
+
+def with_spring(derivative: CompiledLaw, stiffness: float) -> CompiledLaw:
+    """Add a nominal stiffness to the newest tap.
+
+    Parameters
+    ----------
+    derivative : CompiledLaw
+        Taps and sections.
+    stiffness : float
+        K [N/m].
+
+    Returns
+    -------
+    CompiledLaw
+        The law with K added.
+    """
+    return replace(derivative, taps=(derivative.taps[0] + stiffness, *derivative.taps[1:]))
+
+
+def k_max(derivative: CompiledLaw, period: float, device: Device, method: str | None = None) -> KMax:
+    """Find the largest stable nominal stiffness, everything else fixed.
+
+    Parameters
+    ----------
+    derivative : CompiledLaw
+        Derivative part of the law, e.g. from `without_spring`.
+    period : float
+        Sampling period T [s].
+    device : Device
+        Mass, damping, delay and hand.
+    method : {"closed_form", "pole_radius"} or None
+        None takes the closed form where there is one.
+
+    Returns
+    -------
+    KMax
+        Boundary and stable intervals. K is looked for where the law is a spring at all: K > 0 and H(1) > 0.
+
+    Raises
+    ------
+    ValueError
+        When the closed form is asked for and there is none: more than two taps, sections, or a delay.
+    """
+    closed = len(derivative.taps) <= 2 and not derivative.sections and device.delay == 0.0
+    if method == "closed_form" and not closed:
+        raise ValueError(
+            f"method: closed_form needs a spring or PD without delay; this law has {len(derivative.taps)} taps and "
+            f"{len(derivative.sections)} sections at a delay of {device.delay:g} ticks; use pole_radius"
+        )
+    leak = derivative.h1
+    floor = max(0.0, -leak)
+    if closed and method in (None, "closed_form"):
+        name, stable = "closed_form", _jury(derivative, period, device, floor)
+    else:
+        name, stable = "pole_radius", _between_boundaries(derivative, period, device, floor)
+    if not stable:
+        return KMax(None, None, name, ())
+    top = stable[0][1]
+    return KMax(top, top + leak, name, tuple(stable))
+
+
+def _plant(period: float, device: Device) -> HeldPlant:
+    return held_plant(device.mass, device.damping, period, device.delay, device.stiffness)
+
+
+def _jury(derivative: CompiledLaw, period: float, device: Device, floor: float) -> list[tuple[float, float]]:
+    """Stable interval of z³ + a₂z² + a₁z + a₀ with a₂, a₁ linear in K and a₀ free of it."""
+    plant = _plant(period, device)
+    n1, n0, _ = plant.numerator
+    _, trace, determinant = plant.denominator
+    h0, h1 = (*derivative.taps, 0.0)[:2]
+    a2, a1, a0 = trace + n1 * h0, determinant + n1 * h1 + n0 * h0, n0 * h1
+    # Each condition reads c + s·K > 0.
+    conditions = [
+        (1.0 + a2 + a1 + a0, n1 + n0),
+        (1.0 - a2 + a1 - a0, n0 - n1),
+        (1.0 - a0 * a0 - a1 + a0 * a2, a0 * n1 - n0),
+        (1.0 - a0 * a0 + a1 - a0 * a2, n0 - a0 * n1),
+    ]
+    low, high = floor, math.inf
+    for constant, slope in conditions:
+        if slope > 0.0:
+            low = max(low, -constant / slope)
+        elif slope < 0.0:
+            high = min(high, -constant / slope)
+        elif constant <= 0.0:
+            return []
+    # P(1) > 0 repeats the floor up to rounding: keep the floor itself.
+    low = floor if low <= floor + 1e-12 * high else low
+    return [(low, high)] if abs(a0) < 1.0 and low < high else []
+
+
+def _between_boundaries(
+    derivative: CompiledLaw, period: float, device: Device, floor: float
+) -> list[tuple[float, float]]:
+    """Cut the K axis at all boundaries, keep the cells whose middle is stable; above the last one K is taken as open."""
+    cuts = [floor, *(k for k in boundaries(derivative, period, device) if k > floor * (1.0 + 1e-12) + 1e-12)]
+    stable = []
+    for low, high in zip(cuts, [*cuts[1:], math.inf], strict=True):
+        middle = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1.0
+        if _stable(with_spring(derivative, middle), period, device):
+            stable.append((low, high))
+        elif stable:
+            break
+    return stable
+
+
+def _stable(law: CompiledLaw, period: float, device: Device) -> bool:
+    return pole_radius(law, period, device.mass, device.damping, device.delay, device.stiffness) < 1.0
+
+
+def boundaries(derivative: CompiledLaw, period: float, device: Device) -> list[float]:
+    """All nominal stiffnesses at which a pole is on the unit circle.
+
+    Parameters
+    ----------
+    derivative : CompiledLaw
+        Derivative part of the law.
+    period : float
+        Sampling period T [s].
+    device : Device
+        Mass, damping, delay and hand.
+
+    Returns
+    -------
+    list of float
+        K, increasing [N/m].
+    """
+    from scipy.optimize import brentq
+
+    plant = _plant(period, device)
+    numerator, denominator = np.array(plant.numerator), np.array(plant.denominator)
+
+    def curve(theta: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+        z = np.exp(1j * np.asarray(theta, dtype=np.float64))
+        top = np.polyval(numerator, z)
+        loop = np.polyval(denominator, z) * z ** (plant.whole + 1) + top * _response(derivative, 1.0 / z)
+        return np.asarray(-loop / top)
+
+    def imaginary(theta: float) -> float:
+        return float(curve(theta).imag)
+
+    # Sixteen points per fastest turn of the curve; the slow end, where a heavy device lives, in logarithmic steps.
+    count = 16 * (len(derivative.taps) + plant.whole + 8)
+    grid = np.union1d(np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1])
+    signs = np.sign(curve(grid).imag)
+    found = [float(curve(grid[i]).real) for i in np.flatnonzero(signs == 0.0)]
+    for i in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
+        theta = brentq(imaginary, grid[i], grid[i + 1], xtol=1e-15, rtol=8.9e-16)
+        found.append(float(curve(theta).real))
+    # z = 1 and z = −1 are always on the curve; without friction the device does not answer at z = −1 at all.
+    found.append(-device.stiffness - derivative.h1)
+    if abs(np.polyval(numerator, -1.0)) > 1e-12 * np.abs(numerator).sum():
+        found.append(float(curve(math.pi).real))
+    return sorted(found)
+
+
+def _response(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    total = np.polyval(np.array(law.taps[::-1]), w)
+    for b0, b1, a1, a2 in law.sections:
+        total = total + (b0 + b1 * w) / (1.0 + w * (a1 + w * a2))
+    return np.asarray(total, dtype=np.complex128)
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far one property of the loop may change, the others fixed, until it is unstable. None: no limit was found.
+
+    Attributes
+    ----------
+    mass_min_kg, mass_max_kg : float or None
+        Limits of the moving mass; searched from 1e-4 to 1e4 of the declared one.
+    damping_min_n_s_per_m : float or None
+        Least damping of the device; None when it is stable without any.
+    hand_stiffness_max_n_per_m : float or None
+        Largest stiffness of a hand; searched up to 1e6 N/m.
+    delay_max_ticks : float or None
+        Largest delay, fractions included; searched up to 100 ticks.
+    """
+
+    mass_min_kg: float | None
+    mass_max_kg: float | None
+    damping_min_n_s_per_m: float | None
+    hand_stiffness_max_n_per_m: float | None
+    delay_max_ticks: float | None
+
+
+def tolerance(law: CompiledLaw, period: float, device: Device, radius: float = 1.0) -> Tolerance | None:
+    """Tell how far mass, damping, a hand and delay may be from what is declared.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        The whole law.
+    period : float
+        Sampling period T [s].
+    device : Device
+        What is declared.
+    radius : float
+        Pole radius that counts as the limit.
+
+    Returns
+    -------
+    Tolerance or None
+        None when the loop is beyond the limit as declared.
+    """
+
+    def within(other: Device) -> bool:
+        return pole_radius(law, period, other.mass, other.damping, other.delay, other.stiffness) < radius
+
+    if not within(device):
+        return None
+    decades = np.geomspace(1.0, 1e4, 81)[1:]
+    hands = device.stiffness + np.concatenate([np.geomspace(1.0, 1e6, 61)])
+    delays = device.delay + np.concatenate([np.arange(1, 81) / 20.0, np.arange(5, 101)])
+    return Tolerance(
+        mass_min_kg=_edge(lambda m: within(replace(device, mass=m)), device.mass, device.mass / decades),
+        mass_max_kg=_edge(lambda m: within(replace(device, mass=m)), device.mass, device.mass * decades),
+        damping_min_n_s_per_m=_edge(
+            lambda b: within(replace(device, damping=b)), device.damping, device.damping * np.linspace(1.0, 0.0, 41)[1:]
+        ),
+        hand_stiffness_max_n_per_m=_edge(lambda k: within(replace(device, stiffness=k)), device.stiffness, hands),
+        delay_max_ticks=_edge(lambda d: within(replace(device, delay=d)), device.delay, delays),
+    )
+
+
+def _edge(within: Callable[[float], bool], start: float, steps: NDArray[np.float64]) -> float | None:
+    """First limit on the way from `start` along `steps`, by bisection between the last step inside and the first outside."""
+    inside = start
+    for step in steps.tolist():
+        if within(step):
+            inside = step
+            continue
+        outside = step
+        for _ in range(40):
+            middle = 0.5 * (inside + outside)
+            if middle in (inside, outside):
+                break
+            inside, outside = (middle, outside) if within(middle) else (inside, middle)
+        return inside
+    return None

@@ -1,0 +1,1 @@
+"""Benchmarks: the verb `haptic bench`, one benchmark a file."""

@@ -1,0 +1,176 @@
+"""What listeners cost the loop: four extra loggers, one of them stopped and one killed, against none, in one run."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from messages.topics import DEVICE_STATE
+from nodes.cli.main import answer
+from nodes.recording.reader import Recording
+from sim.measure.launches import MeasurementError, machine
+from sim.measure.stopwatch import Progress
+
+LISTENERS = 4
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of this benchmark.
+    """
+    parser.add_argument("--rounds", type=int, default=5, help="rounds of without and with (default 5)")
+    parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
+    parser.add_argument("--rate", type=float, default=500.0, help="sampling rate [Hz] (default 500)")
+    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    parser.set_defaults(run=run)
+
+
+def _await(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        if time.monotonic() > deadline:
+            raise MeasurementError(f"{what}: not within 30 s")
+        time.sleep(0.02)
+
+
+def _listen(folder: Path, environment: dict[str, str], count: int, label: str) -> list[subprocess.Popen[bytes]]:
+    """Attach loggers and wait until each one's file grows."""
+    paths = [folder / f"{label}-{i}.mcap" for i in range(count)]
+    command = [sys.executable, "-m", "nodes.cli.main", "bag", "record", "--out"]
+    listeners = [
+        subprocess.Popen(
+            [*command, str(path)], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        for path in paths
+    ]
+    for path in paths:
+        _await(lambda path=path: path.exists() and path.stat().st_size > 20_000, f"{path.name} grows")  # type: ignore[misc]
+    return listeners
+
+
+def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dict[str, Any]:
+    """Run one launch and attach loggers in every second half of a round.
+
+    Parameters
+    ----------
+    rounds : int
+        How many rounds.
+    seconds : float
+        Length of each half [s].
+    rate : float
+        Sampling rate [Hz].
+    progress : Progress
+        Told after every half.
+
+    Returns
+    -------
+    dict
+        p50 and p99 of the response without and with listeners, their ratio, the spread from round to round.
+    """
+    halves: list[tuple[str, float, float]] = []
+    with tempfile.TemporaryDirectory(prefix="hapb-", dir="/tmp") as name:  # short: socket paths are
+        folder = Path(name)
+        environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(folder / "run")}
+        words = ["launch", "floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500", "--json", "--no-plot"]
+        launcher = subprocess.Popen(
+            [sys.executable, "-m", "nodes.cli.main", *words],
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        listeners: list[subprocess.Popen[bytes]] = []
+        try:
+            _await(lambda: any((folder / "recordings").glob("*.mcap")), "the launch records")
+            for i in range(rounds):
+                began = time.monotonic()
+                time.sleep(seconds)
+                halves.append(("without", began, time.monotonic()))
+                progress.step("without listeners")
+                listeners = _listen(folder, environment, LISTENERS, f"round{i}")
+                listeners[0].send_signal(signal.SIGSTOP)
+                listeners[1].kill()
+                began = time.monotonic()
+                time.sleep(seconds)
+                halves.append(("with", began, time.monotonic()))
+                progress.step("with four, one stopped, one killed")
+                for listener in listeners:
+                    listener.kill()
+                    listener.wait()
+            launcher.send_signal(signal.SIGINT)
+            out, _ = launcher.communicate(timeout=60.0)
+        finally:
+            for process in (*listeners, launcher):
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+                process.wait()
+            if launcher.stdout is not None:
+                launcher.stdout.close()
+        figures = json.loads(out.splitlines()[-1])
+        recording = Recording(folder / figures["recording"])
+        states = recording.messages(DEVICE_STATE)
+        gaps = recording.topics[DEVICE_STATE].gaps - figures["overruns"]
+    quantiles: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
+    missed = dict.fromkeys(quantiles, 0)
+    for label, began, ended in halves:
+        part = [state for state in states if began <= state.stamp <= ended]
+        responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
+        quantiles[label].append((responses[len(responses) // 2], responses[int(0.99 * len(responses))]))
+        missed[label] += part[-1].missed - part[0].missed
+    quiet = [p99 for _, p99 in quantiles["without"]]
+    busy = [p99 for _, p99 in quantiles["with"]]
+    return {
+        "without_us": {
+            "p50": statistics.median(p50 for p50, _ in quantiles["without"]),
+            "p99": statistics.median(quiet),
+        },
+        "with_us": {"p50": statistics.median(p50 for p50, _ in quantiles["with"]), "p99": statistics.median(busy)},
+        "p99_ratio": statistics.median(with_ / without for with_, without in zip(busy, quiet, strict=True)),
+        "spread_without": max(quiet) / min(quiet),
+        "missed": missed,
+        "lost_by_own_logger": gaps,
+    }
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the benchmark.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    progress = Progress(2 * arguments.rounds)
+    figures = measure(arguments.rounds, arguments.seconds, arguments.rate, progress)
+    figures["machine"] = machine()
+    without, with_ = figures["without_us"], figures["with_us"]
+    text = (
+        f"{figures['machine']}\n"
+        f"response without listeners p50 {without['p50']:.0f} µs, p99 {without['p99']:.0f} µs; with four extra loggers, one "
+        f"stopped and one killed, p50 {with_['p50']:.0f} µs, p99 {with_['p99']:.0f} µs\n"
+        f"p99 with/without {figures['p99_ratio']:.2f}; rounds without listeners differ by {figures['spread_without']:.2f}; "
+        f"missed {figures['missed']['without']} without, {figures['missed']['with']} with; "
+        f"lost by the launch's own logger {figures['lost_by_own_logger']}"
+    )
+    answer(arguments.json, figures, text)
+    return 0

@@ -1,0 +1,289 @@
+"""How fast the one-process simulator is: against a plain C loop of the same recurrence, and over the cores.
+
+The C loop is compiled here, at run time, from the source below: no contraction of multiply and add, no fast math, so it must
+give the same bits as ours, and that is checked before it is timed. A ratio against anything that computes something
+else would mean little.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.laws.parse import parse_law
+from nodes.laws.pd import PD
+from nodes.stability.k_max import with_spring
+from sim.device.model import DeviceModel, coefficients
+from sim.experiments.drop import Criterion, drop_scene, settles
+from sim.measure.stopwatch import Timing, interleaved
+from sim.scene.loop import PLANE, Array, Scene, play_compiled
+
+SOURCE = r"""
+void play(long ticks, double x, double v, const double *c, double load, double surface, double normal,
+          const double *taps, long count, double *history, long length, double *positions)
+{
+    long head = 0;
+    for (long k = 0; k < ticks; k++) {
+        double distance = (x - surface) * normal;
+        int contact = distance < 0.0;
+        double proxy = contact ? surface : x;
+        head = head > 0 ? head - 1 : length - 1;
+        history[head] = history[head + length] = proxy - x;
+        double force = 0.0;
+        for (long m = 0; m < count; m++)
+            force += taps[m] * history[head + m];
+        if (force * normal < 0.0)
+            force = 0.0;
+        positions[k] = x;
+        double u = force + load;
+        double next = c[0] * x + c[1] * v + c[4] * u;
+        v = c[2] * x + c[3] * v + c[5] * u;
+        x = next;
+    }
+}
+"""
+FLAGS = ("-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC")
+
+PERIOD = 0.002
+
+
+class NoCompilerError(Exception):
+    """There is no C compiler here, so there is nothing to compare with; the text says what was looked for."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """What was measured.
+
+    Attributes
+    ----------
+    simulator, plain_c : dict of int to Timing
+        Seconds per tick on one core, by number of taps; C is empty without a compiler.
+    one_core, all_cores : Timing
+        Seconds per tick of many runs at once.
+    cores : int
+        How many those were.
+    reason : str
+        Why there is no C; empty when there is.
+    """
+
+    simulator: dict[int, Timing]
+    plain_c: dict[int, Timing]
+    one_core: Timing
+    all_cores: Timing
+    cores: int
+    reason: str
+
+
+def scene() -> Scene:
+    """Give the scene that is timed.
+
+    Returns
+    -------
+    Scene
+        The floor drop: contact, clamped force, no delay, perfect sensor.
+    """
+    return drop_scene(DeviceModel(mass=0.1, damping=1.0), PERIOD, False, True)
+
+
+def laws() -> dict[int, CompiledLaw]:
+    """Give the laws that are timed.
+
+    Returns
+    -------
+    dict of int to CompiledLaw
+        By number of taps: PD, the seed's optimum, and one with a memory of 64 ticks.
+    """
+    seed = parse_law({"kind": "paper_optimum", "stiffness": 1000.0}).compile(PERIOD)
+    long = parse_law(
+        {"kind": "pd_alpha", "stiffness": 1000.0, "damping": 2.0, "order": 0.9, "taps": 64, "gains": "normalised"}
+    ).compile(PERIOD)
+    return {2: PD(stiffness=1000.0, damping=2.0).compile(PERIOD), 4: seed, 64: long}
+
+
+def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:
+    """Prepare one run of our simulator.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        The law.
+    ticks : int
+        Length.
+
+    Returns
+    -------
+    callable
+        Plays and returns the positions, shape (ticks,) [m].
+    """
+    here = scene()
+    device = here.device
+    step = coefficients(device.mass, device.damping, 0.0, PERIOD)
+    taps, none, positions = np.array(law.taps), np.empty(0, dtype=np.int64), np.empty(ticks)
+    bounds, no_states = np.array([0, len(taps)]), np.zeros(2, dtype=np.int64)
+
+    def play() -> Array:
+        play_compiled(
+            ticks, device.position, 0.0, device.mass, device.damping, 0.0, 0.0, None, PERIOD, step, None, None, None,
+            device.load(0, PERIOD), None, np.zeros(2), PLANE, 0.0, 1.0, False, True, None, None, taps, bounds, None,
+            np.zeros(0), no_states, none, none, np.zeros(2 * len(taps)), positions, None, None, None, None,
+        )  # fmt: skip
+        return positions
+
+    return play
+
+
+def compile_c(folder: Path) -> Any:
+    """Compile the C loop.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+
+    Returns
+    -------
+    ctypes function
+        ``play`` of `SOURCE`.
+
+    Raises
+    ------
+    NoCompilerError
+        When there is no ``cc`` or ``gcc``, or it fails.
+    """
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        raise NoCompilerError("neither cc nor gcc is in the PATH: install one to compare with C")
+    source, library = folder / "play.c", folder / "play.so"
+    source.write_text(SOURCE)
+    done = subprocess.run([compiler, *FLAGS, "-o", library, source], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise NoCompilerError(f"{compiler} {' '.join(FLAGS)} failed: {done.stderr.strip().splitlines()[-1:]}")
+    play = ctypes.CDLL(str(library)).play
+    number, whole, array = ctypes.c_double, ctypes.c_long, ctypes.POINTER(ctypes.c_double)
+    play.argtypes = [whole, number, number, array, number, number, number, array, whole, array, whole, array]
+    play.restype = None
+    return play
+
+
+def in_c(play: Any, law: CompiledLaw, ticks: int) -> Callable[[], Array]:
+    """Prepare one run of the C loop.
+
+    Parameters
+    ----------
+    play : ctypes function
+        From `compile_c`.
+    law : CompiledLaw
+        The law.
+    ticks : int
+        Length.
+
+    Returns
+    -------
+    callable
+        Plays and returns the positions, shape (ticks,) [m].
+    """
+    device = scene().device
+    step = np.array(coefficients(device.mass, device.damping, 0.0, PERIOD))
+    taps, positions, load = np.array(law.taps), np.empty(ticks), device.load(0, PERIOD)
+
+    def pointer(array: Array) -> Any:
+        return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+    def run() -> Array:
+        n = len(taps)
+        history = np.zeros(2 * n)
+        play(
+            ticks,
+            device.position,
+            0.0,
+            pointer(step),
+            load,
+            0.0,
+            1.0,
+            pointer(taps),
+            n,
+            pointer(history),
+            n,
+            pointer(positions),
+        )
+        return positions
+
+    return run
+
+
+def measure(ticks: int, rounds: int, step: Callable[[str], None] | None = None) -> Speed:
+    """Time ours against C, and one core against all, interleaved.
+
+    Parameters
+    ----------
+    ticks : int
+        Length of a run; short enough that its record stays in the cache, or memory is what is timed, and that it mostly ends
+        before another process of a shared machine cuts in.
+    rounds : int
+        Interleaved rounds.
+    step : callable, optional
+        Told after every round, twice as often as there are rounds.
+
+    Returns
+    -------
+    Speed
+        The timings.
+
+    Raises
+    ------
+    RuntimeError
+        When C gives other bits than ours: then there is nothing to compare.
+    """
+    jobs: dict[str, tuple[Callable[[], object], int]] = {}
+    reason = ""
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            play = compile_c(Path(folder))
+        except NoCompilerError as error:
+            play, reason = None, str(error)
+        for n, law in laws().items():
+            jobs[f"ours|{n}"] = ours(law, ticks), ticks
+            if play is not None:
+                jobs[f"c|{n}"] = in_c(play, law, ticks), ticks
+                if ours(law, ticks)().tobytes() != in_c(play, law, ticks)().tobytes():
+                    raise RuntimeError(
+                        f"C and the simulator give different bits with {n} taps; the timing would mean nothing"
+                    )
+        cores = numba.get_num_threads()
+        found = interleaved(jobs, rounds, step)
+        # As a search for K_max uses it: drops of the usual horizon, many at once. Apart from the others, because worker
+        # threads go on spinning for a while after each batch.
+        horizon = min(ticks, Criterion().ticks)
+        many = [with_spring(laws()[4], 10.0 * k) for k in range(16 * cores)]
+        work = horizon * len(many)
+        spread = interleaved(
+            {"one": (_spread(many, horizon, 1), work), "all": (_spread(many, horizon, cores), work)}, rounds, step
+        )
+    simulator = {n: found[f"ours|{n}"] for n in laws()}
+    plain_c = {} if play is None else {n: found[f"c|{n}"] for n in laws()}
+    return Speed(simulator, plain_c, spread["one"], spread["all"], cores, reason)
+
+
+def _spread(many: list[CompiledLaw], ticks: int, threads: int) -> Callable[[], object]:
+    here, criterion = scene(), Criterion(ticks)
+
+    def play() -> object:
+        before = numba.get_num_threads()
+        numba.set_num_threads(threads)
+        try:
+            return settles(here, many, criterion)
+        finally:
+            numba.set_num_threads(before)
+
+    return play

@@ -1,0 +1,222 @@
+"""Which way to add n taps is fastest per tick: a plain loop, a sum written out, numpy's running sum, or a compiled loop.
+
+All four add from the newest to the oldest and so give the same bits; numpy's own dot product does not, and is timed
+only to show what that costs. The choice of the coupling, `nodes.coupling.law_on_axis.UNROLLED_TAPS`, is made from this.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nodes.coupling.law_on_axis import UNROLLED_TAPS, unrolled
+from nodes.kernels import fir
+from nodes.laws import CompiledLaw
+from nodes.laws.derivatives import realise
+from sim.measure.stopwatch import Timing, interleaved
+from sim.scene.compiled import compiled
+
+LENGTHS = (4, 8, 16, 24, 32, 48, 64, 128, 256, 500, 1000, 2000)
+WAYS = ("plain", "unrolled", "numpy", "numba", "numpy_dot")
+_CALLS = 200
+
+
+@dataclass(frozen=True)
+class TapTimings:
+    """Time per tick of each way at each length.
+
+    Attributes
+    ----------
+    timings : dict of int to dict of str to Timing
+        Number of taps, then way (see `WAYS`).
+    same_bits : bool
+        Whether all but ``numpy_dot`` gave the same bits at all lengths.
+    """
+
+    timings: dict[int, dict[str, Timing]]
+    same_bits: bool
+
+    def crossover(self, before: str, after: str) -> float | None:
+        """Find the number of taps from which one way is faster than another, for good.
+
+        Parameters
+        ----------
+        before, after : str
+            The way that is faster for few taps, and the one for many.
+
+        Returns
+        -------
+        float or None
+            Number of taps, interpolated on logarithmic scales; None when ``after`` is not faster at the longest.
+        """
+        lengths = sorted(self.timings)
+        ratio = [math.log(self.timings[n][after].median / self.timings[n][before].median) for n in lengths]
+        if ratio[-1] >= 0.0:
+            return None
+        for i in range(len(lengths) - 1, 0, -1):
+            if ratio[i - 1] >= 0.0:
+                part = ratio[i - 1] / (ratio[i - 1] - ratio[i])
+                return float(lengths[i - 1] * (lengths[i] / lengths[i - 1]) ** part)
+        return float(lengths[0])
+
+    def fastest(self, taps: int) -> str:
+        """Name the fastest way that gives the kernel's bits.
+
+        Parameters
+        ----------
+        taps : int
+            One of the lengths that were timed.
+
+        Returns
+        -------
+        str
+            One of `WAYS`.
+        """
+        return min(WAYS[:-1], key=lambda way: self.timings[taps][way].median)
+
+
+_fir_compiled = compiled()(fir)
+
+
+def evaluators(law: CompiledLaw, history: Sequence[float], ring: Any) -> dict[str, Callable[[int], float]]:
+    """Make the ways to add the taps of one law over one history.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        The taps.
+    history : sequence of float
+        Ring as the coupling keeps it.
+    ring : ndarray
+        The same memory, as numpy sees it.
+
+    Returns
+    -------
+    dict of str to function
+        From the head of the history to the force [N], for each of `WAYS`.
+    """
+    taps, n = law.taps, len(law.taps)
+    weights: Any = np.array(taps)
+    products = np.empty(n)
+    multiply, running_sum = np.multiply, np.add.accumulate
+
+    def with_numpy(head: int) -> float:
+        multiply(weights, ring[head : head + n], products)
+        return float(running_sum(products, out=products)[-1]) + 0.0
+
+    return {
+        "plain": lambda head: fir(taps, history, head),
+        "unrolled": unrolled(taps, history),
+        "numpy": with_numpy,
+        "numba": lambda head: _fir_compiled(weights, ring, head),
+        "numpy_dot": lambda head: float(weights.dot(ring[head : head + n])),
+    }
+
+
+def time_taps(lengths: Sequence[int], rounds: int, step: Callable[[str], None]) -> TapTimings:
+    """Time all ways at all lengths, interleaved.
+
+    Parameters
+    ----------
+    lengths : sequence of int
+        Numbers of taps.
+    rounds : int
+        How many rounds.
+    step : callable
+        Told after every round.
+
+    Returns
+    -------
+    TapTimings
+        Seconds per tick.
+    """
+    jobs: dict[str, tuple[Callable[[], object], int]] = {}
+    same = True
+    for n in lengths:
+        history = array("d", np.random.default_rng(n).normal(scale=1e-3, size=2 * n).tolist())
+        ways = evaluators(realise("gl", 0.5, n, 0.002), history, np.frombuffer(history))
+        results = {way: evaluate(0) for way, evaluate in ways.items()}
+        same = same and len({results[way] for way in WAYS[:-1]}) == 1
+        for way, evaluate in ways.items():
+            calls = max(4, _CALLS * 32 // max(n, 32))
+            jobs[f"{way}|{n}"] = (_repeat(evaluate, n, calls), calls)
+    timed = interleaved(jobs, rounds, step)
+    return TapTimings({n: {way: timed[f"{way}|{n}"] for way in WAYS} for n in lengths}, same)
+
+
+def _repeat(evaluate: Callable[[int], float], length: int, calls: int) -> Callable[[], object]:
+    heads = [k % length for k in range(calls)]
+
+    def run() -> None:
+        for head in heads:
+            evaluate(head)
+
+    return run
+
+
+def import_seconds(module: str) -> float:
+    """Time the import of a module in a process of its own: what a node pays at its start.
+
+    Parameters
+    ----------
+    module : str
+        Its name.
+
+    Returns
+    -------
+    float
+        Time [s], best of three.
+    """
+    code = f"import time; t = time.perf_counter(); import {module}; print(time.perf_counter() - t)"
+    return min(
+        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+        for _ in range(3)
+    )
+
+
+def as_json(found: TapTimings, machine: dict[str, Any]) -> dict[str, Any]:
+    """Put the timings into one JSON object.
+
+    Parameters
+    ----------
+    found : TapTimings
+        The timings.
+    machine : dict
+        As from `sim.measure.stopwatch.machine`.
+
+    Returns
+    -------
+    dict
+        ``points`` (``taps``, and ``<way>_us``, ``<way>_us_low``, ``<way>_us_high``), ``crossover_taps``, ``fastest``,
+        ``same_bits``, ``unrolled_taps`` (what the coupling does), ``import_s``, ``machine``.
+    """
+    points = []
+    for n, ways in sorted(found.timings.items()):
+        point: dict[str, Any] = {"taps": n}
+        for way, timing in ways.items():
+            point |= {
+                f"{way}_us": 1e6 * timing.median,
+                f"{way}_us_low": 1e6 * timing.low,
+                f"{way}_us_high": 1e6 * timing.high,
+            }
+        points.append(point)
+    return {
+        "points": points,
+        "crossover_taps": {
+            "unrolled_to_numpy": found.crossover("unrolled", "numpy"),
+            "unrolled_to_numba": found.crossover("unrolled", "numba"),
+            "numpy_to_numba": found.crossover("numpy", "numba"),
+        },
+        "fastest": {str(n): found.fastest(n) for n in sorted(found.timings)},
+        "same_bits": found.same_bits,
+        "unrolled_taps": UNROLLED_TAPS,
+        "import_s": {module: import_seconds(module) for module in ("numpy", "numba")},
+        "machine": machine,
+    }

@@ -1,0 +1,31 @@
+"""Measure the project's speed: one sub-verb per question, ratios taken in one run.
+
+A benchmark is a module of sim.verbs with the same shape as a verb: its docstring's first line is its help, ``add(parser)``
+declares its arguments and sets ``run``. Only the one asked for is imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from nodes.cli.dispatch import dispatch
+
+BENCHMARKS: dict[str, str] = {
+    "curve": "sim.bench.curve",
+    "loop": "sim.bench.loop",
+    "listeners": "sim.bench.listeners",
+    "swaps": "sim.bench.swaps",
+    "simulator": "sim.bench.simulator",
+    "taps": "sim.bench.taps",
+}
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the benchmarks.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb ``bench``.
+    """
+    dispatch(parser, BENCHMARKS, "benchmark")

@@ -1,0 +1,308 @@
+"""What a realisation of D^α costs and what it gets wrong, measured on its taps and sections alone.
+
+The reference is (jω)^α itself. Part of every causal realisation's error is a pure delay: that of (1 − z⁻¹)^α is
+exactly αT/2. So errors are given raw and with the best pure delay removed, band by band, because what a hand does (a
+few hertz), what a contact does (tens of hertz) and what an encoder's noise does (Nyquist) are three different
+questions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.laws import CompiledLaw
+from nodes.laws.derivatives import realise
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+BANDS: dict[str, tuple[float, float]] = {
+    "slow": (0.001, 0.01),
+    "hand": (0.01, 0.1),
+    "contact": (0.1, 0.5),
+    "high": (0.5, 0.9),
+}
+_PER_BAND = 60
+
+
+@dataclass(frozen=True)
+class BandError:
+    """Error against (jω)^α over one band of frequencies.
+
+    Attributes
+    ----------
+    raw : float
+        Root mean square of |H/(jω)^α − 1| over the band, log-spaced [1].
+    aligned : float
+        The same after the best pure delay of the whole range is removed [1].
+    phase : float
+        Largest phase error, raw [rad].
+    """
+
+    raw: float
+    aligned: float
+    phase: float
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Figures of one realisation at one order, length and period.
+
+    Attributes
+    ----------
+    kind : str
+        Registered name.
+    order : float
+        α.
+    taps : int
+        Length n + 1 as asked for.
+    period : float
+        Sampling period T [s].
+    multiplies : int
+        Multiplications per tick in the loop's kernels: one per tap, four per section.
+    states : int
+        Numbers remembered from tick to tick: older deflections and outputs of sections.
+    delay : float
+        Pure delay that fits best from the slow to the contact band [ticks].
+    leak : float
+        D(1)·T^α: answer to a held offset, in units in which GL's first tap is 1.
+    nyquist : float
+        D(−1)·(T/2)^α: gain at Nyquist, 1 for GL with infinite memory.
+    pole : float
+        Largest magnitude of a pole, 0 without sections.
+    bands : dict of str to BandError
+        Errors by band, names and edges as in `BANDS` (fractions of Nyquist).
+    """
+
+    kind: str
+    order: float
+    taps: int
+    period: float
+    multiplies: int
+    states: int
+    delay: float
+    leak: float
+    nyquist: float
+    pole: float
+    bands: dict[str, BandError]
+
+    def error(self, aligned: bool = True) -> float:
+        """One number for a chart: root mean square over the slow, hand and contact bands.
+
+        Parameters
+        ----------
+        aligned : bool
+            With the best pure delay removed, or raw.
+
+        Returns
+        -------
+        float
+            Relative error [1].
+        """
+        values = [self.bands[name].aligned if aligned else self.bands[name].raw for name in ("slow", "hand", "contact")]
+        return math.sqrt(math.fsum(v * v for v in values) / len(values))
+
+
+def response(law: CompiledLaw, angles: Array) -> ComplexArray:
+    """Frequency response of taps and sections.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps and sections.
+    angles : ndarray, shape (f,)
+        ωT [rad].
+
+    Returns
+    -------
+    ndarray of complex, shape (f,)
+        H(e^{jωT}).
+    """
+    w = np.exp(-1j * np.asarray(angles, dtype=np.float64))
+    total: ComplexArray = np.polyval(np.array(law.taps[::-1] or (0.0,), dtype=np.complex128), w)
+    for b0, b1, a1, a2 in law.sections:
+        total = total + (b0 + b1 * w) / (1.0 + w * (a1 + w * a2))
+    return total
+
+
+def largest_pole(law: CompiledLaw) -> float:
+    """Largest magnitude of the poles of the sections.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps and sections.
+
+    Returns
+    -------
+    float
+        0 for a finite impulse response.
+    """
+    return max((float(np.max(np.abs(np.roots([1.0, a1, a2])))) for _, _, a1, a2 in law.sections), default=0.0)
+
+
+def apply(law: CompiledLaw, samples: Array) -> Array:
+    """Output of a law from rest, by scipy's filters rather than the loop's kernels.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps and sections.
+    samples : ndarray, shape (n,)
+        Deflection at ticks 0, 1, ...
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Output at the same ticks.
+    """
+    from scipy.signal import lfilter
+
+    output: Array = np.asarray(lfilter(law.taps or (0.0,), [1.0], samples), dtype=np.float64)
+    for b0, b1, a1, a2 in law.sections:
+        output = output + lfilter([b0, b1], [1.0, a1, a2], samples)
+    return output
+
+
+def multiplies(law: CompiledLaw) -> int:
+    """Multiplications per tick in the loop's kernels.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps and sections.
+
+    Returns
+    -------
+    int
+        One per tap, four per section.
+    """
+    return len(law.taps) + 4 * len(law.sections)
+
+
+def best_delay(relative: ComplexArray, angles: Array) -> float:
+    """Pure delay that brings a relative response closest to 1.
+
+    The first guess is the phase's slope through the origin; then Gauss-Newton on |G e^{jθτ} − g| with the gain g free,
+    so that a wrong gain does not pass for a delay.
+
+    Parameters
+    ----------
+    relative : ndarray of complex, shape (f,)
+        G = H/(jω)^α.
+    angles : ndarray, shape (f,)
+        θ = ωT [rad].
+
+    Returns
+    -------
+    float
+        τ [ticks]; positive when the realisation lags.
+    """
+    phase = np.unwrap(np.angle(relative))
+    delay = -float(np.sum(phase * angles) / np.sum(angles * angles))
+    for _ in range(20):
+        turned = relative * np.exp(1j * angles * delay)
+        gain = float(np.mean(turned.real))
+        slope = 1j * angles * turned
+        step = float(np.sum((np.conj(slope) * (gain - turned)).real) / np.sum(np.abs(slope) ** 2))
+        delay += step
+        if abs(step) < 1e-12:
+            break
+    return delay
+
+
+def lengths_taken(kind: str, order: float, period: float, upto: int = 2000) -> tuple[int, int] | None:
+    """Find the lengths at which a realisation can be had, by asking it.
+
+    Parameters
+    ----------
+    kind : str
+        Registered name.
+    order : float
+        α, in (0, 4).
+    period : float
+        Sampling period T [s].
+    upto : int, optional
+        How far to look.
+
+    Returns
+    -------
+    tuple of int, or None
+        Shortest and longest length that is not refused, the longest no more than ``upto``; None when all are refused.
+    """
+
+    def taken(taps: int) -> bool:
+        try:
+            realise(kind, order, taps, period)
+        except ValueError:
+            return False
+        return True
+
+    first = next((n for n in range(2, 64) if taken(n)), None)
+    if first is None:
+        return None
+    if taken(upto):
+        return first, upto
+    low, high = first, upto
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if taken(middle) else (low, middle)
+    return first, low
+
+
+def analyse(kind: str, order: float, taps: int, period: float) -> Analysis:
+    """Measure one realisation.
+
+    Parameters
+    ----------
+    kind : str
+        Registered name.
+    order : float
+        α, in (0, 4).
+    taps : int
+        Length n + 1, as the realisation understands it.
+    period : float
+        Sampling period T [s].
+
+    Returns
+    -------
+    Analysis
+        Its figures.
+
+    Raises
+    ------
+    ValueError
+        When the realisation cannot be had at this order and length.
+    """
+    law = realise(kind, order, taps, period)
+    angles = {
+        name: math.pi * np.geomspace(low, high, _PER_BAND, dtype=np.float64) for name, (low, high) in BANDS.items()
+    }
+    relative = {name: response(law, a) / (1j * a / period) ** order for name, a in angles.items()}
+    fitted = ("slow", "hand", "contact")
+    delay = best_delay(np.concatenate([relative[n] for n in fitted]), np.concatenate([angles[n] for n in fitted]))
+    bands = {}
+    for name, a in angles.items():
+        aligned = relative[name] * np.exp(1j * a * delay)
+        bands[name] = BandError(
+            raw=float(np.sqrt(np.mean(np.abs(relative[name] - 1.0) ** 2))),
+            aligned=float(np.sqrt(np.mean(np.abs(aligned - 1.0) ** 2))),
+            phase=float(np.max(np.abs(np.angle(relative[name])))),
+        )
+    return Analysis(
+        kind=kind,
+        order=order,
+        taps=taps,
+        period=period,
+        multiplies=multiplies(law),
+        states=max(0, len(law.taps) - 1) + 2 * len(law.sections),
+        delay=delay,
+        leak=law.h1 * period**order,
+        nyquist=law.h_nyquist * (0.5 * period) ** order,
+        pole=largest_pole(law),
+        bands=bands,
+    )

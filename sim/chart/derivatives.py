@@ -1,0 +1,295 @@
+"""Realisations of D^α on the chart: time and multiplies per tick against error, and against the stiffness they leave.
+
+Time is that of the coupling's own rendering, tick by tick, and of the compiled kernels; error is against (jω)^α with
+the best pure delay removed; stiffness is the H(1) at which the loop with a known device, at one tick of delay,
+becomes unstable, with the same normalised gain for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, MutableSequence, Sequence
+from typing import Any
+
+import numpy as np
+
+from nodes.coupling.law_on_axis import History, LawOnAxis
+from nodes.kernels import push
+from nodes.laws import CompiledLaw
+from nodes.laws.derivatives import derivative_kinds, realise
+from nodes.laws.pd_alpha import combine
+from nodes.stability.closed_loop import pole_radius
+from sim.chart.derivative_errors import analyse
+from sim.chart.points import Detail, Group, Point
+from sim.measure.stopwatch import interleaved
+from sim.scene.compiled import compiled
+from sim.scene.loop import evaluate
+
+ORDERS = (0.5, 1.5)
+PERIOD = 0.002
+MASS, DAMPING, DELAY = 0.1, 1.0, 1.0
+GAIN, STIFFNESS = 3.0, 200.0
+_TICKS = 200
+_ROUNDS, _QUICK_ROUNDS, _QUICK_TAPS = 15, 3, 64
+_FINITE = (4, 16, 64, 256, 1000)
+_RECURSIVE = (4, 6, 9, 13)
+_LENGTHS: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys(
+        ("al_alaoui_cfe", "tustin_cfe", "least_squares", "oustaloup_matched", "oustaloup_tustin"), _RECURSIVE
+    ),
+    "exponentials": (32, 256, 2000, 20000),
+    "log_binned": (64, 256, 1000),
+}
+
+
+def _render(
+    taps: Sequence[float],
+    recursive: Sequence[float] | None,
+    state: MutableSequence[float],
+    history: MutableSequence[float],
+    samples: Sequence[float],
+) -> float:
+    length = len(history) // 2
+    head = 0
+    total = 0.0
+    for k in range(len(samples)):
+        head = push(history, head, length, samples[k])
+        total += evaluate(taps, recursive, state, history, head)
+    return total
+
+
+_render_compiled = compiled()(_render)
+
+
+def candidates(order: float, quick: bool = False) -> Iterator[tuple[str, int, CompiledLaw]]:
+    """Go through all installed realisations at the lengths they take.
+
+    Parameters
+    ----------
+    order : float
+        α.
+    quick : bool, optional
+        Only lengths up to 64.
+
+    Yields
+    ------
+    tuple of str, int and CompiledLaw
+        Kind, length n + 1 and the realisation with unit gain.
+    """
+    for kind in derivative_kinds():
+        lengths = _LENGTHS.get(kind, _FINITE)
+        for taps in lengths:
+            if quick and taps > max(_QUICK_TAPS, lengths[0]):
+                continue
+            try:
+                yield kind, taps, realise(kind, order, taps, PERIOD)
+            except ValueError:
+                continue
+
+
+def with_stiffness(unit: CompiledLaw, stiffness: float, gain: float, order: float, period: float) -> CompiledLaw:
+    """Make a law that renders a stiffness and a derivative, whatever the derivative leaks.
+
+    Parameters
+    ----------
+    unit : CompiledLaw
+        D^α with unit gain.
+    stiffness : float
+        H(1) wanted [N/m].
+    gain : float
+        Normalised gain of the derivative [N s/m].
+    order : float
+        α.
+    period : float
+        Sampling period T [s].
+
+    Returns
+    -------
+    CompiledLaw
+        The law.
+    """
+    physical = gain * (0.5 * period) ** (order - 1.0)
+    return combine(stiffness - physical * unit.h1, [(physical, unit)])
+
+
+def largest_stable(radius: Callable[[float], float], low: float, high: float, precision: float = 0.005) -> float:
+    """Find where a loop becomes unstable as one of its parameters grows.
+
+    Parameters
+    ----------
+    radius : callable
+        From the parameter to the pole radius.
+    low, high : float
+        Where to look; 20 values on a logarithmic scale are tried, then the first change is narrowed down.
+    precision : float, optional
+        Relative precision.
+
+    Returns
+    -------
+    float
+        The parameter: 0 when none of the values is stable, ``high`` when it never becomes unstable.
+    """
+    before = 0.0
+    for value in np.geomspace(low, high, 20).tolist():
+        stable = radius(value) < 1.0
+        if before and not stable:
+            while value > before * (1.0 + precision):
+                middle = float(np.sqrt(before * value))
+                if radius(middle) < 1.0:
+                    before = middle
+                else:
+                    value = middle
+            return before
+        if stable:
+            before = value
+    return before
+
+
+def derivative_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
+    """Measure all realisations.
+
+    Parameters
+    ----------
+    step : callable
+        Told after every piece of work; `derivative_steps` times in all.
+    quick : bool, optional
+        Fewer lengths and rounds.
+
+    Returns
+    -------
+    list of Group
+        Three groups for each order: time, multiplies, stiffness.
+    """
+    groups = []
+    rounds = _QUICK_ROUNDS if quick else _ROUNDS
+    for order in ORDERS:
+        found = list(candidates(order, quick))
+        jobs: dict[str, tuple[Callable[[], object], int]] = {}
+        for kind, taps, law in found:
+            jobs[f"{kind} {taps}|node"] = (_in_node(law), _TICKS)
+            jobs[f"{kind} {taps}|compiled"] = (_when_compiled(law), 20 * _TICKS)
+        timings = interleaved(jobs, rounds, step)
+        timed, counted, stiff = [], [], []
+        for kind, taps, law in found:
+            name = f"{kind} {taps}"
+            figures = analyse(kind, order, taps, PERIOD)
+            node, fast = timings[f"{name}|node"], timings[f"{name}|compiled"]
+            stiffness, gain = _limits(law, order)
+            detail: dict[str, Detail] = {
+                "order": order,
+                "taps": taps,
+                "multiplies": figures.multiplies,
+                "states": figures.states,
+                "node_us": 1e6 * node.median,
+                "node_us_low": 1e6 * node.low,
+                "node_us_high": 1e6 * node.high,
+                "compiled_ns": 1e9 * fast.median,
+                "error_raw": figures.error(aligned=False),
+                "error_aligned": figures.error(),
+                "delay_ticks": figures.delay,
+                "leak": figures.leak,
+                "nyquist_gain": figures.nyquist,
+                "largest_pole": figures.pole,
+                "h1_max_n_per_m": stiffness,
+                "gain_max_n_s_per_m": gain,
+            }
+            for band, errors in figures.bands.items():
+                detail[f"error_{band}"] = errors.aligned
+            timed.append(Point(name, 1e6 * node.median, figures.error(), kind, detail))
+            counted.append(Point(name, float(figures.multiplies), figures.error(), kind, detail))
+            stiff.append(Point(name, 1e6 * node.median, stiffness, kind, detail))
+            step(f"D^{order:g} {name}")
+        best = max(point.error for point in stiff)
+        stiff = [Point(p.name, p.cost, 1.0 - p.error / best, p.family, p.detail) for p in stiff]
+        error = "relative error, best delay removed (rms)"
+        loss = f"stiffness lost against the best, {best:.0f} N/m"
+        note = (
+            f"Error against (jω)^α, 0.001 to 0.5 of Nyquist. T = {1e3 * PERIOD:g} ms; times by the "
+            f"coupling's own rendering, median of {rounds} interleaved rounds."
+        )
+        groups += [
+            Group(
+                f"derivative_time_{order:g}",
+                f"D^{order:g}: time",
+                "time per tick in the node [µs]",
+                error,
+                tuple(timed),
+                note,
+            ),
+            Group(
+                f"derivative_multiplies_{order:g}",
+                f"D^{order:g}: multiplies",
+                "multiplies per tick",
+                error,
+                tuple(counted),
+                note,
+            ),
+            Group(
+                f"derivative_stiffness_{order:g}",
+                f"D^{order:g}: stiffness left",
+                "time per tick in the node [µs]",
+                loss,
+                tuple(stiff),
+                f"H(1) at which the pole radius reaches 1: m = {MASS} kg, b = {DAMPING} N s/m, {DELAY:g} tick of delay, "
+                f"normalised gain {GAIN:g} N s/m for all.",
+                linear=True,
+            ),
+        ]
+    return groups
+
+
+def derivative_steps(quick: bool = False) -> int:
+    """Count the pieces of work of `derivative_groups`.
+
+    Parameters
+    ----------
+    quick : bool, optional
+        As there.
+
+    Returns
+    -------
+    int
+        How often it reports.
+    """
+    rounds = _QUICK_ROUNDS if quick else _ROUNDS
+    return sum(rounds + sum(1 for _ in candidates(order, quick)) for order in ORDERS)
+
+
+def _limits(law: CompiledLaw, order: float) -> tuple[float, float]:
+    """Stiffness at the common gain, and gain at the common stiffness, at which the pole radius reaches 1."""
+
+    def radius(stiffness: float, gain: float) -> float:
+        whole = with_stiffness(law, stiffness, gain, order, PERIOD)
+        return pole_radius(whole, PERIOD, MASS, DAMPING, DELAY)
+
+    return (
+        largest_stable(lambda k: radius(k, GAIN), 30.0, 20000.0),
+        largest_stable(lambda g: radius(STIFFNESS, g), 0.1, 1000.0),
+    )
+
+
+def _samples(count: int) -> list[float]:
+    return [1e-3 * float(s) for s in np.sin(0.05 * np.arange(count))]
+
+
+def _in_node(law: CompiledLaw) -> Callable[[], object]:
+    history = History(max(2, len(law.taps)))
+    axis = LawOnAxis(law, history)
+    samples = _samples(_TICKS)
+
+    def run() -> float:
+        force = 0.0
+        for sample in samples:
+            history.push(sample)
+            force = axis.force()
+        return force
+
+    return run
+
+
+def _when_compiled(law: CompiledLaw) -> Callable[[], object]:
+    taps: Any = np.array(law.taps)
+    recursive: Any = np.array([c for s in law.sections for c in s]) if law.sections else None
+    state: Any = np.zeros(2 * len(law.sections))
+    history: Any = np.zeros(2 * max(2, len(taps)))
+    samples: Any = np.array(_samples(20 * _TICKS))
+    return lambda: _render_compiled(taps, recursive, state, history, samples)

@@ -1,0 +1,236 @@
+"""Ways to find K_max on the chart: formulas, the pole radius, and simulations of various horizons.
+
+K_max is where the closed loop's largest pole reaches the unit circle; the reference solves for that to twelve digits.
+A formula is instant and right where it applies; a simulation must run for as long as a loop near its limit takes to
+show what it does, and so reads low or high by its horizon.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from nodes.laws.pd import PD
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.effective_damping import damping_needed
+from sim.chart.derivatives import largest_stable
+from sim.chart.points import Group, Point
+from sim.device.model import DeviceModel
+from sim.measure.stopwatch import interleaved
+from sim.scene.loop import Scene, Surface, run
+
+PERIOD, MASS, DAMPING, GAIN = 0.002, 0.1, 0.1, 3.0
+_ROUNDS, _QUICK_ROUNDS = 5, 2
+_HEIGHT = 0.005
+_GRAVITY = 9.81
+_PRECISION = 1e-3
+
+Way = Callable[[], float]
+
+
+def poles(delay: float, precision: float) -> float:
+    """Find K_max from the pole radius.
+
+    Parameters
+    ----------
+    delay : float
+        Loop delay [ticks].
+    precision : float
+        Relative precision of the search.
+
+    Returns
+    -------
+    float
+        K_max [N/m].
+    """
+    return largest_stable(
+        lambda k: pole_radius(PD(stiffness=k, damping=GAIN).compile(PERIOD), PERIOD, MASS, DAMPING, delay),
+        10.0,
+        1e5,
+        precision,
+    )
+
+
+def light(_delay: float) -> float:
+    """Find K_max from the closed form for an undamped device without delay, κ = 2β(2−β)/(2+β) (theory.md §3).
+
+    Parameters
+    ----------
+    _delay : float
+        Not taken into account.
+
+    Returns
+    -------
+    float
+        K_max [N/m].
+    """
+    beta = GAIN * PERIOD / MASS
+    return MASS / PERIOD**2 * 2.0 * beta * (2.0 - beta) / (2.0 + beta)
+
+
+def heavy(delay: float) -> float:
+    """Find K_max from the closed form for a heavy device, (b + B)/(T(½ + d)) (theory.md §3).
+
+    Parameters
+    ----------
+    delay : float
+        Loop delay [ticks].
+
+    Returns
+    -------
+    float
+        K_max [N/m].
+    """
+    return (DAMPING + GAIN) / (PERIOD * (0.5 + delay))
+
+
+def passive(delay: float) -> float:
+    """Find the largest K with which the law is passive on this device (Colgate): safe for any hand, so lower.
+
+    Parameters
+    ----------
+    delay : float
+        Loop delay [ticks].
+
+    Returns
+    -------
+    float
+        K [N/m]; 0 when no spring is passive with this damping gain.
+    """
+    low, high = 0.0, 1e4
+
+    def needed(k: float) -> float:
+        return damping_needed(PD(stiffness=max(k, 1e-9), damping=GAIN).compile(PERIOD), PERIOD, delay)
+
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if needed(middle) <= DAMPING else (low, middle)
+    return low
+
+
+def simulated(delay: float, horizon: float, dropped: bool) -> float:
+    """Find K_max by playing the scene at each K and looking whether it settles.
+
+    Settled means: in the last fifth of the run, the swing is less than a tenth of what it was after the start.
+
+    Parameters
+    ----------
+    delay : float
+        Loop delay [ticks].
+    horizon : float
+        Length of each run [s].
+    dropped : bool
+        A drop on a one-sided floor with gravity, or a two-sided spring released from 5 mm.
+
+    Returns
+    -------
+    float
+        K_max [N/m].
+    """
+    ticks = math.ceil(horizon / PERIOD)
+    device = DeviceModel(
+        mass=MASS, damping=DAMPING, position=_HEIGHT, delay=delay, gravity=_GRAVITY if dropped else None
+    )
+    surface = Surface("plane") if dropped else Surface("anchor")
+    scene = Scene(device=device, surface=surface, period=PERIOD, raw=False, clamp=dropped)
+    tail = max(2, ticks // 5)
+
+    def radius(stiffness: float) -> float:
+        trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(PERIOD), ticks)
+        end = trace.position[-tail:]
+        swing = float(np.max(end) - np.min(end))
+        return 0.0 if math.isfinite(swing) and swing < 0.1 * _HEIGHT else 2.0
+
+    return largest_stable(radius, 50.0, 1e5, _PRECISION)
+
+
+def ways(delay: float) -> dict[str, Way]:
+    """Collect the ways that make sense at a delay.
+
+    Parameters
+    ----------
+    delay : float
+        Loop delay [ticks].
+
+    Returns
+    -------
+    dict of str to function
+        Name to a function that finds K_max [N/m].
+    """
+    found: dict[str, Way] = {"closed form, heavy device": lambda: heavy(delay), "passivity": lambda: passive(delay)}
+    if delay == 0.0:
+        found["closed form, undamped device"] = lambda: light(delay)
+    for precision in (1e-1, 1e-3, 1e-6, 1e-9):
+        found[f"pole radius {precision:g}"] = lambda precision=precision: poles(delay, precision)  # type: ignore[misc]
+    for horizon in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0):
+        for dropped in (False, True):
+            name = f"{'drop' if dropped else 'release'} {horizon:g} s"
+            found[name] = lambda horizon=horizon, dropped=dropped: simulated(delay, horizon, dropped)  # type: ignore[misc]
+    return found
+
+
+def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
+    """Measure all ways to find K_max, without delay and with one tick.
+
+    Parameters
+    ----------
+    step : callable
+        Told after every piece of work, `kmax_steps` times in all.
+    quick : bool, optional
+        Fewer rounds.
+
+    Returns
+    -------
+    list of Group
+        One for each delay.
+    """
+    groups = []
+    rounds = _QUICK_ROUNDS if quick else _ROUNDS
+    for delay in (0.0, 1.0):
+        found = ways(delay)
+        timings = interleaved({name: (way, 1) for name, way in found.items()}, rounds, step)
+        exact = poles(delay, 1e-12)
+        points = []
+        for name, way in found.items():
+            value, timing = way(), timings[name]
+            detail: dict[str, float | int | str | None] = {
+                "k_max_n_per_m": value,
+                "k_max_exact_n_per_m": exact,
+                "time_s": timing.median,
+                "time_s_low": timing.low,
+                "time_s_high": timing.high,
+            }
+            family = name.split(" ")[0] if name[-1] == "s" else name.rstrip("0123456789.e- ")
+            points.append(Point(name, 1e3 * timing.median, abs(value / exact - 1.0), family, detail))
+            step(f"K_max by {name}")
+        groups.append(
+            Group(
+                f"k_max_delay_{delay:g}",
+                f"Ways to K_max, {'no delay' if delay == 0.0 else 'one tick of delay'}",
+                "time for one K_max [ms]",
+                "relative error of K_max",
+                tuple(points),
+                f"PD with B = {GAIN:g} N s/m on m = {MASS} kg, b = {DAMPING} N s/m, T = {1e3 * PERIOD:g} ms: "
+                f"K_max = {exact:.2f} N/m. Simulations search to {_PRECISION:g}.",
+            )
+        )
+    return groups
+
+
+def kmax_steps(quick: bool = False) -> int:
+    """Count the pieces of work of `kmax_groups`.
+
+    Parameters
+    ----------
+    quick : bool, optional
+        As there.
+
+    Returns
+    -------
+    int
+        How often it reports.
+    """
+    rounds = _QUICK_ROUNDS if quick else _ROUNDS
+    return sum(rounds + len(ways(delay)) for delay in (0.0, 1.0))

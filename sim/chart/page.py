@@ -1,0 +1,324 @@
+"""The chart for people: figures as PNG and SVG, and one page that reads them.
+
+Everything the page says is worked out from the points, so that it stays true on another machine and another day.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sim.chart.derivative_errors import lengths_taken
+from sim.chart.derivatives import GAIN, PERIOD, STIFFNESS
+from sim.chart.points import Group, Point
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_FLOOR = 1e-16
+_FRONT, _REST, _SEED = "#1f5fa8", "#b9bec5", "#d9822b"
+
+
+def draw(group: Group, folder: Path) -> list[Path]:
+    """Draw one group: every choice as a dot, the front joined and named, the seed's Grünwald–Letnikov marked.
+
+    Parameters
+    ----------
+    group : Group
+        With its front marked.
+    folder : Path
+        Where to.
+
+    Returns
+    -------
+    list of Path
+        A PNG and an SVG file.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    shown = [p for p in group.points if math.isfinite(p.error) and math.isfinite(p.cost)]
+    axes.set(title=group.title, xlabel=group.cost_label, ylabel=group.error_label, xscale="log")
+    axes.xaxis.label.set_fontsize(9)
+    axes.yaxis.label.set_fontsize(9)
+    lowest = min((p.error for p in shown if p.error > 0.0), default=1e-3)
+    floor = max(_FLOOR, 0.3 * lowest) if any(p.error <= 0.0 for p in shown) else _FLOOR
+    if group.linear:
+        floor = 0.0
+    else:
+        axes.set_yscale("log")
+    for front, colour, size, label in ((False, _REST, 18, "beaten"), (True, _FRONT, 36, "Pareto front")):
+        points = [p for p in shown if p.on_front is front and p.family != "gl"]
+        axes.scatter(
+            [p.cost for p in points], [max(p.error, floor) for p in points], s=size, c=colour, label=label, zorder=3
+        )
+    seed = [p for p in shown if p.family == "gl"]
+    if seed:
+        axes.plot(
+            [p.cost for p in seed],
+            [max(p.error, floor) for p in seed],
+            "o--",
+            color=_SEED,
+            ms=5,
+            lw=1,
+            label="GL (seed)",
+            zorder=4,
+        )
+    best = [p for p in shown if p.on_front]
+    axes.step([p.cost for p in best], [max(p.error, floor) for p in best], where="post", color=_FRONT, lw=1, alpha=0.6)
+    _name(axes, best, floor)
+    _name_beaten(axes, shown, floor)
+    _ticks(axes, max(p.cost for p in shown) / min(p.cost for p in shown))
+    axes.grid(alpha=0.25, which="both")
+    axes.legend(fontsize=8)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"chart_{group.name}.{suffix}" for suffix in ("png", "svg")]
+    for path in paths:
+        figure.savefig(path, dpi=150)
+    return paths
+
+
+def _ticks(axes: Axes, span: float) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axes.xaxis.set_major_formatter("{x:g}")
+    if span < 100.0:
+        # Less than two decades have too few powers of ten to be read.
+        axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 3.0, 5.0)))
+        axes.xaxis.set_minor_formatter("{x:g}")
+    else:
+        axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _name(axes: Axes, points: Sequence[Point], floor: float) -> None:
+    for i, point in enumerate(points):
+        text = point.name if point.error > 0.0 else f"{point.name} (0)"
+        at = (point.cost, max(point.error, floor))
+        right = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > 0.8
+        axes.annotate(
+            text,
+            at,
+            textcoords="offset points",
+            xytext=(-6 if right else 6, 5 if i % 2 == 0 else -11),
+            ha="right" if right else "left",
+            fontsize=7,
+            color=_FRONT,
+        )
+
+
+def _name_beaten(axes: Axes, points: Sequence[Point], floor: float) -> None:
+    """Name the best member of every family that has none on the front, where there is room for its name."""
+    ahead = {p.family for p in points if p.on_front}
+    best: dict[str, Point] = {}
+    for point in points:
+        if point.family not in ahead and (point.family not in best or point.error < best[point.family].error):
+            best[point.family] = point
+    places = [axes.transData.transform((p.cost, max(p.error, floor))) for p in points if p.on_front]
+    for point in best.values():
+        at = (point.cost, max(point.error, floor))
+        place = axes.transData.transform(at)
+        if any(abs(place[0] - x) < 90.0 and abs(place[1] - y) < 9.0 for x, y in places):
+            continue
+        places.append(place)
+        right = axes.transAxes.inverted().transform(place)[0] > 0.8
+        axes.annotate(
+            point.name,
+            at,
+            textcoords="offset points",
+            xytext=(-5 if right else 5, -2),
+            ha="right" if right else "left",
+            fontsize=6,
+            color="#6b7178",
+        )
+
+
+def conclusions(groups: Sequence[Group]) -> list[str]:
+    """Say in a few lines what the points show.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        Any of the chart's groups, fronts marked.
+
+    Returns
+    -------
+    list of str
+        One sentence per question that the groups answer.
+    """
+    named = {group.name: group for group in groups}
+    lines = []
+    for name, group in named.items():
+        if name.startswith("derivative_time_"):
+            lines.append(_derivatives(group, named.get(name.replace("time", "stiffness")), name.rpartition("_")[2]))
+    if "integrator_trajectory" in named:
+        lines.append(_integrators(named["integrator_trajectory"], named["integrator_k_max"]))
+    ways = [group for name, group in named.items() if name.startswith("k_max_delay_")]
+    if ways:
+        lines.append(_kmax(ways))
+    if "rate_force" in named:
+        lines.append(_rates(named["rate_force"], named["rate_stiffness"]))
+    return lines
+
+
+def _best(points: Sequence[Point]) -> Point:
+    return min(points, key=lambda p: (p.error, p.cost))
+
+
+def _figure(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
+def _find(group: Group, name: str) -> Point:
+    return next(p for p in group.points if p.name == name)
+
+
+def _number(point: Point, key: str) -> float:
+    value = point.detail.get(key)
+    return math.nan if value is None else float(value)
+
+
+def _derivatives(time: Group, stiffness: Group | None, order: str) -> str:
+    seed = [p for p in time.points if p.family == "gl"]
+    long = max(seed, key=lambda p: p.cost)
+    best = _best(time.points)
+    matching = [p for p in time.points if p.error <= 1.05 * min(s.error for s in seed)]
+    cheapest = min(matching, key=lambda p: p.cost)
+    text = (
+        f"D^{order}: {best.name} is the most accurate ({100 * best.error:.2g} %, {best.cost:.2g} µs); what GL needs "
+        f"{long.name.split()[-1]} taps and {long.cost:.2g} µs for ({100 * min(s.error for s in seed):.2g} %), "
+        f"{cheapest.name} does in {cheapest.cost:.2g} µs with {cheapest.detail['multiplies']} multiplies"
+    )
+    if stiffness is not None:
+        stiffest = _best(stiffness.points)
+        text += (
+            f"; stiffest floor at the same gain and one tick of delay: {stiffest.name} with "
+            f"{_number(stiffest, 'h1_max_n_per_m'):.0f} N/m, against {_number(best, 'h1_max_n_per_m'):.0f} of {best.name}"
+        )
+    return text + "."
+
+
+def _integrators(path: Group, limit: Group) -> str:
+    exact, euler = _find(path, "exact map"), _find(path, "semi-implicit Euler 10")
+    right = [p for p in limit.points if p.error < 1e-3 and p.name != exact.name]
+    nearest = min(right, key=lambda p: p.cost)
+    return (
+        f"Integrators: the exact map costs {exact.cost:.2g} µs per tick and is right to rounding; semi-implicit Euler with "
+        f"10 sub-steps costs {euler.cost / exact.cost:.1f} times that and misses K_max by "
+        f"{100 * _find(limit, euler.name).error:.0f} %; the next cheapest with K_max right to 0.1 % is {nearest.name} at "
+        f"{nearest.cost / exact.cost:.1f} times the cost."
+    )
+
+
+def _kmax(groups: Sequence[Group]) -> str:
+    parts = []
+    for group in groups:
+        pole = _find(group, "pole radius 0.001")
+        played = [p for p in group.points if p.family in ("drop", "release")]
+        longest = max((p for p in played if p.family == "drop"), key=lambda p: p.cost)
+        formula = min((p for p in group.points if p.name.startswith("closed form")), key=lambda p: p.error)
+        parts.append(
+            f"{group.title.rpartition(', ')[2]}: pole radius {_figure(pole.cost)} ms and {100 * pole.error:.1g} % off, "
+            f"best formula {100 * formula.error:.0f} % off in no time, {longest.name} {_figure(longest.cost)} ms and "
+            f"{100 * longest.error:.0f} % off"
+        )
+    return "K_max: " + "; ".join(parts) + "."
+
+
+def _rates(force: Group, stiffness: Group) -> str:
+    kept = [p for p in force.points if _number(p, "missed") <= 0.02 * _number(p, "ticks")]
+    best = _best(kept or force.points)
+    slow = min(kept or force.points, key=lambda p: (p.cost, p.error))
+    held = {p.name for p in kept}
+    stiffest = _best([p for p in stiffness.points if p.name in held] or stiffness.points)
+    lost = sorted({p.cost for p in force.points} - {p.cost for p in kept})
+    text = (
+        f"Loop rate, through the processes: from {slow.name} to {best.name} the force error falls from "
+        f"{100 * slow.error:.2g} to {100 * best.error:.2g} %; the stiffest floor that settled was "
+        f"{_number(stiffest, 'k_settled_n_per_m'):.0f} N/m at {stiffest.name}"
+    )
+    if lost:
+        text += (
+            f"; more than 2 % of the ticks were missed at {', '.join(f'{rate:g}' for rate in lost)} Hz on this machine"
+        )
+    return text + "."
+
+
+def _realisations(groups: Sequence[Group]) -> list[str]:
+    """Table of the best member of every family of realisations: what it costs, gets wrong, and where it breaks."""
+    text: list[str] = []
+    for group in groups:
+        if not group.name.startswith("derivative_time_"):
+            continue
+        order = float(group.name.rpartition("_")[2])
+        best: dict[str, Point] = {}
+        for point in group.points:
+            if point.family not in best or point.error < best[point.family].error:
+                best[point.family] = point
+        text += [
+            "",
+            f"## Every realisation of D^{order:g}, at its best",
+            "",
+            "| realisation | multiplies | states | error raw | delay removed | delay [ticks] | leak D(1)·T^α | "
+            "gain at Nyquist (GL: 1) | largest pole | H(1) max [N/m] | gain max [N s/m] | lengths taken |",
+            "| --- " * 12 + "|",
+        ]
+        for family, p in sorted(best.items()):
+            lengths = lengths_taken(family, order, PERIOD)
+            span = (
+                "none"
+                if lengths is None
+                else f"{lengths[0]} to {lengths[1]}{' and more' if lengths[1] == 2000 else ''}"
+            )
+            d = {key: _number(p, key) for key in p.detail}
+            text.append(
+                f"| {p.name} | {d['multiplies']:.0f} | {d['states']:.0f} | {d['error_raw']:.2g} | {p.error:.2g} | "
+                f"{d['delay_ticks']:.3f} | {d['leak']:.2g} | {d['nyquist_gain']:.3g} | {d['largest_pole']:.6g} | "
+                f"{d['h1_max_n_per_m']:.0f} | {d['gain_max_n_s_per_m']:.3g} | {span} |"
+            )
+        text += [
+            "",
+            f"The last columns: stiffness left at the common gain {GAIN:g} N s/m, gain left at {STIFFNESS:g} N/m.",
+        ]
+    return text
+
+
+def page(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> str:
+    """Write the page that reads the chart.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        All groups, fronts marked.
+    machine : dict
+        As from `sim.measure.stopwatch.machine`.
+    seconds : float
+        How long the chart took [s].
+
+    Returns
+    -------
+    str
+        Markdown; its figures are the PNG files of `draw`.
+    """
+    text = [
+        "# Speed against accuracy",
+        "",
+        "Every choice is a dot: to the left is cheaper, down is better. What is joined and named is the Pareto front; "
+        "everything else is beaten by something on it in both respects. Redraw it with `haptic study chart`.",
+        "",
+        "## In short",
+        "",
+        *[f"{i}. {line}" for i, line in enumerate(conclusions(groups), 1)],
+        "",
+        f"Measured on {machine['cpu']} ({machine['cores']} cores, {machine['system']}, Python {machine['python']}, "
+        f"numpy {machine['numpy']}, numba {machine['numba']}, load {machine['load_1min']}) in {seconds:.0f} s. Times are "
+        "medians of interleaved rounds; the quartiles are in `chart.csv`.",
+    ]
+    text += _realisations(groups)
+    for group in groups:
+        text += ["", f"## {group.title}", "", f"![{group.title}](chart_{group.name}.png)", "", group.note, ""]
+        text += [f"| on the front | {group.cost_label} | {group.error_label} |", "| --- | --- | --- |"]
+        text += [f"| {p.name} | {p.cost:.3g} | {p.error:.3g} |" for p in group.points if p.on_front]
+    return "\n".join(text) + "\n"

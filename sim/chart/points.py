@@ -1,0 +1,195 @@
+"""Speed against accuracy: points, their Pareto front, and the files they are kept in.
+
+Every choice of the project is a point: what it costs and how wrong it is. A point is on the front when nothing in its
+group is both cheaper and better; all others are choices one need not make.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+Detail = float | int | str | None
+
+
+@dataclass(frozen=True)
+class Point:
+    """One choice.
+
+    Attributes
+    ----------
+    name : str
+        What was chosen, e.g. ``gl 64``.
+    cost : float
+        Its cost, in the unit of its group.
+    error : float
+        Its error, in the unit of its group.
+    family : str
+        What it is a member of, e.g. ``gl``: members are drawn as one line.
+    detail : dict
+        Other figures, units in the keys.
+    on_front : bool
+        Whether nothing in its group is both cheaper and better; set by `with_front`.
+    """
+
+    name: str
+    cost: float
+    error: float
+    family: str = ""
+    detail: dict[str, Detail] = field(default_factory=dict)
+    on_front: bool = False
+
+
+@dataclass(frozen=True)
+class Group:
+    """Points that compete with each other.
+
+    Attributes
+    ----------
+    name : str
+        Key of the group.
+    title : str
+        What is compared.
+    cost_label, error_label : str
+        Axes, with units.
+    points : tuple of Point
+        The choices.
+    note : str
+        How the figures were obtained, for the page.
+    linear : bool
+        Whether the errors are drawn on a linear scale.
+    """
+
+    name: str
+    title: str
+    cost_label: str
+    error_label: str
+    points: tuple[Point, ...]
+    note: str = ""
+    linear: bool = False
+
+
+def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
+    """Mark the Pareto front.
+
+    Parameters
+    ----------
+    costs : sequence of float, shape (n,)
+        Less is better.
+    errors : sequence of float, shape (n,)
+        Less is better; not-a-number and infinity are never on the front.
+
+    Returns
+    -------
+    list of bool, length n
+        Whether no other point is at least as good in both and better in one.
+    """
+    order = sorted(range(len(costs)), key=lambda i: (costs[i], errors[i]))
+    marks = [False] * len(costs)
+    best = float("inf")
+    for i in order:
+        if errors[i] < best:
+            best = errors[i]
+            marks[i] = True
+        elif errors[i] == best and any(
+            marks[j] and costs[j] == costs[i] and errors[j] == errors[i] for j in range(len(costs))
+        ):
+            # An exact double of a point on the front is not beaten by it.
+            marks[i] = best < float("inf")
+    return marks
+
+
+def with_front(group: Group) -> Group:
+    """Mark the front of a group.
+
+    Parameters
+    ----------
+    group : Group
+        Points in any order.
+
+    Returns
+    -------
+    Group
+        The same points, cheapest first, with ``on_front`` set.
+    """
+    marks = on_front([p.cost for p in group.points], [p.error for p in group.points])
+    marked = [replace(point, on_front=mark) for point, mark in zip(group.points, marks, strict=True)]
+    return replace(group, points=tuple(sorted(marked, key=lambda p: (p.cost, p.error))))
+
+
+def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> dict[str, Any]:
+    """Put all groups into one JSON object.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        All groups.
+    machine : dict
+        As from `sim.measure.stopwatch.machine`.
+    seconds : float
+        How long the chart took [s].
+
+    Returns
+    -------
+    dict
+        ``points`` (each with ``group name cost error on_front family detail``), ``groups`` (axes), ``machine``,
+        ``duration_s``.
+    """
+    return {
+        "points": [
+            {
+                "group": group.name,
+                "name": point.name,
+                "cost": point.cost,
+                "error": point.error,
+                "on_front": point.on_front,
+                "family": point.family,
+                "detail": point.detail,
+            }
+            for group in groups
+            for point in group.points
+        ],
+        "groups": {
+            group.name: {"title": group.title, "cost": group.cost_label, "error": group.error_label, "note": group.note}
+            for group in groups
+        },
+        "machine": machine,
+        "duration_s": round(seconds, 1),
+    }
+
+
+def save(groups: Sequence[Group], machine: dict[str, Any], seconds: float, folder: Path) -> list[Path]:
+    """Write the data of a chart: one JSON file, and one CSV file with a column for every figure of any point.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        All groups.
+    machine : dict
+        As from `sim.measure.stopwatch.machine`.
+    seconds : float
+        How long the chart took [s].
+    folder : Path
+        Where to; made if it is not there.
+
+    Returns
+    -------
+    list of Path
+        The files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    data = as_json(groups, machine, seconds)
+    whole, table = folder / "chart.json", folder / "chart.csv"
+    whole.write_text(json.dumps(data, indent=1, allow_nan=True) + "\n")
+    keys = sorted({key for group in groups for point in group.points for key in point.detail})
+    with table.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["group", "name", "family", "cost", "error", "on_front", *keys])
+        for row in data["points"]:
+            fixed = [row[key] for key in ("group", "name", "family", "cost", "error", "on_front")]
+            writer.writerow(fixed + [row["detail"].get(key, "") for key in keys])
+    return [whole, table]

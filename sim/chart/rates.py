@@ -1,0 +1,308 @@
+"""Loop rate and delay on the chart, through the real processes: error of the rendered force, and stiffness that settles.
+
+Each point is a launch of its own: four processes, real time, the force measured from the recording. The reference is
+the same drop on a continuous spring and damper (the one-process loop at 200 kHz, without delay). A stiffness counts
+as stable when the dropped device comes to rest; it is looked for downwards from what the pole radius at the
+*measured* delay says.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+import subprocess
+import sys
+import tempfile
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from nodes.launcher.launch_file import find
+from nodes.laws.pd import PD
+from nodes.recording.reader import Recording
+from nodes.stability.k_max import Device, k_max, without_spring
+from sim.chart.points import Detail, Group, Point
+from sim.device.model import DeviceModel
+from sim.scene.loop import Scene, Surface, run
+
+RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
+_QUICK_RATES = (500.0, 1000.0)
+APPLY = ("on_arrival", "next_tick")
+MASS, DAMPING, HEIGHT, GRAVITY = 0.1, 1.0, 0.01, 9.81
+STIFFNESS, GAIN = 400.0, 3.0
+_SECONDS = 1.0
+_ROUNDS = 3
+# A busy machine gets fewer rounds rather than a chart that takes for ever.
+_PATIENCE = 100.0
+_TRIES = (0.95, 0.8, 0.65, 0.5)
+_FINE = 200_000.0
+
+
+class LaunchFailedError(RuntimeError):
+    """A launch of the chart ended in an error; the text has its last words."""
+
+
+@dataclass(frozen=True)
+class Launched:
+    """What a launch rendered.
+
+    Attributes
+    ----------
+    figures : dict
+        Answer of ``haptic launch --json``.
+    onset : ndarray, shape (n,)
+        When each force took effect, from tick 0 on [s].
+    force : ndarray, shape (n,)
+        The forces [N].
+    height : ndarray, shape (n,)
+        Measured height at the ticks [m].
+    delay : float
+        Median delay between a sample and the effect of its force [ticks]; infinite when no force came in time.
+    """
+
+    figures: dict[str, Any]
+    onset: NDArray[np.float64]
+    force: NDArray[np.float64]
+    height: NDArray[np.float64]
+    delay: float
+
+
+def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime") -> Launched:
+    """Drop the device through the real processes.
+
+    Parameters
+    ----------
+    rate : float
+        Rate of the loop [Hz].
+    apply : str
+        ``on_arrival`` or ``next_tick``.
+    stiffness : float
+        K of the floor [N/m].
+    pace : str, optional
+        ``realtime``, or ``lockstep`` for a run without jitter.
+
+    Returns
+    -------
+    Launched
+        Forces and heights from the recording.
+
+    Raises
+    ------
+    LaunchFailedError
+        When the launch ends with an error.
+    """
+    values = {
+        "rate": rate,
+        "apply": apply,
+        "pace": pace,
+        "duration": _SECONDS,
+        "stiffness": stiffness,
+        "damping": GAIN,
+        "mass": MASS,
+        "height": HEIGHT,
+    }
+    with tempfile.TemporaryDirectory(prefix="haptic-chart-") as folder:
+        scenario = Path(folder) / "floor_drop.yaml"
+        scenario.write_text(yaml.safe_dump(_with_one_law(), sort_keys=False))
+        command = [sys.executable, "-m", "nodes.cli.main", "launch", str(scenario), "--no-plot", "--json"]
+        done = subprocess.run(
+            [*command, *(f"{name}:={value}" for name, value in values.items())],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != 0 or not done.stdout.strip():
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            raise LaunchFailedError(f"haptic launch floor_drop rate:={rate:g} apply:={apply}: {last}")
+        figures: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+        states = Recording(Path(folder) / figures["recording"]).arrays("/device/state")
+    period = 1.0 / rate
+    seq, answered = states["seq"], states["force_seq"]
+    fresh = np.flatnonzero((answered >= 0) & np.append(True, np.diff(answered) > 0))
+    late = states["delay"][fresh]
+    return Launched(
+        figures=figures,
+        onset=np.asarray((answered[fresh] + late) * period, dtype=np.float64),
+        force=np.asarray(states["force"][fresh, 2], dtype=np.float64),
+        height=np.asarray(states["position"][np.argsort(seq), 2], dtype=np.float64),
+        delay=float(np.median(late)) if len(late) else math.inf,
+    )
+
+
+def _with_one_law() -> dict[str, Any]:
+    """Read the shipped drop and leave PD only: others would be refused at some of these rates and stiffnesses."""
+    scenario: dict[str, Any] = yaml.safe_load(find("floor_drop").read_text())
+    coupling = scenario["nodes"]["coupling"]["parameters"]
+    coupling["laws"] = {"pd": coupling["laws"]["pd"]}
+    return scenario
+
+
+def continuous(stiffness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Drop the device on a floor without sampling, near enough.
+
+    Parameters
+    ----------
+    stiffness : float
+        K of the floor [N/m].
+
+    Returns
+    -------
+    tuple of ndarray, shapes (n,) and (n,)
+        Time [s] and force [N].
+    """
+    device = DeviceModel(mass=MASS, damping=DAMPING, gravity=GRAVITY, position=HEIGHT)
+    scene = Scene(device=device, surface=Surface("plane"), period=1.0 / _FINE, raw=False, clamp=True)
+    trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), round(_SECONDS * _FINE))
+    return trace.time, trace.force
+
+
+def force_error(
+    onset: NDArray[np.float64], force: NDArray[np.float64], time: NDArray[np.float64], wanted: NDArray[np.float64]
+) -> float:
+    """Compare a force held between its onsets with a continuous one.
+
+    Parameters
+    ----------
+    onset, force : ndarray, shape (n,)
+        When each force took effect [s], and the forces [N].
+    time, wanted : ndarray, shape (m,)
+        The reference.
+
+    Returns
+    -------
+    float
+        Root mean square of the difference over that of the reference; 1 when there was no force at all.
+    """
+    if len(onset) == 0:
+        return 1.0
+    order = np.argsort(onset, kind="stable")
+    index = np.searchsorted(onset[order], time, side="right") - 1
+    held = np.where(index >= 0, force[order][np.maximum(index, 0)], 0.0)
+    return float(np.sqrt(np.mean((held - wanted) ** 2) / np.mean(wanted**2)))
+
+
+def settles(height: NDArray[np.float64]) -> bool:
+    """Tell whether a drop came to rest.
+
+    Parameters
+    ----------
+    height : ndarray, shape (n,)
+        Height at the ticks [m].
+
+    Returns
+    -------
+    bool
+        Whether the swing in the last fifth is below a tenth of the height of the drop.
+    """
+    end = height[-max(2, len(height) // 5) :]
+    return bool(np.isfinite(end).all() and np.ptp(end) < 0.1 * HEIGHT)
+
+
+def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
+    """Measure all rates and delays.
+
+    Parameters
+    ----------
+    step : callable
+        Told after every piece of work, `rate_steps` times in all.
+    quick : bool, optional
+        Only 500 and 1000 Hz.
+
+    Returns
+    -------
+    list of Group
+        Force and stiffness.
+    """
+    time, wanted = continuous(STIFFNESS)
+    choices = [(apply, rate) for apply in APPLY for rate in (_QUICK_RATES if quick else RATES)]
+    rounds = 1 if quick else _ROUNDS
+    launched: dict[tuple[str, float], list[Launched]] = {choice: [] for choice in choices}
+    start = clock.monotonic()
+    done = 0
+    for k in range(rounds):
+        enough = k > 0 and (clock.monotonic() - start) * (k + 1) / k > _PATIENCE
+        for apply, rate in choices:
+            if not enough:
+                launched[apply, rate].append(launch(rate, apply, STIFFNESS))
+                done = k + 1
+            step(f"launch at {rate:g} Hz {apply}, round {k + 1} of {rounds}")
+    points: list[tuple[str, float, float, str, dict[str, Detail]]] = []
+    for (apply, rate), runs in launched.items():
+        name = f"{rate:g} Hz {apply}"
+        errors = sorted(force_error(one.onset, one.force, time, wanted) for one in runs)
+        delay = statistics.median(one.delay for one in runs)
+        period = 1.0 / rate
+        limit = 0.0
+        if math.isfinite(delay):
+            law = without_spring(PD(stiffness=1.0, damping=GAIN), period)
+            limit = k_max(law, period, Device(MASS, DAMPING, delay)).k_max_n_per_m or 0.0
+        tries = (factor * limit for factor in _TRIES if limit > 0.0)
+        stable = next((k for k in tries if settles(launch(rate, apply, k).height)), 0.0)
+        detail: dict[str, Detail] = {
+            "rate_hz": rate,
+            "delay_ticks": delay if math.isfinite(delay) else None,
+            "delay_us": 1e6 * delay * period if math.isfinite(delay) else None,
+            "missed": statistics.median(int(one.figures["missed"]) for one in runs),
+            "ticks": statistics.median(int(one.figures["ticks"]) for one in runs),
+            "response_us_p99": statistics.median(float(one.figures["response_us"]["p99"]) for one in runs),
+            "cpu_s": statistics.median(
+                sum(float(one.figures["nodes"][node]["cpu"]) for node in ("driver", "environment", "coupling"))
+                for one in runs
+            ),
+            "force_error": statistics.median(errors),
+            "force_error_low": errors[0],
+            "force_error_high": errors[-1],
+            "k_max_n_per_m": limit,
+            "k_settled_n_per_m": stable,
+        }
+        points.append((name, rate, stable, apply, detail))
+        step(f"stiffness at {name}")
+    best = max(stable for _, _, stable, _, _ in points) or 1.0
+    note = (
+        f"{1e3 * MASS:g} g dropped {1e3 * HEIGHT:g} mm on K = {STIFFNESS:g} N/m, B = {GAIN:g} N s/m, four processes in "
+        f"real time; median of {done} interleaved launches per point."
+    )
+    return [
+        Group(
+            "rate_force",
+            "Loop rate: force",
+            "rate of the loop [Hz]",
+            "error of the rendered force against a continuous floor (rms)",
+            tuple(Point(name, rate, float(d["force_error"] or 0.0), family, d) for name, rate, _, family, d in points),
+            note,
+        ),
+        Group(
+            "rate_stiffness",
+            "Loop rate: stiffness that settles",
+            "rate of the loop [Hz]",
+            f"stiffness lost against the best, {best:.0f} N/m",
+            tuple(Point(name, rate, 1.0 - stable / best, family, d) for name, rate, stable, family, d in points),
+            f"{note} One launch each at 95, 80, 65 and 50 % of what the pole radius at the measured delay allows, until "
+            "one settles.",
+            linear=True,
+        ),
+    ]
+
+
+def rate_steps(quick: bool = False) -> int:
+    """Count the pieces of work of `rate_groups`.
+
+    Parameters
+    ----------
+    quick : bool, optional
+        As there.
+
+    Returns
+    -------
+    int
+        How often it reports.
+    """
+    return len(_QUICK_RATES if quick else RATES) * len(APPLY) * ((1 if quick else _ROUNDS) + 1)

@@ -1,0 +1,1 @@
+"""Laws designed for a device and its delay."""

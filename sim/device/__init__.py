@@ -1,0 +1,1 @@
+"""The virtual device: its model, its state, its driver."""

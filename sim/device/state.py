@@ -1,0 +1,124 @@
+"""The virtual device from tick to tick: what the driver node holds.
+
+It adds no arithmetic of its own to the kernels of `sim.device.model`, so the scene in one process (`sim.scene.loop`), which calls
+those kernels in the same order, gives the same bits.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from sim.device.friction import move
+from sim.device.model import DeviceModel, coefficients, quantise, saturate, split_delay
+
+
+class VirtualDevice:
+    """State of the virtual device, from tick to tick.
+
+    Parameters
+    ----------
+    model : DeviceModel
+        Its parameters.
+    period : float
+        Sampling period T [s].
+    next_tick : bool
+        Whether a force takes effect one tick later (``apply: next_tick``).
+
+    Attributes
+    ----------
+    position : float
+        True position [m].
+    velocity : float
+        True velocity [m/s].
+    ticks : int
+        Ticks done so far.
+    """
+
+    def __init__(self, model: DeviceModel, period: float, next_tick: bool = False) -> None:
+        self.model = model
+        self.period = period
+        self.position = model.position
+        self.velocity = model.velocity
+        self.ticks = 0
+        self._mass = model.moving_mass
+        self._damping = model.moving_damping
+        self._grip = model.grip
+        # Only a hand's pull changes from tick to tick.
+        self._weight = model.load(0, period) if model.hand is None else None
+        whole, part = split_delay(model.delay + (1.0 if next_tick else 0.0))
+        # Newest command first; before tick 0 nothing was commanded.
+        self._commands: deque[float] = deque([0.0] * (whole + 2), maxlen=whole + 2)
+        self._early = part * period
+        self._late = period - self._early
+        self._early_map = coefficients(self._mass, self._damping, self._grip, self._early)
+        self._late_map = coefficients(self._mass, self._damping, self._grip, self._late)
+
+    def measured(self) -> float:
+        """Read the encoder.
+
+        Returns
+        -------
+        float
+            Position as the sensor of the model gives it [m].
+        """
+        return quantise(self.position, self.model.resolution)
+
+    def _load(self) -> float:
+        return self.model.load(self.ticks, self.period) if self._weight is None else self._weight
+
+    def tick(self, force: float) -> None:
+        """Go through one whole tick with the model's own delay.
+
+        For lockstep, where the force that answers a tick is known before the tick passes.
+
+        Parameters
+        ----------
+        force : float
+            Force commanded in answer to this tick's sample [N].
+        """
+        self._commands.appendleft(force)
+        peak = self.model.peak_force
+        load = self._load()
+        x, v = self.position, self.velocity
+        if self._early > 0.0:
+            u = saturate(self._commands[-1], peak) + load
+            x, v = move(
+                x, v, u, self._early, self._early_map, self._mass, self._damping, self._grip, self.model.friction
+            )
+        u = saturate(self._commands[-2], peak) + load
+        self.position, self.velocity = move(
+            x, v, u, self._late, self._late_map, self._mass, self._damping, self._grip, self.model.friction
+        )
+        self.ticks += 1
+
+    def pass_time(self, force: float, duration: float) -> None:
+        """Hold one force for part of a tick: real time, where the split is the measured arrival.
+
+        Call `end_tick` when the parts of a tick add up to the period.
+
+        Parameters
+        ----------
+        force : float
+            Commanded force that acts now [N].
+        duration : float
+            For how long [s].
+        """
+        if duration <= 0.0:
+            return
+        u = saturate(force, self.model.peak_force) + self._load()
+        step = coefficients(self._mass, self._damping, self._grip, duration)
+        self.position, self.velocity = move(
+            self.position,
+            self.velocity,
+            u,
+            duration,
+            step,
+            self._mass,
+            self._damping,
+            self._grip,
+            self.model.friction,
+        )
+
+    def end_tick(self) -> None:
+        """Count a tick that went by in parts."""
+        self.ticks += 1

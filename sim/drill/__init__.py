@@ -1,0 +1,1 @@
+"""Faults provoked on real processes, and what the loop makes of them."""

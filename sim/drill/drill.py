@@ -1,0 +1,272 @@
+"""The drill: one fault at a time on a real launch with a hand pressing into a wall, and what came of it.
+
+What counts as safe is told by the driver's own messages: a force may act only while forces are fresh. The time to safe is the
+longest time for which an old force, or the damping that follows it, acted on the device: from the last fresh force to zero
+force or to the next fresh one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+
+from messages.types import ZERO, DeviceState
+from sim.measure.rig import Rig, RigError
+
+RATE = 500.0
+WATCHDOG, DAMPING_TICKS = 10, 10
+PEAK, SLEW = 5.0, 1000.0
+HOLD = 0.05
+"""The virtual device's own deadline, as a servo thread has one [s]."""
+
+LIMIT = max(WATCHDOG + DAMPING_TICKS + math.ceil(PEAK * RATE / SLEW), math.ceil(HOLD * RATE)) + 2
+"""Longest time to safe [ticks]: watchdog, damping and the way down, or the device's own deadline; two for the tick in which
+the fault strikes and for the message that tells it."""
+
+CALM = 25
+"""So many ticks in order, one after the other, are a recovery."""
+
+
+class Outcome(msgspec.Struct, kw_only=True):
+    """What came of one fault.
+
+    Attributes
+    ----------
+    fault, what : str
+        Its name, and what was done.
+    safe_ticks : int
+        Longest time for which an old force or damping acted.
+    lost_ticks, window_ticks : int
+        Ticks without a timely answer, and ticks looked at, both from the strike on.
+    energy_j : float
+        Most energy given out since the strike [J].
+    recovered : bool
+        Whether fresh forces flow again at the end.
+    left : list of str
+        Orphans and stale files after the end.
+    passed : bool
+        Safe in time, as far recovered as it must be, nothing left.
+    reasons : list of str
+        Why not; or what the driver's safety said.
+    skipped : str
+        Why the drill could not be done here; empty when it was.
+    """
+
+    fault: str
+    what: str
+    safe_ticks: int = 0
+    lost_ticks: int = 0
+    window_ticks: int = 0
+    energy_j: float = 0.0
+    recovered: bool = False
+    left: list[str] = []
+    passed: bool = False
+    reasons: list[str] = []
+    skipped: str = ""
+
+
+class FaultSkippedError(RuntimeError):
+    """The machine does not allow this fault; the text says what is missing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """One fault.
+
+    Attributes
+    ----------
+    name, what : str
+        Its name and what is done.
+    strike : callable
+        Does it to a running rig, and takes it back where that is part of it.
+    change : callable
+        Changes the launch file beforehand.
+    prepare : callable
+        Makes ready what it needs, before the launch; gives variables for it. Raises FaultSkippedError where it cannot be had.
+    tidy : callable
+        Removes what `prepare` made.
+    """
+
+    name: str
+    what: str
+    strike: Callable[[Rig], None]
+    change: Callable[[dict[str, Any]], object] = dict
+    prepare: Callable[[], Mapping[str, str]] = dict
+    tidy: Callable[[], None] = lambda: None
+
+
+def scene() -> dict[str, Any]:
+    """Write the launch file of the drill.
+
+    Returns
+    -------
+    dict
+        A hand (500 N/m) that presses 5 mm into a wall of 1000 N/m, every limit set, every node respawned.
+    """
+    again = {"respawn": True, "respawn_delay": 0.1, "respawn_max": -1}
+    return {
+        "summary": "A hand pressing into a wall, for drills",
+        "run": {"rate": RATE, "duration": 0.0},
+        "nodes": {
+            "driver": {
+                "kind": "sim_driver",
+                **again,
+                "parameters": {
+                    "device": {
+                        "mass": 0.1,
+                        "damping": 1.0,
+                        "hand": {"stiffness": 500.0, "damping": 5.0, "path": [[0.0, -0.005]]},
+                    },
+                    "hold": HOLD,
+                    "safety": {
+                        "watchdog": WATCHDOG,
+                        "damping_ticks": DAMPING_TICKS,
+                        "peak_force": PEAK,
+                        "slew": SLEW,
+                        "ramp": 0.02,
+                        "workspace": [[-0.05, 0.05]] * 3,
+                    },
+                },
+            },
+            "environment": {"kind": "environment", **again, "parameters": {"surface": {"kind": "plane", "axis": "z"}}},
+            "coupling": {
+                "kind": "coupling",
+                **again,
+                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}},
+            },
+            "logger": {
+                "kind": "logger",
+                "required": False,
+                **again,
+                "parameters": {"overwrite": True, "path": "run.mcap"},
+            },
+        },
+    }
+
+
+def time_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
+    """Find the longest time for which an old force, or damping, acted.
+
+    Parameters
+    ----------
+    states : sequence of DeviceState
+        Of one driver after the other.
+    hold_ticks : float
+        After so many ticks without its driver the device lets go by itself.
+
+    Returns
+    -------
+    int
+        Ticks from the last fresh force to zero force, to the next fresh force, or to the device's own deadline.
+    """
+    longest = 0
+    since = states[0].seq if states else 0
+    for before, state in pairwise(states):
+        gap = state.seq - before.seq
+        if before.force != ZERO and gap > 1:
+            # While the driver was away nobody renewed the force; the device lets go so long after the last one written.
+            written = since if before.safety in ("active", "ramp") else before.seq
+            longest = max(longest, math.ceil(min(state.seq, max(written + hold_ticks, before.seq)) - since))
+        if state.force_seq > before.force_seq or state.force == ZERO or gap >= hold_ticks:
+            since = state.seq
+        else:
+            longest = max(longest, state.seq - since)
+    return longest
+
+
+def energy_given_out(states: Sequence[DeviceState]) -> float:
+    """Find the most energy given out since the first of some states.
+
+    Parameters
+    ----------
+    states : sequence of DeviceState
+        Of one driver after the other; each counts from zero.
+
+    Returns
+    -------
+    float
+        Energy [J].
+    """
+    most, total = 0.0, 0.0
+    for before, state in pairwise(states):
+        fresh = state.force_seq < before.force_seq
+        total += state.energy - (0.0 if fresh else before.energy)
+        most = max(most, total)
+    return most
+
+
+def in_order(states: Sequence[DeviceState]) -> bool:
+    """Whether the last ticks all went as they should.
+
+    Parameters
+    ----------
+    states : sequence of DeviceState
+        What the driver published.
+
+    Returns
+    -------
+    bool
+        True after CALM ticks of which nearly all were answered by fresh forces (a busy machine may cost one in five).
+    """
+    last = states[-CALM:]
+    fresh = sum(later.force_seq > earlier.force_seq for earlier, later in pairwise(last))
+    return len(last) == CALM and last[-1].safety == "active" and fresh >= 0.8 * (CALM - 1)
+
+
+def drill(fault: Fault, patience: float = 15.0) -> Outcome:
+    """Do one drill.
+
+    Parameters
+    ----------
+    fault : Fault
+        What to do.
+    patience : float
+        Longest wait for the recovery [s].
+
+    Returns
+    -------
+    Outcome
+        What came of it.
+    """
+    outcome = Outcome(fault=fault.name, what=fault.what)
+    content = scene()
+    try:
+        environment = fault.prepare()
+        fault.change(content)
+        with Rig(content, environment) as rig:
+            rig.wait(lambda: in_order(rig.states), 10.0)
+            struck = len(rig.states) - 1
+            fault.strike(rig)
+            after = len(rig.states)
+            outcome.recovered = rig.wait(lambda: len(rig.states) > after + CALM and in_order(rig.states), patience)
+            window = rig.states[struck:]
+            errors = rig.errors
+    except FaultSkippedError as reason:
+        outcome.skipped = str(reason)
+        return outcome
+    except RigError as error:
+        outcome.reasons = [str(error)]
+        return outcome
+    finally:
+        fault.tidy()
+    outcome.safe_ticks = time_to_safe(window, HOLD * RATE)
+    outcome.window_ticks = window[-1].seq - window[0].seq
+    outcome.lost_ticks = outcome.window_ticks - sum(state.response > 0.0 for state in window[1:])
+    outcome.energy_j = energy_given_out(window)
+    outcome.left = rig.left
+    wrong = []
+    if outcome.safe_ticks > LIMIT:
+        wrong.append(f"safe after {outcome.safe_ticks} ticks, limit {LIMIT}")
+    if not outcome.recovered:
+        wrong.append(f"not recovered: {errors[-1000:]}")
+    if rig.exit_code != 0:
+        wrong.append(f"the launch ended with exit code {rig.exit_code}: {errors[-1000:]}")
+    wrong += [f"left behind: {what}" for what in rig.left]
+    outcome.passed = not wrong
+    outcome.reasons = wrong or list(rig.figures.get("safety", {}).get("reasons", []))
+    return outcome

@@ -1,0 +1,241 @@
+"""The faults of the drill, each done to real processes from outside."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes.util
+import mmap
+import os
+import resource
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from sim.drill.drill import Fault, FaultSkippedError
+from sim.measure.rig import Rig
+
+STOPPED = 0.3
+"""How long a node is stopped, a link is bad, a processor is taken away [s]."""
+
+
+def _let_pass(rig: Rig, seconds: float) -> None:
+    """Let the launch run for a while, unless it ends."""
+    rig.wait(lambda: rig.launcher.poll() is not None, seconds)
+
+
+def _kill(node: str) -> Callable[[Rig], None]:
+    def strike(rig: Rig) -> None:
+        before = rig.kill(node)
+        rig.wait(lambda: _another(rig, node, before), 15.0)
+
+    return strike
+
+
+def _another(rig: Rig, node: str, before: int) -> bool:
+    from messages.transport.requests import ControlError
+
+    with contextlib.suppress(ControlError):
+        return int(rig.call(node, "status", timeout=0.3)["pid"]) != before
+    return False
+
+
+def _stop(node: str) -> Callable[[Rig], None]:
+    def strike(rig: Rig) -> None:
+        pid = rig.kill(node, signal.SIGSTOP)
+        _let_pass(rig, STOPPED)
+        os.kill(pid, signal.SIGCONT)
+
+    return strike
+
+
+def _with_link(content: dict[str, Any]) -> None:
+    content["nodes"]["link"] = {"kind": "link"}
+
+
+def _bad_link(**values: float) -> Callable[[Rig], None]:
+    def strike(rig: Rig) -> None:
+        rig.call("link", "param.set", values=values)
+        _let_pass(rig, STOPPED)
+        rig.call("link", "param.set", values=dict.fromkeys(values, 0))
+
+    return strike
+
+
+class _SmallDisk:
+    """A file system of 300 KB under the logger; where none may be mounted, a limit on the size of its file."""
+
+    def __init__(self) -> None:
+        self.folder = ""
+        self.mounted = False
+
+    def prepare(self) -> Mapping[str, str]:
+        self.folder = tempfile.mkdtemp(prefix="haptic-disk-")
+        command = ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", self.folder]
+        allowed = shutil.which("mount") is not None
+        self.mounted = allowed and subprocess.run(command, capture_output=True, check=False).returncode == 0
+        return {}
+
+    def change(self, content: dict[str, Any]) -> None:
+        content["nodes"]["logger"]["parameters"]["path"] = f"{self.folder}/run.mcap"
+        content["nodes"]["logger"]["respawn"] = False
+
+    def strike(self, rig: Rig) -> None:
+        pid = rig.pid("logger")
+        if not self.mounted:
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (300_000, 300_000))
+        else:
+            # What the recording leaves, something else takes.
+            with contextlib.suppress(OSError), open(f"{self.folder}/filler", "wb") as filler:
+                while True:
+                    filler.write(bytes(4096))
+                    filler.flush()
+        if not rig.wait(lambda: "logger: ended with" in rig.errors, 30.0):
+            raise FaultSkippedError("the logger did not notice the full disk within 30 s")
+
+    def tidy(self) -> None:
+        if self.folder:
+            if self.mounted:
+                subprocess.run(["umount", self.folder], capture_output=True, check=False)
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _hogs() -> Iterator[None]:
+    """Four busy processes per processor."""
+    command = [sys.executable, "-S", "-c", "while True: pass"]
+    hogs = [subprocess.Popen(command) for _ in range(4 * len(os.sched_getaffinity(0)))]
+    try:
+        yield
+    finally:
+        for hog in hogs:
+            hog.kill()
+        for hog in hogs:
+            hog.wait()
+
+
+def _starve(rig: Rig) -> None:
+    with _hogs():
+        _let_pass(rig, 3 * STOPPED)
+
+
+def _no_fifo(content: dict[str, Any]) -> None:
+    content["run"]["fifo"] = 0
+
+
+CLOCK = """
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <fcntl.h>
+#include <stdlib.h>
+#include <sys/mman.h>
+#include <sys/time.h>
+#include <time.h>
+#include <unistd.h>
+static volatile double *offset;
+__attribute__((constructor)) static void begin(void) {
+    int file = open(getenv("HAPTIC_DRILL_CLOCK"), O_RDONLY);
+    void *page = mmap(0, sizeof(double), PROT_READ, MAP_SHARED, file, 0);
+    if (page != MAP_FAILED) offset = page;
+    close(file);
+}
+int clock_gettime(clockid_t clock, struct timespec *now) {
+    static int (*real)(clockid_t, struct timespec *);
+    if (!real) real = (int (*)(clockid_t, struct timespec *)) dlsym(RTLD_NEXT, "clock_gettime");
+    int code = real(clock, now);
+    if (!code && offset && (clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE)) now->tv_sec += (long) *offset;
+    return code;
+}
+int gettimeofday(struct timeval *restrict now, void *restrict zone) {
+    struct timespec t;
+    (void) zone;
+    clock_gettime(CLOCK_REALTIME, &t);
+    now->tv_sec = t.tv_sec;
+    now->tv_usec = t.tv_nsec / 1000;
+    return 0;
+}
+time_t time(time_t *out) {
+    struct timespec t;
+    clock_gettime(CLOCK_REALTIME, &t);
+    if (out) *out = t.tv_sec;
+    return t.tv_sec;
+}
+"""
+
+
+class _Clock:
+    """The wall clock of all processes of the launch, stepped through the C library; the machine's own is left alone."""
+
+    def __init__(self) -> None:
+        self.folder = ""
+
+    def prepare(self) -> Mapping[str, str]:
+        compiler = shutil.which("cc") or shutil.which("gcc")
+        if compiler is None or ctypes.util.find_library("c") is None:
+            raise FaultSkippedError("no C compiler (cc): the clock is stepped by a small library that must be compiled")
+        self.folder = tempfile.mkdtemp(prefix="haptic-clock-")
+        source, library, self._offset = (Path(self.folder) / name for name in ("clock.c", "clock.so", "offset"))
+        source.write_text(CLOCK, encoding="ascii")
+        self._offset.write_bytes(bytes(mmap.PAGESIZE))
+        done = subprocess.run(
+            [compiler, "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            raise FaultSkippedError(f"{compiler} cannot compile the clock: {done.stderr[-300:]}")
+        return {"LD_PRELOAD": str(library), "HAPTIC_DRILL_CLOCK": str(self._offset)}
+
+    def strike(self, rig: Rig) -> None:
+        for seconds in (-3600.0, 7200.0, 0.0):
+            with open(self._offset, "r+b") as file:
+                file.write(struct.pack("d", seconds))
+            _let_pass(rig, STOPPED)
+
+    def tidy(self) -> None:
+        if self.folder:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def faults() -> list[Fault]:
+    """List the faults of the drill.
+
+    Returns
+    -------
+    list of Fault
+        In the order of the table.
+    """
+    chain = ("driver", "environment", "coupling", "logger")
+    disk, clock = _SmallDisk(), _Clock()
+
+    def link(name: str, what: str, **values: float) -> Fault:
+        return Fault(name=name, what=what, strike=_bad_link(**values), change=_with_link)
+
+    return [
+        *(Fault(name=f"kill {node}", what="SIGKILL, respawned", strike=_kill(node)) for node in chain),
+        *(Fault(name=f"stop {node}", what=f"SIGSTOP for {STOPPED:g} s", strike=_stop(node)) for node in chain),
+        link("flood", "300 old forces after each force", flood=300),
+        link("dead link", "every force lost", drop=1.0),
+        link("lossy link", "every third force lost", drop=0.33),
+        link("slow link", "20 ms late, limit 10 ms", delay=0.02),
+        link("reordering link", "up to 12 ms late, overtaking", jitter=0.012),
+        link("garbage", "every second force with a bit flipped", corrupt=0.5),
+        Fault(
+            name="full disk",
+            what="no room under the logger",
+            strike=disk.strike,
+            change=disk.change,
+            prepare=disk.prepare,
+            tidy=disk.tidy,
+        ),
+        Fault(
+            name="clock step", what="wall clock −1 h, +2 h", strike=clock.strike, prepare=clock.prepare, tidy=clock.tidy
+        ),
+        Fault(name="starvation", what="4 busy processes per core, no FIFO", strike=_starve, change=_no_fifo),
+    ]

@@ -1,0 +1,121 @@
+"""A bad link between the coupling and the driver: it drops, delays, reorders, corrupts and floods.
+
+A node of its own that stands between the two (the driver listens to it instead of the coupling), so that everything a
+network does to forces happens to real messages on real sockets. Its parameters may be changed while it runs.
+"""
+
+from __future__ import annotations
+
+import heapq
+import random
+import time
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+
+from messages import topics
+from nodes.base.node import IDLE_MS, Node
+
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Time = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
+
+
+class LinkParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the link; by default it passes everything on at once.
+
+    Attributes
+    ----------
+    drop : float
+        Share of the messages that are lost.
+    delay : float
+        What each message takes [s].
+    jitter : float
+        Up to how much more, evenly distributed; later messages overtake earlier ones [s].
+    corrupt : float
+        Share of the messages of which one byte is changed.
+    flood : int
+        Copies of old messages sent after each message.
+    seed : int
+        Of the random numbers.
+    """
+
+    drop: Share = 0.0
+    delay: Time = 0.0
+    jitter: Time = 0.0
+    corrupt: Share = 0.0
+    flood: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+    seed: int = 1
+
+
+class Link(Node):
+    """Passes forces on, badly."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = LinkParameters
+    listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
+    relays: ClassVar[tuple[str, ...]] = (topics.FORCE,)
+
+    def configure(self) -> None:
+        """Seed the random numbers."""
+        self._now: LinkParameters = self.store.current
+        self._random = random.Random(self._now.seed)  # noqa: S311  # faults, not secrets
+        self._waiting: list[tuple[float, int, bytes]] = []
+        self._count = 0
+        self._old: list[bytes] = []
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Take other faults.
+
+        Parameters
+        ----------
+        parameters : LinkParameters
+            The parameters after the change.
+
+        Returns
+        -------
+        callable
+            Puts them in place between two messages.
+        """
+
+        def apply(seq: int) -> dict[str, Any]:
+            self._now = parameters
+            return {"seq": seq}
+
+        return apply
+
+    def _accept(self, payload: bytes) -> None:
+        now, chance = self._now, self._random.random
+        if chance() < now.drop:
+            self.skipped += 1
+            return
+        if chance() < now.corrupt:
+            spoilt = bytearray(payload)
+            spoilt[self._random.randrange(len(spoilt))] ^= 1 << self._random.randrange(8)
+            payload = bytes(spoilt)
+        self._count += 1
+        due = time.monotonic() + now.delay + now.jitter * chance()
+        heapq.heappush(self._waiting, (due, self._count, payload))
+
+    def _pass_on(self) -> None:
+        topic = topics.FORCE.encode()
+        while self._waiting and self._waiting[0][0] <= time.monotonic():
+            payload = heapq.heappop(self._waiting)[2]
+            self.publisher.send(topic, payload)
+            for n in range(self._now.flood):
+                self.publisher.send(topic, self._old[n % len(self._old)] if self._old else payload)
+            self.sent += 1 + self._now.flood
+            self._old = [*self._old[-63:], payload]
+
+    def loop(self) -> None:
+        """Pass messages on until stopped."""
+        self.state = "running"
+        inbox = self.inbox
+        assert inbox is not None  # noqa: S101  # every kind that listens has one
+        while not self.stopping:
+            frames = inbox.receive_until(self._waiting[0][0]) if self._waiting else inbox.receive(IDLE_MS)
+            if frames is not None:
+                self.received += 1
+                self.ticks += 1
+                self._accept(frames[1])
+            self._pass_on()
+            self.between_ticks(self.ticks)

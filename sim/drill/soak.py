@@ -1,0 +1,283 @@
+"""A long run under use: loggers come and go (some by SIGKILL), parameters and laws change, nodes are killed and respawned.
+
+What it looks for is what short runs do not show: memory that grows, messages that nobody accounts for, ticks missed without
+a reason. Each round attaches loggers, changes parameters, and kills one node of the chain at its end; ticks are only excused
+from that kill until forces flow again.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from itertools import cycle
+
+import msgspec
+
+from messages.topics import LOOP
+from messages.transport.requests import ControlError
+from nodes.recording.accounts import accounts
+from nodes.recording.reader import Recording
+from nodes.recording.writer import RecordError
+from sim.drill.drill import RATE, in_order, scene
+from sim.measure.rig import Rig
+
+GROWTH = 4e6
+"""Growth of a node's memory after its first tenth that is still called flat [bytes]: allocators round by the megabyte."""
+
+INDEX = 5.0
+"""What a logger may grow by beside that, per message [bytes]: MCAP's index of chunks is kept until the file is closed."""
+
+MISS_LIMIT = 1e-3
+"""Largest share of missed ticks outside respawns."""
+
+
+LATE = 0.25
+"""From this share of a period on a driver that is woken late was held up by the machine."""
+
+BLAME = 1.0
+"""How long after something was done to the launch a missed tick may be its fault [s]."""
+
+
+class Soak(msgspec.Struct, kw_only=True):
+    """What came of a long run.
+
+    Attributes
+    ----------
+    duration_s : float
+        How long it ran [s].
+    rounds, changes, loggers, respawns : int
+        Rounds done; parameter changes and law switches; loggers attached; nodes killed.
+    ticks, missed, excused : int
+        Ticks; those without a timely answer outside respawns; those of the respawns, which are left out.
+    held_up : int
+        The missed ones with which even the driver, the most urgent of all, was woken late or not at all: the machine stood.
+    missed_after : dict of str to int
+        The missed ones, by what was last done to the launch within `BLAME` before; ``nothing`` for those left to the machine.
+    growth_bytes : dict of str to float
+        Growth of each node's memory within one process of it, the largest [bytes].
+    accounts : dict of str to dict of str to int
+        By node: ``sent`` by its own count, ``recorded`` by the launch's logger, and ``lost``, the difference.
+    shared : int
+        Messages of the other loggers that ended orderly; what they have is compared with what the launch's logger has.
+    passed : bool
+        Memory flat, every message accounted for, recovered after each respawn, nothing left, few misses.
+    reasons : list of str
+        Why not.
+    """
+
+    duration_s: float = 0.0
+    rounds: int = 0
+    changes: int = 0
+    loggers: int = 0
+    respawns: int = 0
+    ticks: int = 0
+    missed: int = 0
+    excused: int = 0
+    held_up: int = 0
+    missed_after: dict[str, int] = {}
+    growth_bytes: dict[str, float] = {}
+    accounts: dict[str, dict[str, int]] = {}
+    shared: int = 0
+    passed: bool = False
+    reasons: list[str] = []
+
+
+class _Memory:
+    """Resident memory of each process of each node, over its life."""
+
+    def __init__(self, settle: float) -> None:
+        self._settle = settle
+        self._born: dict[int, float] = {}
+        self._first: dict[int, float] = {}
+        self.growth: dict[str, float] = {}
+
+    def look(self, rig: Rig) -> None:
+        for name in rig.info.nodes:
+            try:
+                status = rig.call(name, "status", timeout=0.5)
+            except ControlError:
+                continue
+            pid, now = status["pid"], time.monotonic()
+            # Start-up fills caches and queues; what grows afterwards grows for ever.
+            if now - self._born.setdefault(pid, now) < self._settle:
+                continue
+            first = self._first.setdefault(pid, status["memory"])
+            self.growth[name] = max(self.growth.get(name, 0.0), status["memory"] - first)
+
+
+def _pass_time(rig: Rig, seconds: float, memory: _Memory) -> None:
+    until = time.monotonic() + seconds
+    while time.monotonic() < until and rig.launcher.poll() is None:
+        memory.look(rig)
+        rig.wait(lambda: rig.launcher.poll() is not None, min(0.5, max(until - time.monotonic(), 0.0)))
+
+
+def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_LIMIT) -> Soak:
+    """Run for a long time under use.
+
+    Parameters
+    ----------
+    seconds : float
+        How long [s].
+    round_seconds : float
+        Length of a round; one node is killed in each [s].
+    miss_limit : float
+        Largest share of missed ticks outside respawns; 1 does not look at them, on a machine that has no time of its own.
+
+    Returns
+    -------
+    Soak
+        What came of it.
+    """
+    content = scene()
+    content["nodes"]["logger"]["respawn"] = False
+    content["nodes"]["coupling"]["parameters"]["laws"]["soft"] = {"kind": "pd", "stiffness": 500.0, "damping": 2.0}
+    found = Soak()
+    memory = _Memory(min(seconds / 10.0, 20.0))
+    stiffness = cycle((800.0, 1200.0, 1000.0))
+    law = cycle(("soft", "pd"))
+    victims = cycle(("coupling", "environment", "driver"))
+    excused: list[tuple[int, int]] = []
+    done: list[tuple[int, str]] = []
+    complete: list[str] = []
+    rig = Rig(content)
+    with rig:
+        begun = time.monotonic()
+        while time.monotonic() - begun < seconds and rig.launcher.poll() is None:
+            part = min(round_seconds, max(seconds - (time.monotonic() - begun), 1.0)) / 6.0
+            number = found.rounds = found.rounds + 1
+            done.append((rig.states[-1].seq, "loggers attached"))
+            staying = rig.beside("bag", "record", "--out", f"round{number}.mcap")
+            killed = rig.beside("bag", "record", "--out", f"killed{number}.mcap")
+            found.loggers += 2
+            for _ in range(4):
+                _pass_time(rig, part, memory)
+                done.append((rig.states[-1].seq, "parameters and law changed"))
+                rig.call("coupling", "param.set", values={"laws.pd.stiffness": next(stiffness)})
+                rig.call("coupling", "law.switch", law=next(law), ramp=20)
+                found.changes += 2
+            done.append((rig.states[-1].seq, "loggers killed and stopped"))
+            killed.kill()
+            staying.send_signal(signal.SIGINT)
+            killed.wait()
+            staying.wait()
+            complete.append(f"round{number}.mcap")
+            found.respawns += 1
+            victim = next(victims)
+            struck = rig.states[-1].seq
+            seen = len(rig.states)
+            rig.kill(victim)
+            if not rig.wait(lambda seen=seen: len(rig.states) > seen + 50 and in_order(rig.states), 20.0):  # type: ignore[misc]
+                found.reasons.append(
+                    f"round {number}: not recovered within 20 s after {victim} was killed: {rig.errors}"
+                )
+                break
+            excused.append((struck, rig.states[-1].seq))
+            done.append((rig.states[-1].seq, f"{victim} respawned"))
+            _pass_time(rig, 2.0 * part, memory)
+        found.duration_s = time.monotonic() - begun
+        errors = rig.errors
+        rig.end(lambda: _account(rig, found, complete))
+    _count(rig, found, excused, done)
+    found.growth_bytes = memory.growth
+    index = INDEX * sum(account["recorded"] for account in found.accounts.values())
+    limits = {node: GROWTH + (index if node == "logger" else 0.0) for node in memory.growth}
+    found.reasons += [
+        f"{node}: memory grew by {growth / 1e6:.1f} MB, limit {limits[node] / 1e6:.1f} MB"
+        for node, growth in memory.growth.items()
+        if growth > limits[node]
+    ]
+    if found.missed > miss_limit * found.ticks:
+        found.reasons.append(
+            f"missed {found.missed} of {found.ticks} ticks outside respawns, limit {miss_limit:g} of them"
+        )
+    if rig.exit_code != 0:
+        found.reasons.append(f"the launch ended with exit code {rig.exit_code}: {errors}")
+    found.reasons += [f"left behind: {what}" for what in rig.left]
+    found.passed = not found.reasons
+    return found
+
+
+def _account(rig: Rig, found: Soak, names: list[str]) -> None:
+    try:
+        whole = Recording(rig.folder / "run.mcap")
+        told = accounts(whole)
+        everything = {topic: _ticks(whole, topic) for topic in LOOP}
+    except RecordError as error:
+        found.reasons.append(str(error))
+        return
+    found.accounts = {
+        node: {"sent": one.sent, "recorded": one.recorded, "lost": one.lost} for node, one in told.items()
+    }
+    found.reasons += [
+        f"{one.lost} of {node}'s messages are neither recorded nor declared lost"
+        for node, one in told.items()
+        if one.lost
+    ]
+    for name in names:
+        try:
+            recording = Recording(rig.folder / name)
+            for topic in LOOP:
+                own = _ticks(recording, topic)
+                # What one logger got between two messages of another, that one must have got too.
+                low, high = min(own), max(own)
+                missing = {seq for seq in everything[topic] if low <= seq <= high} - own
+                found.shared += len(own)
+                if missing:
+                    found.reasons.append(f"{name}: {len(missing)} messages of {topic} that the launch's logger has")
+        except (RecordError, ValueError) as error:
+            found.reasons.append(f"{name}: {error}")
+    if not whole.complete:
+        found.reasons.append("run.mcap: the recording is not complete")
+
+
+def _ticks(recording: Recording, topic: str) -> set[int]:
+    return {message.seq for message in recording.messages(topic)}
+
+
+def _count(rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tuple[int, str]]) -> None:
+    states = rig.states
+    found.ticks = states[-1].seq - states[0].seq
+    # A state tells of the tick before it.
+    answered = {state.seq - 1 for state in states if state.response > 0.0}
+    punctual = {state.seq for state in states if state.lateness < LATE / RATE}
+    for seq in range(states[0].seq, states[-1].seq):
+        if seq not in answered:
+            if any(low <= seq <= high for low, high in excused):
+                found.excused += 1
+            else:
+                found.missed += 1
+                found.held_up += not {seq, seq + 1} <= punctual
+                last, what = max((event for event in done if event[0] <= seq), default=(-math.inf, ""))
+                blamed = what if seq - last <= BLAME * RATE else "nothing"
+                found.missed_after[blamed] = found.missed_after.get(blamed, 0) + 1
+
+
+def text(found: Soak) -> str:
+    """Write what came of a long run for people.
+
+    Parameters
+    ----------
+    found : Soak
+        What came of it.
+
+    Returns
+    -------
+    str
+        A few lines.
+    """
+    sent = sum(one["sent"] for one in found.accounts.values())
+    growth = ", ".join(f"{node} {value / 1e6:+.1f}" for node, value in found.growth_bytes.items())
+    lines = [
+        f"soak {'passed' if found.passed else 'FAILED'}: {found.duration_s:.0f} s at {RATE:g} Hz, {found.ticks} ticks",
+        f"  {found.loggers} loggers attached, {found.changes} changes, {found.respawns} nodes killed and respawned",
+        f"  missed {found.missed} ticks outside the respawns ({found.held_up} while even the driver was held up), "
+        f"{found.excused} within them"
+        + "".join(f"; {count} within {BLAME:g} s of: {what}" for what, count in found.missed_after.items()),
+        f"  memory growth [MB]: {growth}",
+        f"  {sent} messages sent by the nodes' own count, "
+        f"{sum(one['lost'] for one in found.accounts.values())} of them not in the launch's recording; "
+        f"{found.shared} in those of loggers that came and went",
+    ]
+    return "\n".join([*lines, *(f"  {reason}" for reason in found.reasons)])

@@ -1,0 +1,128 @@
+"""Do faults to a real launch, one after the other, and tell what came of each."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+
+import msgspec
+
+from nodes.cli.main import UsageError, answer
+from sim.drill.drill import HOLD, LIMIT, RATE, Outcome, drill
+from sim.drill.faults import faults
+from sim.drill.soak import MISS_LIMIT, soak, text
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb.
+    """
+    parser.add_argument(
+        "faults",
+        nargs="*",
+        help='faults by name, e.g. "kill coupling"; all when left out; or soak: a long run under use',
+    )
+    parser.add_argument("--minutes", type=float, default=10.0, help="length of a soak [min] (default: %(default)s)")
+    parser.add_argument(
+        "--miss-limit",
+        type=float,
+        default=MISS_LIMIT,
+        help="share of ticks that a soak may miss (default: %(default)s)",
+    )
+    parser.add_argument("--list", action="store_true", help="list the faults")
+    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the drills.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0 when all passed (or were skipped), else 1.
+
+    Raises
+    ------
+    UsageError
+        When there is no such fault.
+    """
+    # Ended by SIGTERM, it ends its launch first, as after Ctrl-C.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    if arguments.faults == ["soak"]:
+        return _soak(arguments)
+    known = {fault.name: fault for fault in faults()}
+    if arguments.list:
+        figures = {name: fault.what for name, fault in known.items()}
+        answer(arguments.json, {"faults": figures}, "\n".join(f"{name:18} {what}" for name, what in figures.items()))
+        return 0
+    unknown = [name for name in arguments.faults if name not in known]
+    if unknown:
+        raise UsageError(f"no fault is named {unknown[0]!r}; there is: {', '.join(known)}")
+    outcomes = []
+    for name in arguments.faults or known:
+        print(f"[drill] {name}", file=sys.stderr, flush=True)
+        outcomes.append(drill(known[name]))
+    failed = [outcome for outcome in outcomes if not outcome.passed and not outcome.skipped]
+    figures_all = {
+        "limit_ticks": LIMIT,
+        "rate_hz": RATE,
+        "passed": not failed,
+        "drills": msgspec.to_builtins(outcomes),
+    }
+    answer(arguments.json, figures_all, table(outcomes))
+    return 1 if failed else 0
+
+
+def _soak(arguments: argparse.Namespace) -> int:
+    seconds = arguments.minutes * 60.0
+    if not seconds >= 10.0:
+        raise UsageError(f"--minutes {arguments.minutes:g}: a soak takes at least 10 s, --minutes 0.17")
+    found = soak(seconds, min(60.0, seconds / 3.0), arguments.miss_limit)
+    answer(arguments.json, msgspec.to_builtins(found), text(found))
+    return 0 if found.passed else 1
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Write the table of a drill.
+
+    Parameters
+    ----------
+    outcomes : list of Outcome
+        What came of each fault.
+
+    Returns
+    -------
+    str
+        One line per fault; below, why one failed or was skipped, and what the columns mean.
+    """
+    lines = [
+        "| fault | what was done | safe after [ticks] | ticks lost | given out [mJ] | recovered | result |",
+        "| --- | --- | ---: | ---: | ---: | --- | --- |",
+    ]
+    for one in outcomes:
+        if one.skipped:
+            lines.append(f"| {one.fault} | {one.what} | | | | | skipped |")
+            continue
+        lines.append(
+            f"| {one.fault} | {one.what} | {one.safe_ticks} | {one.lost_ticks} of {one.window_ticks} "
+            f"| {one.energy_j * 1e3:.2f} | {'yes' if one.recovered else 'no'} | {'passed' if one.passed else 'FAILED'} |"
+        )
+    lines.append(
+        f"safe after: longest time for which an old force or damping acted, limit {LIMIT} ticks of {1e3 / RATE:g} ms "
+        f"(the device itself lets go after {HOLD * 1e3:g} ms)"
+    )
+    for one in outcomes:
+        lines += [f"{one.fault}: skipped: {one.skipped}"] if one.skipped else []
+        lines += [f"{one.fault}: {reason}" for reason in one.reasons] if not (one.passed or one.skipped) else []
+    return "\n".join(lines)

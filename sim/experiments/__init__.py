@@ -1,0 +1,1 @@
+"""Experiments on scenes: the drop test, the largest stable stiffness, what a scene needs."""

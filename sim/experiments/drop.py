@@ -1,0 +1,391 @@
+"""The drop test, the seed's experiment, and two others: what is played, and when it counts as settled.
+
+Three experiments: *drop* (a mass falls on a virtual floor, the seed's), *press* (a hand pushes the device into a wall) and
+*free* (the device swings about a two-sided anchor, which is the linear loop itself). A run settles when, over the last
+quarter of a stated horizon, it moves less than a stated tolerance about the point where the forces balance, without
+leaving the wall or touching a limit of the force; and when it has at no time risen above where it started. So
+runs that diverged until something saturated are refused. Near the limit the decay is slow: the same horizon for every law,
+or the figures do not compare (drop and press read 70–99 % of the linear limit).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from sim.device.model import DeviceModel, Hand, coefficients, split_delay
+from sim.scene.compiled import compiled, kernel
+from sim.scene.loop import Array, Scene, Surface, play_compiled
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """When a run counts as settled.
+
+    Attributes
+    ----------
+    ticks : int
+        Horizon [ticks].
+    tolerance : float
+        Largest motion, peak to peak, over the last quarter of the horizon [m].
+    """
+
+    ticks: int = 2500
+    tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        if self.ticks < 8:
+            raise ValueError(f"criterion.ticks is {self.ticks}, expected at least 8: a quarter must be two ticks")
+        if not self.tolerance > 0.0:
+            raise ValueError(f"criterion.tolerance is {self.tolerance} m, expected more than 0")
+
+
+def drop_scene(device: DeviceModel, period: float, raw: bool, clamp: bool, height: float = 0.01) -> Scene:
+    """Let the device fall on a floor at 0.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        Its position, velocity and gravity are set here, to `height`, 0 and, where it has none, 9.81 m/s².
+    period : float
+        Sampling period T [s].
+    raw : bool
+        Whether the history holds the raw distance outside contact.
+    clamp : bool
+        Whether forces into the floor are set to zero.
+    height : float
+        Of the fall [m]; the project's floor drop has 10 mm.
+
+    Returns
+    -------
+    Scene
+        The experiment.
+    """
+    gravity = 9.81 if device.gravity is None else device.gravity
+    dropped = _changed(device, position=height, velocity=0.0, gravity=gravity)
+    return Scene(device=dropped, surface=Surface("plane"), period=period, raw=raw, clamp=clamp)
+
+
+def press_scene(
+    device: DeviceModel, period: float, raw: bool, clamp: bool, hand: Hand | None = None, depth: float = 0.01
+) -> Scene:
+    """Let a hand press the device into a wall at 0.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        It starts at rest, `depth` before the wall.
+    period : float
+        Sampling period T [s].
+    raw, clamp : bool
+        As for `drop_scene`.
+    hand : Hand, optional
+        Held still at its own path; left out, a light grip of 100 N/m that wants to be `depth` behind the wall.
+    depth : float
+        Of start and aim, before and behind the wall [m].
+
+    Returns
+    -------
+    Scene
+        The experiment.
+    """
+    hand = Hand(stiffness=100.0, path=[(0.0, -depth)]) if hand is None else hand
+    pressed = _changed(device, position=depth, velocity=0.0, hand=hand)
+    return Scene(device=pressed, surface=Surface("plane"), period=period, raw=raw, clamp=clamp)
+
+
+def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> Scene:
+    """Let the device swing about an anchor at 0, from rest at an amplitude: no contact, no conventions.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        Its position and velocity are set here.
+    period : float
+        Sampling period T [s].
+    amplitude : float
+        Where it starts [m].
+
+    Returns
+    -------
+    Scene
+        The experiment.
+    """
+    swung = _changed(device, position=amplitude, velocity=0.0)
+    return Scene(device=swung, surface=Surface("anchor"), period=period, raw=True, clamp=False)
+
+
+def _changed(device: DeviceModel, **fields: Any) -> DeviceModel:
+    return DeviceModel(**{name: getattr(device, name) for name in device.__struct_fields__} | fields)
+
+
+@kernel
+def _row(table: Any, p: int) -> Any:
+    if table is None:
+        return None
+    return table[p]
+
+
+@kernel
+def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
+    """Furthest from the surface after the first touch; in the last quarter: the same, motion, mean, largest force."""
+    ticks = len(positions)
+    quarter = ticks - ticks // 4
+    highest = -math.inf
+    touched = normal == 0.0
+    for k in range(ticks):
+        distance = abs(positions[k] - surface) if normal == 0.0 else (positions[k] - surface) * normal
+        touched = touched or distance < 0.0
+        if touched and not distance <= highest:
+            highest = distance
+    low = math.inf
+    high = -math.inf
+    total = 0.0
+    last = -math.inf
+    strongest = 0.0
+    for k in range(quarter, ticks):
+        low = min(low, positions[k])
+        high = max(high, positions[k])
+        total += positions[k]
+        last = max(last, (positions[k] - surface) * normal)
+        strongest = max(strongest, abs(forces[k]))
+    return highest, high - low, total / (ticks - quarter), last, strongest
+
+
+def _trials(
+    ticks: int,
+    x: float,
+    v: float,
+    mass: float,
+    damping: float,
+    grip: float,
+    early: float,
+    early_map: Any,
+    late: float,
+    late_map: Any,
+    resolution: float | None,
+    friction: float | None,
+    motor: float | None,
+    load: float,
+    loads: Any,
+    waiting: int,
+    kind: int,
+    surface: float,
+    normal: float,
+    raw: bool,
+    clamp: bool,
+    peak: float | None,
+    slew: float | None,
+    taps: Any,
+    recursive: Any,
+    results: Any,
+) -> None:
+    count, length = taps.shape
+    width = 0 if recursive is None else recursive.shape[1]
+    for p in numba.prange(count):
+        own = _row(recursive, p)
+        positions = np.empty(ticks)
+        forces = np.empty(ticks)
+        bounds = np.array([0, length])
+        states = np.array([0, width // 2])
+        none = np.empty(0, dtype=np.int64)
+        play_compiled(
+            ticks,
+            x,
+            v,
+            mass,
+            damping,
+            grip,
+            early,
+            early_map,
+            late,
+            late_map,
+            resolution,
+            friction,
+            motor,
+            load,
+            loads,
+            np.zeros(waiting),
+            kind,
+            surface,
+            normal,
+            raw,
+            clamp,
+            peak,
+            slew,
+            taps[p],
+            bounds,
+            own,
+            np.zeros(width // 2),
+            states,
+            none,
+            none,
+            np.zeros(2 * max(length, 2)),
+            positions,
+            None,
+            None,
+            None,
+            forces,
+        )
+        verdict = _judge(positions, forces, surface, normal)
+        for i in range(5):
+            results[p, i] = verdict[i]
+
+
+_trials_compiled = compiled(parallel=True)(_trials)
+
+
+def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
+    """Where the forces balance at the end of a run.
+
+    Parameters
+    ----------
+    scene : Scene
+        The experiment.
+    law : CompiledLaw
+        Its law.
+    ticks : int
+        When: a hand's path may go on until then [ticks].
+
+    Returns
+    -------
+    float or None
+        Position [m]; None when H(1) ≤ 0 or nothing holds the device.
+    """
+    load, grip = scene.device.load(ticks - 1, scene.period), scene.device.grip
+    if law.h1 <= 0.0:
+        return None
+    if scene.surface.kind != "free":
+        rest = (load + law.h1 * scene.surface.position) / (grip + law.h1)
+        if scene.surface.kind == "anchor" or (rest - scene.surface.position) * scene.surface.normal <= 0.0:
+            return rest
+    return load / grip if grip > 0.0 else None
+
+
+def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> list[bool]:
+    """Play one experiment with each of several laws, spread over the cores.
+
+    Parameters
+    ----------
+    scene : Scene
+        The experiment.
+    laws : sequence of CompiledLaw
+        Laws to try.
+    criterion : Criterion
+        What counts as settled.
+
+    Returns
+    -------
+    list of bool
+        Whether each settled.
+
+    Raises
+    ------
+    ValueError
+        When a law has code of its own, or the scene a passivity guard: `sim.scene.loop.run` and the nodes play those.
+    """
+    for i, law in enumerate(laws):
+        if law.evaluate is not None:
+            raise ValueError(
+                f"laws[{i}] has code of its own, which cannot be compiled: play it with the nodes, in lockstep"
+            )
+    if scene.passivity is not None and scene.passivity.guard == "on":
+        raise ValueError("scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out")
+    device, surface = scene.device, scene.surface
+    mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
+    whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
+    early = part * scene.period
+    late = scene.period - early
+    ticks = criterion.ticks
+    taps = np.zeros((len(laws), max(len(law.taps) for law in laws)))
+    most = max(len(law.sections) for law in laws)
+    recursive = np.zeros((len(laws), 4 * most))
+    for i, law in enumerate(laws):
+        taps[i, : len(law.taps)] = law.taps
+        recursive[i, : 4 * len(law.sections)] = [c for section in law.sections for c in section]
+    results = np.empty((len(laws), 5))
+    _trials_compiled(
+        ticks,
+        device.position,
+        device.velocity,
+        mass,
+        damping,
+        grip,
+        early,
+        coefficients(mass, damping, grip, early) if early > 0.0 else None,
+        late,
+        coefficients(mass, damping, grip, late),
+        device.resolution,
+        device.friction,
+        device.peak_force,
+        device.load(0, scene.period),
+        np.array([device.load(k, scene.period) for k in range(ticks)]) if device.hand else None,
+        whole + 2,
+        surface.code,
+        surface.position,
+        surface.normal if surface.kind == "plane" else 0.0,
+        scene.raw,
+        scene.clamp,
+        scene.peak,
+        scene.slew,
+        taps,
+        recursive if most else None,
+        results,
+    )
+    return [_verdict(scene, law, told, criterion) for law, told in zip(laws, results.tolist(), strict=True)]
+
+
+def settled(scene: Scene, law: CompiledLaw, position: Array, force: Array, criterion: Criterion) -> bool:
+    """Judge one run that was played elsewhere, by the very rules of `settles`.
+
+    Parameters
+    ----------
+    scene : Scene
+        The experiment.
+    law : CompiledLaw
+        Its law.
+    position : ndarray, shape (ticks,)
+        Position at each tick [m].
+    force : ndarray, shape (ticks,)
+        Force handed to the device at each tick [N].
+    criterion : Criterion
+        What counts as settled.
+
+    Returns
+    -------
+    bool
+        Whether it settled.
+
+    Raises
+    ------
+    ValueError
+        When the run is not as long as the horizon.
+    """
+    if not len(position) == len(force) == criterion.ticks:
+        raise ValueError(f"{len(position)} positions and {len(force)} forces, the horizon is {criterion.ticks} ticks")
+    normal = scene.surface.normal if scene.surface.kind == "plane" else 0.0
+    return _verdict(scene, law, _judge(position, force, scene.surface.position, normal), criterion)
+
+
+def _verdict(scene: Scene, law: CompiledLaw, told: Sequence[float], criterion: Criterion) -> bool:
+    device, surface = scene.device, scene.surface
+    highest, motion, mean, last, strongest = told
+    rest = rest_position(scene, law, criterion.ticks)
+    if rest is None:
+        return False
+    start = device.position - surface.position
+    # About an anchor the damper sees the start as a jump, and may kick the device a few times as far: that is linear.
+    highest_allowed = start * surface.normal + criterion.tolerance if surface.kind == "plane" else 10.0 * abs(start)
+    limit = min(value for value in (device.peak_force, scene.peak, math.inf) if value is not None)
+    # Friction holds it anywhere within f_c of balance; the encoder sees no less than a count.
+    band = criterion.tolerance + (device.friction or 0.0) / (law.h1 + device.grip) + (device.resolution or 0.0)
+    bounces = surface.kind == "plane" and last > (device.resolution or 0.0)
+    # Comparisons with NaN are false: a run that overflowed does not settle.
+    still = motion <= criterion.tolerance and abs(mean - rest) <= band
+    return bool(still and highest <= highest_allowed and strongest < limit and not bounces)

@@ -1,0 +1,129 @@
+"""What the passivity guard makes safe, and what that costs in rendered stiffness: the drop, with and without it.
+
+A mass is dropped on walls from soft to far too stiff. Without the guard, a wall beyond K_max gives out energy at every bounce;
+with it, the mass comes to lie. The price is stiffness: forces are lowered on the way out, so the wall felt at rest (mean force
+over mean penetration) is softer than the nominal one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nodes.driver.passivity import PassivityParameters
+from nodes.laws import CompiledLaw
+from sim.device.model import DeviceModel
+from sim.scene.loop import Scene, Surface, Trace, run
+
+SHARE = 0.25
+"""Part of a run, its last, that is looked at as rest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drop:
+    """How one drop went.
+
+    Attributes
+    ----------
+    stiffness : float
+        Nominal stiffness K [N/m].
+    guarded : bool
+        Whether the guard was on.
+    energy_max_j : float
+        Most that the wall had given out at any time, beyond what it was given [J].
+    unrest_m : float
+        Peak to peak of the position at the end [m].
+    felt_n_per_m : float or None
+        Mean force over mean penetration at the end; None when the mass does not lie in the wall all that time.
+    impact_n_per_m : float
+        Largest force over largest penetration.
+    """
+
+    stiffness: float
+    guarded: bool
+    energy_max_j: float
+    unrest_m: float
+    felt_n_per_m: float | None
+    impact_n_per_m: float
+
+
+def measure(trace: Trace, stiffness: float, guarded: bool, next_tick: bool) -> Drop:
+    """Measure a drop on a floor at height 0.
+
+    Parameters
+    ----------
+    trace : Trace
+        What happened.
+    stiffness : float
+        Nominal stiffness [N/m].
+    guarded : bool
+        Whether the guard was on.
+    next_tick : bool
+        Whether forces took effect one tick later.
+
+    Returns
+    -------
+    Drop
+        Its figures.
+    """
+    acting = np.concatenate(([0.0], trace.force[:-2])) if next_tick else trace.force[:-1]
+    energy = np.concatenate(([0.0], np.cumsum(acting * np.diff(trace.measured))))
+    end = slice(int((1.0 - SHARE) * len(trace.position)), None)
+    rest, force = trace.measured[end], trace.force[end]
+    lies = bool(np.all(rest < 0.0))
+    deepest = -float(trace.measured.min())
+    return Drop(
+        stiffness=stiffness,
+        guarded=guarded,
+        energy_max_j=max(float(energy.max()), 0.0),
+        unrest_m=float(np.ptp(rest)),
+        felt_n_per_m=float(force.mean() / -rest.mean()) if lies else None,
+        impact_n_per_m=float(trace.force.max()) / deepest if deepest > 0.0 else 0.0,
+    )
+
+
+def compare(
+    device: DeviceModel,
+    laws: dict[float, CompiledLaw],
+    period: float,
+    guard: PassivityParameters,
+    next_tick: bool,
+    ticks: int,
+) -> list[Drop]:
+    """Drop a mass on walls of several stiffnesses, with and without the guard.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        The mass, with gravity and the height that it is dropped from.
+    laws : dict of float to CompiledLaw
+        Nominal stiffness [N/m] to law.
+    period : float
+        Sampling period T [s].
+    guard : PassivityParameters
+        The guard; its stiffness is set to each wall's own.
+    next_tick : bool
+        Whether forces take effect one tick later.
+    ticks : int
+        Length of each drop.
+
+    Returns
+    -------
+    list of Drop
+        Two per stiffness, without the guard first.
+    """
+    found = []
+    for stiffness, law in laws.items():
+        for on in (False, True):
+            scene = Scene(
+                device=device,
+                surface=Surface("plane"),
+                period=period,
+                raw=False,
+                clamp=True,
+                next_tick=next_tick,
+                passivity=PassivityParameters(stiffness=stiffness, damping=guard.damping) if on else None,
+            )
+            found.append(measure(run(scene, law, ticks), stiffness, on, next_tick))
+    return found

@@ -1,0 +1,282 @@
+"""K_max found by the distributed loop itself: every drop is a ``haptic launch`` in lockstep, judged from its recording.
+
+The study in one process is only worth something if the loop renders the same. So the same experiment is written as
+parameters for the processes, each stiffness is dropped through all of them, and what the logger recorded is judged by
+the very criterion of the study (sim/experiments/drop.py). Both must end at the same stiffness of a common grid.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from messages.topics import DEVICE_STATE
+from nodes.launcher import launch_file
+from nodes.laws import CompiledLaw, Law
+from nodes.laws.parse import law_to_dict
+from nodes.recording.reader import Recording
+from sim.experiments.drop import Criterion, settled, settles
+from sim.measure.launches import MeasurementError, last_line
+from sim.scene.from_launch import LaunchedScene, from_launch
+from sim.scene.loop import Array, Scene
+
+SCENARIO = "floor_drop"
+"""Launch file whose nodes get the experiment's parameters."""
+
+
+@dataclass(frozen=True)
+class SameKMax:
+    """Where each of the two stops settling, on one grid of stiffnesses.
+
+    Attributes
+    ----------
+    launched_n_per_m : float or None
+        Largest K of the grid below the first that the processes do not settle with [N/m]; None when the first does not.
+    one_process_n_per_m : float or None
+        The same, played in one process [N/m].
+    h1_n_per_m : float or None
+        H(1) of the law at `launched_n_per_m` [N/m].
+    launches : int
+        Launches that it took.
+    """
+
+    launched_n_per_m: float | None
+    one_process_n_per_m: float | None
+    h1_n_per_m: float | None
+    launches: int
+
+
+def with_stiffness(law: Law, stiffness: float) -> dict[str, Any]:
+    """Describe a law at another nominal stiffness.
+
+    Parameters
+    ----------
+    law : Law
+        A law with a parameter ``stiffness``.
+    stiffness : float
+        K [N/m].
+
+    Returns
+    -------
+    dict
+        As a launch file has it.
+
+    Raises
+    ------
+    ValueError
+        When the law has no such parameter.
+    """
+    described = law_to_dict(law)
+    if "stiffness" not in described:
+        raise ValueError(f"law kind {law.kind} has no nominal stiffness that could be raised")
+    return {**described, "stiffness": stiffness}
+
+
+def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
+    """Write an experiment as parameters of the nodes of `SCENARIO`: the inverse of `sim.scene.from_launch.from_launch`.
+
+    Parameters
+    ----------
+    scene : Scene
+        The experiment: a plane or an anchor, no limits by the driver, no guard.
+    law : dict
+        Description of its law.
+
+    Returns
+    -------
+    dict
+        Node to parameters, as ``haptic launch --params`` reads them.
+
+    Raises
+    ------
+    ValueError
+        When the scene has something that is not written here.
+    """
+    if scene.peak is not None or scene.slew is not None or scene.passivity is not None or scene.surface.kind == "free":
+        raise ValueError("a drop has a plane or an anchor, no limits by the driver and no guard")
+    at = scene.surface.position
+    surface: dict[str, Any] = {"kind": "anchor", "position": [0.0, 0.0, at]}
+    if scene.surface.kind == "plane":
+        surface = {"kind": "plane", "axis": "z", "position": at, "normal": int(scene.surface.normal)}
+    return {
+        "driver": {"device": msgspec.to_builtins(scene.device)},
+        "environment": {"surface": surface},
+        "coupling": {
+            "law": "tried",
+            "laws": {"tried": law},
+            "history": "position" if scene.raw else "penetration",
+            "clamp": scene.clamp,
+            # The launch file's own device is not the one that is dropped.
+            "stability": "off",
+        },
+    }
+
+
+def _assignments(scene: Scene, ticks: int) -> dict[str, Any]:
+    apply = "next_tick" if scene.next_tick else "on_arrival"
+    return {"pace": "lockstep", "rate": 1.0 / scene.period, "duration": ticks * scene.period, "apply": apply}
+
+
+def _written(scene: Scene, law: dict[str, Any], ticks: int, folder: Path) -> tuple[Path, LaunchedScene]:
+    path = folder / "drop.yaml"
+    # JSON is YAML, and its floats come back with the same bits.
+    path.write_text(json.dumps(parameters(scene, law)), encoding="utf-8")
+    return path, from_launch(launch_file.read(SCENARIO, _assignments(scene, ticks), [path]))
+
+
+def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Array]:
+    """Play an experiment through the processes, in lockstep.
+
+    Parameters
+    ----------
+    scene : Scene
+        The experiment.
+    law : dict
+        Description of its law.
+    ticks : int
+        How long.
+
+    Returns
+    -------
+    tuple of ndarray, shape (ticks,)
+        Position at each tick as the encoder gave it [m], and force that was handed to the device at each [N].
+
+    Raises
+    ------
+    ValueError
+        When the processes would play another scene than this one.
+    MeasurementError
+        When the launch fails, or its recording is not complete.
+    """
+    with tempfile.TemporaryDirectory(prefix="haptic-drop-") as folder:
+        path, read_back = _written(scene, law, ticks, Path(folder))
+        if read_back.scene != scene or read_back.ticks != ticks:
+            raise ValueError(f"{SCENARIO} plays {read_back.scene} for {read_back.ticks} ticks, wanted was {scene}")
+        words = [f"{name}:={value}" for name, value in _assignments(scene, ticks).items()]
+        command = [sys.executable, "-m", "nodes.cli.main", "launch", SCENARIO, *words, "--params", str(path)]
+        figures = last_line([*command, "--json", "--no-plot"], Path(folder), 60.0 + 0.1 * ticks)
+        states = Recording(Path(folder) / figures["recording"]).messages(DEVICE_STATE)
+    if [state.seq for state in states] != list(range(ticks + 1)):
+        raise MeasurementError(f"{len(states)} states were recorded, expected {ticks + 1} without a gap")
+    axis = read_back.axis
+    position = np.array([state.position[axis] for state in states[:ticks]])
+    # A state tells the force that ended the tick before it.
+    return position, np.array([state.force[axis] for state in states[1:]])
+
+
+def settles_launched(scene: Scene, law: dict[str, Any], criterion: Criterion) -> bool:
+    """Play an experiment through the processes and judge its recording.
+
+    Parameters
+    ----------
+    scene : Scene
+        The experiment.
+    law : dict
+        Description of its law.
+    criterion : Criterion
+        What counts as settled.
+
+    Returns
+    -------
+    bool
+        Whether it settled.
+    """
+    position, force = launched(scene, law, criterion.ticks)
+    return settled(scene, compiled(scene, law), position, force, criterion)
+
+
+def compiled(scene: Scene, law: dict[str, Any]) -> CompiledLaw:
+    """Compile a law as the coupling of a launch does.
+
+    Parameters
+    ----------
+    scene : Scene
+        The experiment.
+    law : dict
+        Description of its law.
+
+    Returns
+    -------
+    CompiledLaw
+        Its taps and sections.
+    """
+    with tempfile.TemporaryDirectory(prefix="haptic-drop-") as folder:
+        return _written(scene, law, 1, Path(folder))[1].law
+
+
+def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> float | None:
+    """Bisect a grid of stiffnesses.
+
+    Parameters
+    ----------
+    verdict : callable
+        From K [N/m] to whether it settles; asked about once per halving.
+    grid : sequence of float
+        Rising K [N/m]. The boundary is looked for between its ends.
+
+    Returns
+    -------
+    float or None
+        A K that settles and whose neighbour above does not; the last K when that settles, None when the first does not.
+    """
+    if not verdict(grid[0]):
+        return None
+    if verdict(grid[-1]):
+        return grid[-1]
+    low, high = 0, len(grid) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if verdict(grid[middle]):
+            low = middle
+        else:
+            high = middle
+    return grid[low]
+
+
+def same_k_max(
+    law: Law, scene: Scene, criterion: Criterion, grid: Sequence[float], step: Callable[[str, int], None] | None = None
+) -> SameKMax:
+    """Find K_max of a law by the processes and in one process.
+
+    Parameters
+    ----------
+    law : Law
+        The law, with a parameter ``stiffness``.
+    scene : Scene
+        The experiment.
+    criterion : Criterion
+        What counts as settled.
+    grid : sequence of float
+        Rising K [N/m].
+    step : callable, optional
+        Told after each launch: `sim.measure.stopwatch.Progress.step`.
+
+    Returns
+    -------
+    SameKMax
+        Both, found independently of each other.
+    """
+    launches = 0
+
+    def by_launch(stiffness: float) -> bool:
+        nonlocal launches
+        launches += 1
+        good = settles_launched(scene, with_stiffness(law, stiffness), criterion)
+        if step is not None:
+            step(f"K = {stiffness:.6g} N/m {'settles' if good else 'does not settle'}", 1)
+        return good
+
+    def in_one_process(stiffness: float) -> bool:
+        return settles(scene, [compiled(scene, with_stiffness(law, stiffness))], criterion)[0]
+
+    found = last_settling(by_launch, grid)
+    h1 = None if found is None else compiled(scene, with_stiffness(law, found)).h1
+    return SameKMax(found, last_settling(in_one_process, grid), h1, launches)

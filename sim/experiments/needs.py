@@ -1,0 +1,302 @@
+"""No more model than a scene needs, and no less: switch every term and look whether the outcome moves.
+
+The outcome is what a scene is for (``model.outcome`` of its launch file): when it settles, how hard it pushes, how
+stiff it may get, whether it buzzes at rest. A declared term without which nothing moves by more than the tolerance is
+superfluous; a term that is neither there nor left out on purpose, and moves something, is missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nodes.launcher.launch_spec import Model
+from nodes.laws import CompiledLaw
+from nodes.stability.k_max import Device, k_max
+from sim.experiments.terms import BROUGHT, CONVENTIONS, TERMS, TOGETHER, Term
+from sim.measure.stopwatch import interleaved
+from sim.scene.from_launch import LaunchedScene
+from sim.scene.loop import Trace
+
+BUZZ = 1e-6
+"""Motion at rest that does not count [m]: about what a fingertip feels at its most sensitive, near 250 Hz."""
+
+_FORCE = 0.01
+_TAIL = 5
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a scene; None where a figure makes no sense.
+
+    Attributes
+    ----------
+    settling_s : float
+        Last time at which the device was further than 1 % of its travel from where it ended; the length of the run when
+        it did not come to rest [s].
+    peak_force_n : float
+        Largest force [N].
+    rest_force_n : float
+        Mean force over the last fifth [N].
+    travel_m : float
+        Range of the motion [m].
+    limit_cycle_m : float
+        Swing over the last fifth, peak to peak [m].
+    h1_max_n_per_m : float or None
+        Stiffness at which the loop becomes unstable (K_max in terms of H(1)); None without contact [N/m].
+    """
+
+    settling_s: float
+    peak_force_n: float
+    rest_force_n: float
+    travel_m: float
+    limit_cycle_m: float
+    h1_max_n_per_m: float | None
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What switching one term did.
+
+    Attributes
+    ----------
+    term : str
+        The term, or two that were switched together, or a convention.
+    switched : str
+        ``off`` or ``on``, with the value; ``other`` for a convention.
+    verdict : str
+        ``needed``, ``superfluous``, ``missing``, ``left out``, ``not needed``, ``brought by the loop``, ``convention``.
+    moved : float
+        Largest relative movement of any outcome that counts [1].
+    most : str
+        Which outcome that was.
+    changes : dict of str to float
+        Relative movement of each outcome that counts [1].
+    cost_us : float
+        What the term costs per tick in plain Python [µs].
+    """
+
+    term: str
+    switched: str
+    verdict: str
+    moved: float
+    most: str
+    changes: dict[str, float]
+    cost_us: float
+
+
+@dataclass(frozen=True)
+class Needs:
+    """Whether a scene models enough and no more.
+
+    Attributes
+    ----------
+    outcome : Outcome
+        Of the scene as it is.
+    findings : tuple of Finding
+        One for each term, pair and convention that was switched.
+    tick_us : float
+        Time per tick of the scene as it is, in plain Python [µs].
+    """
+
+    outcome: Outcome
+    findings: tuple[Finding, ...]
+    tick_us: float
+
+    @property
+    def superfluous(self) -> tuple[str, ...]:
+        """Declared terms without which nothing moves."""
+        return tuple(f.term for f in self.findings if f.verdict == "superfluous")
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Terms that are not there, not left out on purpose, and move something."""
+        return tuple(f.term for f in self.findings if f.verdict == "missing")
+
+
+def outcome(scene: LaunchedScene, trace: Trace) -> Outcome:
+    """Work out what came of a run.
+
+    Parameters
+    ----------
+    scene : LaunchedScene
+        The scene.
+    trace : Trace
+        Its run.
+
+    Returns
+    -------
+    Outcome
+        The figures.
+    """
+    position = np.asarray(trace.position)
+    force = np.asarray(trace.force)
+    tail = max(2, len(position) // _TAIL)
+    end = position[-tail:]
+    travel = float(np.ptp(position))
+    away = np.flatnonzero(~(np.abs(position - np.mean(end)) <= 0.01 * travel))
+    last = int(away[-1]) + 1 if len(away) else 0
+    return Outcome(
+        settling_s=last * trace.period,
+        peak_force_n=float(np.max(np.abs(force))),
+        rest_force_n=float(np.mean(force[-tail:])),
+        travel_m=travel,
+        limit_cycle_m=float(np.ptp(end)),
+        h1_max_n_per_m=_stiffest(scene),
+    )
+
+
+def _stiffest(scene: LaunchedScene) -> float | None:
+    if scene.scene.surface.kind == "free":
+        return None
+    device = scene.scene.device
+    delay = device.delay + (1.0 if scene.scene.next_tick else 0.0)
+    law = scene.swaps[-1].law if scene.swaps else scene.law
+    taps = (law.taps[0] - law.h1, *law.taps[1:])
+    rest = CompiledLaw(taps, law.sections)
+    body = Device(device.moving_mass, device.moving_damping, delay, device.grip)
+    return k_max(rest, scene.scene.period, body).h1_max_n_per_m
+
+
+def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]:
+    """Compare two outcomes, each figure in its own measure.
+
+    Parameters
+    ----------
+    before, after : Outcome
+        Of the scene as it is, and as it was changed.
+    period : float
+        Sampling period T [s].
+
+    Returns
+    -------
+    dict of str to float
+        Relative movement by outcome, as named in ``model.outcome``. Settling is relative to itself but at
+        least 50 ticks, forces to themselves but at least 0.01 N, a swing to the larger one but at least `BUZZ`.
+    """
+
+    def relative(a: float, b: float, least: float) -> float:
+        if not (math.isfinite(a) and math.isfinite(b)):
+            return 0.0 if a == b or (math.isnan(a) and math.isnan(b)) else math.inf
+        return abs(b - a) / max(abs(a), least)
+
+    swing = max(before.limit_cycle_m, after.limit_cycle_m)
+    if not math.isfinite(swing):
+        buzz = relative(before.limit_cycle_m, after.limit_cycle_m, BUZZ)
+    elif swing <= BUZZ:
+        buzz = 0.0
+    else:
+        buzz = abs(after.limit_cycle_m - before.limit_cycle_m) / swing
+    figures = {
+        "settling": relative(before.settling_s, after.settling_s, 50.0 * period),
+        "peak_force": relative(before.peak_force_n, after.peak_force_n, _FORCE),
+        "rest_force": relative(before.rest_force_n, after.rest_force_n, _FORCE),
+        "travel": relative(before.travel_m, after.travel_m, BUZZ),
+        "limit_cycle": buzz,
+    }
+    a, b = before.h1_max_n_per_m, after.h1_max_n_per_m
+    if a is not None and b is not None:
+        figures["k_max"] = relative(a, b, 1e-3)
+    elif (a is None) != (b is None):
+        figures["k_max"] = math.inf
+    return figures
+
+
+def needs(scene: LaunchedScene, model: Model, rounds: int = 5, step: Callable[[str], None] | None = None) -> Needs:
+    """Switch every term of a scene.
+
+    Parameters
+    ----------
+    scene : LaunchedScene
+        The scene as its launch file declares it.
+    model : Model
+        What it is for, what it leaves out on purpose, and the tolerance.
+    rounds : int, optional
+        How often each variant is timed, interleaved.
+    step : callable, optional
+        Told after every round.
+
+    Returns
+    -------
+    Needs
+        Findings in the order of `sim.experiments.terms.TERMS`, then pairs, then conventions.
+    """
+    variants = _variants(scene)
+    jobs: dict[str, tuple[Callable[[], object], int]] = {"": (lambda: scene.play(interpreted=True), scene.ticks)}
+    for label, (_, changed, _) in variants.items():
+        jobs[label] = (lambda changed=changed: changed.play(interpreted=True), scene.ticks)  # type: ignore[misc]
+    with np.errstate(all="ignore"):
+        timings = interleaved(jobs, rounds, step)
+        before = outcome(scene, scene.play(interpreted=True))
+        findings = [
+            _finding(terms, outcome(changed, changed.play(interpreted=True)), before, scene, model, declared)
+            for terms, changed, declared in variants.values()
+        ]
+    whole = timings[""].median
+    costed = []
+    for label, finding in zip(variants, findings, strict=True):
+        sign = 1.0 if finding.switched == "off" else -1.0
+        costed.append(replace(finding, cost_us=1e6 * sign * (whole - timings[label].median)))
+    return Needs(before, tuple(costed), 1e6 * whole)
+
+
+Variant = tuple[tuple[str, ...], LaunchedScene, str]
+
+
+def _variants(scene: LaunchedScene) -> dict[str, Variant]:
+    found: dict[str, Variant] = {}
+    by_name = {term.name: term for term in TERMS}
+    for term in TERMS:
+        if term.declared(scene):
+            found[f"{term.name} off"] = ((term.name,), term.without(scene), "off")
+        elif term.typical is not None:
+            changed = term.typical(scene)
+            if term.declared(changed):
+                found[f"{term.name} on"] = ((term.name,), changed, f"on, {term.value}")
+    for left, right in TOGETHER:
+        pair = (by_name[left], by_name[right])
+        if not any(term.declared(scene) or term.typical is None for term in pair):
+            changed = _both(pair, scene)
+            found[f"{left} and {right} on"] = ((left, right), changed, "on")
+    for name, switch in CONVENTIONS.items():
+        if scene.scene.surface.kind == "plane":
+            found[name] = ((name,), switch(scene), "other")
+    return found
+
+
+def _both(pair: Sequence[Term], scene: LaunchedScene) -> LaunchedScene:
+    for term in pair:
+        if term.typical is not None:
+            scene = term.typical(scene)
+    return scene
+
+
+def _finding(
+    terms: tuple[str, ...],
+    after: Outcome,
+    before: Outcome,
+    scene: LaunchedScene,
+    model: Model,
+    switched: str,
+) -> Finding:
+    counts: set[str] = {*model.outcome}
+    changes = {name: value for name, value in movement(before, after, scene.scene.period).items() if name in counts}
+    most = max(changes, key=lambda name: changes[name], default="")
+    moved = changes.get(most, 0.0)
+    matters = moved > model.tolerance
+    if switched == "off":
+        verdict = "needed" if matters else "superfluous"
+    elif switched == "other":
+        verdict = "convention"
+    elif not matters:
+        verdict = "not needed"
+    elif any(term in model.leaves_out for term in terms):
+        verdict = "left out"
+    elif set(terms) <= BROUGHT:
+        verdict = "brought by the loop"
+    else:
+        verdict = "missing"
+    return Finding(" and ".join(terms), switched, verdict, moved, most, changes, 0.0)

@@ -1,0 +1,182 @@
+"""The yardstick: the same three hops with nothing but pyzmq and msgpack.
+
+Three processes pass the same maps (same fields, same sizes) around the same sockets, unchecked, uncounted and unrecorded, with
+a spring in place of a law. What haptic-nodes adds to this, it has to be worth. One process per role::
+
+    python -m sim.measure.bare_loop ROLE FOLDER TICKS CORE FIFO RATE
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgpack
+import zmq
+
+ROLES = ("environment", "coupling", "driver")
+
+
+def _sockets(folder: str, own: str, other: str) -> tuple[Any, Any]:
+    context = zmq.Context()
+    context.linger = 0
+    publisher = context.socket(zmq.XPUB)
+    publisher.bind(f"ipc://{folder}/{own}")
+    inbox = context.socket(zmq.SUB)
+    inbox.setsockopt(zmq.RECONNECT_IVL, 10)
+    inbox.connect(f"ipc://{folder}/{other}")
+    inbox.subscribe(b"")
+    # The subscription of the one who listens: from here on nothing is lost.
+    publisher.recv()
+    return publisher, inbox
+
+
+def _relay(folder: str, own: str, other: str, answer: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    publisher, inbox = _sockets(folder, own, other)
+    topic = f"/{own}/answer".encode()
+    pack = msgpack.Packer().pack
+    unpack = msgpack.unpackb
+    while True:
+        inbox.recv()
+        message = unpack(inbox.recv())
+        publisher.send(topic, zmq.SNDMORE)
+        publisher.send(pack(answer(message)))
+        if message["seq"] < 0:
+            # The last message must leave before the socket closes.
+            publisher.close(linger=1000)
+            return
+
+
+def _proxy(state: dict[str, Any]) -> dict[str, Any]:
+    position = state["position"]
+    distance = position[2]
+    contact = distance < 0.0
+    return {
+        "seq": state["seq"],
+        "stamp": state["stamp"],
+        "position": position,
+        "proxy": [position[0], position[1], 0.0] if contact else position,
+        "normal": [0.0, 0.0, 1.0],
+        "distance": distance,
+        "contact": contact,
+        "delay": state["delay"],
+    }
+
+
+def _force(proxy: dict[str, Any]) -> dict[str, Any]:
+    force = [1000.0 * (proxy["proxy"][i] - proxy["position"][i]) for i in range(3)]
+    return {"seq": proxy["seq"], "stamp": proxy["stamp"], "force": force, "law": "pd", "revision": 0}
+
+
+def _state(seq: int, position: float, force: list[float]) -> dict[str, Any]:
+    return {
+        "seq": seq,
+        "stamp": time.monotonic(),
+        "position": [0.0, 0.0, position],
+        "force": force,
+        "force_seq": seq - 1,
+        "age": 0,
+        "response": 0.0001,
+        "lateness": 0.0,
+        "missed": 0,
+        "overruns": 0,
+        "safety": "active",
+        "energy": 0.0,
+        "delay": 0.0,
+    }
+
+
+def _drive(folder: str, ticks: int, rate: float) -> dict[str, Any]:
+    publisher, inbox = _sockets(folder, "driver", "coupling")
+    pack = msgpack.Packer().pack
+    unpack = msgpack.unpackb
+    # The inbox's own subscription has to reach the coupling too: the first tick is asked until it is answered.
+    inbox.rcvtimeo = 50
+    seq = 0
+    answered = False
+    while not answered:
+        publisher.send(b"/driver/state", zmq.SNDMORE)
+        publisher.send(pack(_state(0, 0.01, [0.0, 0.0, 0.0])))
+        with contextlib.suppress(zmq.Again):
+            inbox.recv()
+            inbox.recv()
+            answered = True
+    inbox.rcvtimeo = 20
+    with contextlib.suppress(zmq.Again):
+        while True:
+            inbox.recv()
+    inbox.rcvtimeo = -1
+    position, force, missed = 0.01, [0.0, 0.0, 0.0], 0
+    responses = []
+    begun = time.monotonic()
+    for seq in range(1, ticks + 1):
+        if rate:
+            due = begun + seq / rate
+            while (wait := due - time.monotonic()) > 0.0:
+                time.sleep(wait)
+        sent = time.monotonic()
+        publisher.send(b"/driver/state", zmq.SNDMORE)
+        publisher.send(pack(_state(seq, position, force)))
+        while True:
+            inbox.recv()
+            answer = unpack(inbox.recv())
+            if answer["seq"] == seq:
+                break
+        force = answer["force"]
+        position += 1e-9 * force[2]
+        response = time.monotonic() - sent
+        responses.append(response)
+        if rate and time.monotonic() > due + 1.0 / rate:
+            missed += 1
+    elapsed = time.monotonic() - begun
+    publisher.send(b"/driver/state", zmq.SNDMORE)
+    publisher.send(pack(_state(-1, position, force)))
+    inbox.recv()
+    responses.sort()
+    return {
+        "ticks": ticks,
+        "ticks_per_s": ticks / elapsed,
+        "missed": missed,
+        "response_us": {
+            name: responses[min(int(share * ticks), ticks - 1)] * 1e6
+            for name, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0))
+        },
+    }
+
+
+def main(arguments: list[str]) -> int:
+    """Run one role.
+
+    Parameters
+    ----------
+    arguments : list of str
+        Role, folder of the sockets, ticks, core (or ``any``), SCHED_FIFO priority (0 for none), rate [Hz] (0 for lockstep).
+
+    Returns
+    -------
+    int
+        0.
+    """
+    role, folder, ticks, core, fifo, rate = arguments
+    if core != "any":
+        os.sched_setaffinity(0, [int(core)])
+    if int(fifo):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(int(fifo)))
+    with open("/proc/self/timerslack_ns", "w", encoding="ascii") as slack:
+        slack.write("1")
+    if role == "environment":
+        _relay(folder, "environment", "driver", _proxy)
+    elif role == "coupling":
+        _relay(folder, "coupling", "environment", _force)
+    else:
+        print(json.dumps(_drive(folder, int(ticks), float(rate))), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

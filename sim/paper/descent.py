@@ -1,0 +1,234 @@
+"""The seed's way to its optimum, reproduced: steepest descent on the cost (13) with the steps (14) and (15).
+
+The cost asks for f = −1 at a few low and middle frequencies and f = +1 at ω_N. With two terms and two such frequencies it
+has three targets and four unknowns: a whole curve of optima with J ≈ 0, so where the descent ends depends on where it
+starts. And the slopes along gains and orders differ by orders of magnitude, so no one step size suits both. Both are
+shown here rather than repaired; `sim.paper.shaping` is the better way. The cost can even be cheated: f = −1 at all frequencies
+is a negative spring, which costs H(1) and damps nothing, and a truncated derivative leaks exactly that. Time is measured
+so that T = 2, the seed's normalisation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+CONVERGED = 1e-6
+"""Cost below which all targets count as met: each to about 1e-3."""
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What the cost (13) asks for.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (k,)
+        Frequencies as ωT, 0 < ωT ≤ π.
+    value : ndarray, shape (k,)
+        Wanted f there, normalised.
+    """
+
+    theta: Vector
+    value: Vector
+
+
+@dataclass(frozen=True)
+class Descent:
+    """One run of steepest descent.
+
+    Attributes
+    ----------
+    gains, orders : ndarray, shape (t,)
+        A_i and α_i at the end.
+    cost : ndarray, shape (steps + 1,)
+        J before the first step and after each one.
+    outcome : str
+        ``converged`` (J < 1e-6), ``slow`` (steps used up), ``diverged`` (J grew a millionfold or is not finite) or
+        ``out_of_range`` (an order left 0 < α < 4).
+    """
+
+    gains: Vector
+    orders: Vector
+    cost: Vector
+    outcome: str
+
+
+def seed_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
+    """Targets of the seed: −1 at low and middle frequencies, +1 at ω_N.
+
+    Parameters
+    ----------
+    fractions : tuple of float
+        The low and middle frequencies in units of ω_N; the seed does not print its own.
+
+    Returns
+    -------
+    Targets
+        Those, and ω_N last.
+    """
+    return Targets(
+        np.pi * np.array([*fractions, 1.0]),
+        np.array([-1.0] * len(fractions) + [1.0]),
+    )
+
+
+def term_damping(theta: Vector, order: float, taps: int, leak: bool = True) -> tuple[Vector, Vector]:
+    """Compute f of one Grünwald–Letnikov term of unit normalised gain, and its slope along the order.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (k,)
+        Frequencies as ωT.
+    order : float
+        α.
+    taps : int
+        n + 1.
+    leak : bool
+        Whether the stiffness D(1) that truncation leaves counts as damping, as it does in the seed.
+
+    Returns
+    -------
+    f : ndarray, shape (k,)
+        T·Re{D/(1−z)} at T = 2 (seed, eq. 9), or of D − D(1).
+    slope : ndarray, shape (k,)
+        df/dα.
+    """
+    c, dc = np.ones(taps), np.zeros(taps)
+    for m in range(1, taps):
+        c[m] = c[m - 1] * (m - 1.0 - order) / m
+        dc[m] = dc[m - 1] * (m - 1.0 - order) / m - c[m - 1] / m
+    # Re{z^−m/(1−z)} = ½ + Σ_{j=1..m} cos jθ, free of the singularity at θ = 0.
+    sums = np.cumsum(np.cos(np.outer(np.arange(1, taps), theta)), axis=0)
+    kernel = (0.5 if leak else 0.0) + np.concatenate([np.zeros((1, theta.size)), sums])
+    scale = 2.0 ** (1.0 - order)
+    return scale * (c @ kernel), scale * ((dc - math.log(2.0) * c) @ kernel)
+
+
+def damping_curve(theta: Vector, gains: Vector, orders: Vector, taps: int, leak: bool = True) -> Vector:
+    """Compute f of a multi-term law, normalised.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (k,)
+        Frequencies as ωT.
+    gains, orders : ndarray, shape (t,)
+        A_i and α_i.
+    taps : int
+        n + 1 of each term.
+    leak : bool
+        As in `term_damping`.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Σ A_i f_i.
+    """
+    parts = np.array([term_damping(theta, order, taps, leak)[0] for order in orders.tolist()])
+    return np.asarray(gains @ parts, dtype=np.float64)
+
+
+def cost(gains: Vector, orders: Vector, targets: Targets, taps: int) -> float:
+    """J of eq. (13): the sum of the squared misses.
+
+    Parameters
+    ----------
+    gains, orders : ndarray, shape (t,)
+        A_i and α_i.
+    targets : Targets
+        What is wanted.
+    taps : int
+        n + 1 of each term.
+
+    Returns
+    -------
+    float
+        J.
+    """
+    miss = damping_curve(targets.theta, gains, orders, taps) - targets.value
+    return float(miss @ miss)
+
+
+def steepest_descent(
+    gains: Vector, orders: Vector, targets: Targets, taps: int = 4, rate: float = 0.01, steps: int = 5000
+) -> Descent:
+    """Follow −∇J with a fixed rate, gains (14) and orders (15) in the same step.
+
+    Parameters
+    ----------
+    gains, orders : ndarray, shape (t,)
+        Where to start.
+    targets : Targets
+        What is wanted.
+    taps : int
+        n + 1 of each term.
+    rate : float
+        Step per unit of gradient.
+    steps : int
+        At most so many.
+
+    Returns
+    -------
+    Descent
+        Where it ended and how.
+    """
+    gains, orders = np.array(gains, dtype=np.float64), np.array(orders, dtype=np.float64)
+    history: list[float] = []
+    outcome = "slow"
+    for _ in range(steps + 1):
+        parts = [term_damping(targets.theta, order, taps) for order in orders.tolist()]
+        values = np.array([part[0] for part in parts])
+        slopes = np.array([part[1] for part in parts])
+        miss = gains @ values - targets.value
+        history.append(float(miss @ miss))
+        if not history[-1] < 1e6 * max(history[0], 1.0):
+            outcome = "diverged"
+            break
+        if history[-1] < CONVERGED:
+            outcome = "converged"
+            break
+        gains, orders = (
+            gains - rate * 2.0 * (values @ miss),
+            orders - rate * 2.0 * gains * (slopes @ miss),
+        )
+        if not ((orders > 0.0) & (orders < 4.0)).all():
+            outcome = "out_of_range"
+            break
+    return Descent(gains, orders, np.array(history), outcome)
+
+
+def survey(targets: Targets, taps: int, rate: float, steps: int, starts: int, terms: int = 2) -> list[Descent]:
+    """Run the descent from a grid of starts: unit gains, all pairs of orders.
+
+    Parameters
+    ----------
+    targets : Targets
+        What is wanted.
+    taps : int
+        n + 1 of each term.
+    rate : float
+        Step per unit of gradient.
+    steps : int
+        At most so many per run.
+    starts : int
+        Orders per axis, spread evenly over (0, 4).
+    terms : int
+        Number of terms.
+
+    Returns
+    -------
+    list of Descent
+        One per start, orders increasing within a start.
+    """
+    from itertools import combinations
+
+    axis = 4.0 * (np.arange(starts) + 0.5) / starts
+    return [
+        steepest_descent(np.ones(terms), np.array(orders), targets, taps, rate, steps)
+        for orders in combinations(axis.tolist(), terms)
+    ]

@@ -1,0 +1,1 @@
+"""A whole scene in one process: the loop of the nodes, compiled."""

@@ -1,0 +1,119 @@
+"""Compiling the very functions that the nodes call.
+
+The kernels of `nodes.kernels` and `sim.device.model` are registered with numba as they are, without copies and without
+fastmath, so compiled and interpreted runs give the same bits. Compiled code is kept on disk between processes, in a
+folder named after the text of all kernels: numba by itself looks only at the file of the outermost function, and
+would go on using old kernels.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+from numba.extending import register_jitable
+
+import nodes.driver.passivity
+import nodes.kernels
+import sim.device.friction
+import sim.device.model
+
+# numba's settings are made at run time, out of a type checker's sight.
+_CONFIG: Any = numba.config
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+KERNELS: tuple[Callable[..., Any], ...] = (
+    nodes.kernels.plane_distance,
+    nodes.kernels.deflection,
+    nodes.kernels.push,
+    nodes.kernels.fir,
+    nodes.kernels.one_sided,
+    nodes.kernels.limit,
+    nodes.kernels.sections,
+    nodes.kernels.warm_up,
+    nodes.kernels.cross_fade,
+    nodes.driver.passivity.observe,
+    nodes.driver.passivity.forget,
+    nodes.driver.passivity.control,
+    sim.device.model.decay_mean,
+    sim.device.model.coefficients,
+    sim.device.model.advance,
+    sim.device.friction.halt_time,
+    sim.device.friction.slide,
+    sim.device.friction.move,
+    sim.device.model.quantise,
+    sim.device.model.saturate,
+)
+
+
+def kernel(function: Function) -> Function:
+    """Let compiled functions call a plain function, which itself stays as it is.
+
+    Parameters
+    ----------
+    function : callable
+        Plain function on numbers and arrays.
+
+    Returns
+    -------
+    callable
+        The same function.
+    """
+    same: Function = register_jitable(function)
+    return same
+
+
+for _kernel in KERNELS:
+    kernel(_kernel)
+
+
+def _cache_folder() -> str | None:
+    """Folder for compiled code, None where nothing can be written."""
+    text = hashlib.sha256()
+    for module in (nodes.kernels, nodes.driver.passivity, sim.device.model, sim.device.friction):
+        text.update(Path(str(module.__file__)).read_bytes())
+    text.update(Path(__file__).with_name("loop.py").read_bytes())
+    base = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(base) / "haptic-nodes" / f"numba-{text.hexdigest()[:16]}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError:
+        return None
+    return str(folder)
+
+
+_FOLDER = _cache_folder()
+
+
+def compiled(parallel: bool = False) -> Callable[[Function], Function]:
+    """Decorate a function to be compiled on first use, for each combination of argument types (None is a type).
+
+    Parameters
+    ----------
+    parallel : bool
+        Whether its `numba.prange` loops are spread over the cores.
+
+    Returns
+    -------
+    callable
+        The decorator. The interpreted function stays available as ``.py_func``.
+    """
+
+    def decorate(function: Function) -> Function:
+        before = _CONFIG.CACHE_DIR
+        _CONFIG.CACHE_DIR = _FOLDER or before
+        try:
+            result = cast(Function, numba.njit(parallel=parallel, cache=_FOLDER is not None)(function))
+        finally:
+            _CONFIG.CACHE_DIR = before
+        return result
+
+    return decorate

@@ -1,0 +1,152 @@
+"""A launch file played in one process: the same scene, law, swaps and conventions, thousands of times faster.
+
+This is what holds the project together: a lockstep run through four processes and the same launch file played here
+give the same bits, for every scenario (tests/sim/scene/test_lockstep.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from nodes.base.setup import AXIS_INDEX
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
+from nodes.driver.device import DeviceLimits
+from nodes.driver.limits import lower
+from nodes.environment.node import EnvironmentParameters
+from nodes.environment.surfaces import Anchor, Free, Plane, parse_surface
+from nodes.launcher.launch_spec import Launch
+from nodes.laws import CompiledLaw
+from nodes.parameters.store import ParameterError, convert
+from sim.device.driver import SimDriverParameters
+from sim.scene.loop import Scene, Surface, Swap, Trace, run
+
+
+@dataclass(frozen=True)
+class LaunchedScene:
+    """A launch file as the one-process loop takes it.
+
+    Attributes
+    ----------
+    scene : Scene
+        Device, surface, period and conventions.
+    law : CompiledLaw
+        Law of tick 0.
+    swaps : tuple of Swap
+        Scheduled swaps.
+    ticks : int
+        Ticks of the run.
+    memory : int
+        Deflections that the coupling remembers.
+    axis : int
+        The one axis that the scene computes: 0, 1 or 2.
+    """
+
+    scene: Scene
+    law: CompiledLaw
+    swaps: tuple[Swap, ...]
+    ticks: int
+    memory: int
+    axis: int
+
+    def play(self, ticks: int | None = None, interpreted: bool = False) -> Trace:
+        """Play the scene.
+
+        Parameters
+        ----------
+        ticks : int, optional
+            How many ticks; the launch file's own number when left out.
+        interpreted : bool, optional
+            Run the same function without numba.
+
+        Returns
+        -------
+        Trace
+            What happened.
+        """
+        return run(self.scene, self.law, ticks or self.ticks, self.swaps, self.memory, interpreted)
+
+
+def _parameters(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
+    found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
+    if len(found) != 1:
+        raise ParameterError(
+            f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}; one process plays exactly one"
+        )
+    name, spec = found[0]
+    return name, convert(spec.parameters, target, name)
+
+
+def _surface(data: dict[str, Any], where: str, axis: str) -> Surface:
+    surface = parse_surface(data, where)
+    if isinstance(surface, Free):
+        return Surface("free")
+    if isinstance(surface, Anchor):
+        return Surface("anchor", surface.position[AXIS_INDEX[axis]])
+    if isinstance(surface, Plane):
+        # A plane across another axis than the scene's is never met.
+        return Surface("plane", surface.position, float(surface.normal)) if surface.axis == axis else Surface("free")
+    raise ParameterError(f"{where}.kind: {surface.kind!r} cannot be played in one process")
+
+
+def from_launch(launch: Launch) -> LaunchedScene:
+    """Translate a launch file.
+
+    Parameters
+    ----------
+    launch : Launch
+        With its arguments filled in.
+
+    Returns
+    -------
+    LaunchedScene
+        The same scene.
+
+    Raises
+    ------
+    ParameterError
+        When the launch file has something that one process does not play: several axes, a driver's start ramp, thermal
+        limit or workspace, a law with code of its own.
+    """
+    if len(launch.run.axes) != 1:
+        raise ParameterError(f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis")
+    axis = launch.run.axes[0]
+    period = launch.run.period
+    driver_name, driver = _parameters(launch, "sim_driver", SimDriverParameters)
+    environment_name, environment = _parameters(launch, "environment", EnvironmentParameters)
+    coupling_name, coupling = _parameters(launch, "coupling", CouplingParameters)
+    safety = driver.safety
+    limits = lower(safety, DeviceLimits(), period)
+    for name in ("continuous_force", "workspace"):
+        if getattr(safety, name) is not None:
+            raise ParameterError(f"{driver_name}.safety.{name}: not played in one process; leave it out")
+    if safety.ramp:
+        raise ParameterError(f"{driver_name}.safety.ramp: {safety.ramp} s is not played in one process; set it to 0")
+    book = LawBook(coupling_name, period)
+
+    def law(name: str) -> CompiledLaw:
+        compiled, _ = book.compile(coupling, name, 0.0, judge=False)
+        if compiled.evaluate is not None:
+            raise ParameterError(f"{coupling_name}.laws.{name}: has code of its own, which one process does not play")
+        return compiled
+
+    swaps = sorted(coupling.schedule, key=lambda swap: swap.at)
+    return LaunchedScene(
+        scene=Scene(
+            device=driver.device,
+            surface=_surface(environment.surface, f"{environment_name}.surface", axis),
+            period=period,
+            raw=coupling.history == "position",
+            clamp=coupling.clamp,
+            peak=limits.peak,
+            slew=limits.slew,
+            next_tick=launch.run.apply == "next_tick",
+            passivity=driver.passivity,
+        ),
+        law=law(coupling.law),
+        swaps=tuple(Swap(round(swap.at / period), law(swap.law), swap.ramp) for swap in swaps),
+        ticks=launch.run.ticks or round(10.0 / period),
+        memory=coupling.memory,
+        axis=AXIS_INDEX[axis],
+    )

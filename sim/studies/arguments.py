@@ -1,0 +1,208 @@
+"""Arguments that the stability and design studies share: the device, the loop, the law, and where results go."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+from nodes.cli.main import UsageError
+from nodes.laws import Law, law_kinds
+from nodes.laws.parse import LawRefusedError, parse_law
+from nodes.laws.presets import PRESETS
+from nodes.parameters.store import ParameterError
+from nodes.parameters.yaml_io import parse_yaml
+from nodes.stability.k_max import Device
+
+
+def positive(text: str) -> float:
+    """Read a positive, finite number.
+
+    Parameters
+    ----------
+    text : str
+        As typed.
+
+    Returns
+    -------
+    float
+        The number.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        When it is not one.
+    """
+    value = _number(text)
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError(f"{text}: must be positive")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """Read a finite number that is at least 0.
+
+    Parameters
+    ----------
+    text : str
+        As typed.
+
+    Returns
+    -------
+    float
+        The number.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        When it is not one.
+    """
+    value = _number(text)
+    if not value >= 0.0:
+        raise argparse.ArgumentTypeError(f"{text}: must be at least 0")
+    return value
+
+
+def interval(text: str) -> tuple[float, float]:
+    """Read ``low..high``, or one number that is both.
+
+    Parameters
+    ----------
+    text : str
+        As typed.
+
+    Returns
+    -------
+    tuple of float, shape (2,)
+        Low and high, low ≤ high, both at least 0.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        When it is not an interval.
+    """
+    low, _, high = text.partition("..")
+    ends = not_negative(low), not_negative(high or low)
+    if ends[0] > ends[1]:
+        raise argparse.ArgumentTypeError(f"{text}: the lower end comes first")
+    return ends
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text}: must be finite")
+    return value
+
+
+def add_device(parser: argparse.ArgumentParser, ranges: bool = False) -> None:
+    """Declare the device and its loop.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    ranges : bool
+        Whether the mass may be an interval.
+    """
+    parser.add_argument(
+        "--mass", type=interval if ranges else positive, default=(0.1, 0.1) if ranges else 0.1, help="moving mass [kg]"
+    )
+    parser.add_argument("--damping", type=not_negative, default=1.0, help="viscous damping of the device [N s/m]")
+    parser.add_argument("--delay", type=not_negative, default=0.0, help="delay of the loop [ticks], fractions allowed")
+    parser.add_argument("--rate", type=positive, default=500.0, help="rate of the loop [Hz] (default: %(default)s)")
+    parser.add_argument("--hand", type=not_negative, default=0.0, help="stiffness of a hand on the device [N/m]")
+
+
+def add_law(parser: argparse.ArgumentParser) -> None:
+    """Declare a law and the parameters that are most often varied.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study; the law's name itself is declared by the study.
+    """
+    parser.add_argument("--stiffness", type=positive, help="nominal K [N/m]")
+    parser.add_argument("--order", type=positive, help="α of pd_alpha")
+    parser.add_argument("--taps", type=int, help="length of the derivative's tap vector, n + 1")
+    parser.add_argument("--gains", choices=("physical", "normalised"), help="unit of the gain")
+    parser.add_argument("--derivative", help="realisation of the derivative, e.g. gl")
+
+
+def add_answer(parser: argparse.ArgumentParser) -> None:
+    """Declare --json and --out.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    parser.add_argument("--out", type=Path, default=Path("studies"), help="directory of files (default: %(default)s)")
+
+
+def device(arguments: argparse.Namespace) -> Device:
+    """Collect the device from parsed arguments.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With the arguments of `add_device`, the mass a single number.
+
+    Returns
+    -------
+    Device
+        Mass, damping, delay and hand.
+    """
+    return Device(arguments.mass, arguments.damping, arguments.delay, arguments.hand)
+
+
+def law(arguments: argparse.Namespace, name: str, gain: float | None = None) -> Law:
+    """Build the law that was asked for.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With the arguments of `add_law`.
+    name : str
+        A kind, a preset, or a YAML mapping such as ``{kind: pd, stiffness: 1000, damping: 3}``.
+    gain : float, optional
+        Damping gain [N s/m, or N s^α/m].
+
+    Returns
+    -------
+    Law
+        The law. Where no stiffness is given, 1 N/m stands in for it.
+
+    Raises
+    ------
+    UsageError
+        When the law is refused.
+    """
+    data: Any = {"kind": name}
+    if name.lstrip().startswith("{"):
+        try:
+            data = parse_yaml(name, "law")
+        except ParameterError as error:
+            raise UsageError(str(error)) from error
+    given = {
+        "stiffness": arguments.stiffness,
+        "damping": gain,
+        "order": arguments.order,
+        "taps": arguments.taps,
+        "gains": arguments.gains,
+        "derivative": arguments.derivative,
+    }
+    if isinstance(data, dict):
+        data |= {key: value for key, value in given.items() if value is not None}
+        kind = law_kinds().get(str(data.get("kind")))
+        if kind is not None and "stiffness" in kind.__struct_fields__ and data["kind"] not in PRESETS:
+            data.setdefault("stiffness", 1.0)
+    try:
+        return parse_law(data)
+    except LawRefusedError as error:
+        raise UsageError(str(error)) from error

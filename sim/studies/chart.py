@@ -1,0 +1,105 @@
+"""Chart speed against accuracy: realisations of D^α, integrators, ways to K_max, loop rates; Pareto front marked."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+from nodes.cli.main import UsageError, answer
+from sim.studies.arguments import add_answer
+
+if TYPE_CHECKING:
+    from sim.measure.stopwatch import Progress
+
+PARTS = ("derivatives", "integrators", "kmax", "rates")
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument(
+        "--parts",
+        default=",".join(PARTS),
+        help="which comparisons, separated by commas (default: %(default)s); rates starts real processes",
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer lengths, rates and rounds: a first look")
+    add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, save and draw the chart.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0; 1 when a part could not be measured.
+
+    Raises
+    ------
+    UsageError
+        When a part does not exist.
+    """
+    parts = [part for part in arguments.parts.split(",") if part]
+    for part in parts:
+        if part not in PARTS:
+            raise UsageError(f"--parts {part}: there is none of that name; choose from {', '.join(PARTS)}")
+    from sim.chart.points import Group, as_json, save, with_front
+    from sim.chart.derivatives import derivative_groups, derivative_steps
+    from sim.chart.integrators import integrator_groups, integrator_steps
+    from sim.chart.k_max import kmax_groups, kmax_steps
+    from sim.chart.page import conclusions, draw, page
+    from sim.chart.rates import LaunchFailedError, rate_groups, rate_steps
+    from sim.measure.stopwatch import Progress, machine
+
+    makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {
+        # The weight is about how many tenths of a second one step takes, so that the bar moves evenly.
+        "derivatives": (derivative_groups, derivative_steps, 1),
+        "integrators": (integrator_groups, integrator_steps, 1),
+        "kmax": (kmax_groups, kmax_steps, 1),
+        "rates": (rate_groups, rate_steps, 30),
+    }
+    start = time.monotonic()
+    progress = Progress(sum(makers[part][1](arguments.quick) * makers[part][2] for part in parts))
+    groups: list[Group] = []
+    failures: list[str] = []
+    for part in parts:
+        make, _, weight = makers[part]
+        step = partial(_advance, progress, weight)
+        try:
+            groups += [with_front(group) for group in make(step, arguments.quick)]
+        except LaunchFailedError as error:
+            # The other parts are worth keeping; the exit code tells that one is missing.
+            failures.append(f"{part}: {error}")
+    seconds, where = time.monotonic() - start, machine()
+    files = save(groups, where, seconds, arguments.out)
+    for group in groups:
+        files += draw(group, arguments.out)
+    read = arguments.out / "chart.md"
+    read.write_text(page(groups, where, seconds))
+    lines = conclusions(groups)
+    figures = as_json(groups, where, seconds) | {
+        "conclusions": lines,
+        "page": str(read),
+        "files": [*map(str, files)],
+        "failures": failures,
+    }
+    answer(arguments.json, figures, "\n".join([*lines, *failures, f"{read} ({seconds:.0f} s)"]))
+    return 1 if failures else 0
+
+
+def _advance(progress: Progress, weight: int, what: str) -> None:
+    progress.step(what, weight)

@@ -1,0 +1,326 @@
+"""Design a law for the device and delay at hand: the stiffest at a pole radius over a range of mass, and the passive one."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from nodes.cli.main import UsageError, answer
+from nodes.laws import CompiledLaw
+from nodes.recording.writer import RecordError
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.k_max import Device
+from sim.design.families import Tuned, best_pd, compare, designed, drops, fir, landing, latest_delay, to_yaml
+from sim.design.passive import Passive, stiffest_passive
+from sim.design.recorded_loop import Measured, measure
+from sim.design.replay import replayed_radius
+from sim.design.robust import Demand
+from sim.studies import arguments as shared
+
+_REPLAYED = 2000
+"""Ticks of a recording that are replayed; a decay of 0.99 per tick is down to rounding by then."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument("--mass", type=shared.interval, default=(0.05, 0.2), help="LOW..HIGH [kg] (default: 0.05..0.2)")
+    parser.add_argument("--damping", type=shared.not_negative, default=1.0, help="of the device [N s/m] (default: 1)")
+    parser.add_argument("--delay", type=shared.interval, help="of the loop, one or LOW..HIGH [ticks] (default: 1)")
+    parser.add_argument("--hand", type=shared.interval, default=(0.0, 0.0), help="stiffness of a hand, LOW..HIGH [N/m]")
+    parser.add_argument("--rate", type=shared.positive, help="of the loop [Hz] (default: 500)")
+    parser.add_argument("--taps", type=int, default=4, help="length of the law, n + 1 (default: %(default)s)")
+    parser.add_argument(
+        "--radius", type=shared.positive, default=0.99, help="pole radius allowed (default: %(default)s)"
+    )
+    parser.add_argument("--nyquist", type=shared.positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
+    parser.add_argument(
+        "--from-run", type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording"
+    )
+    parser.add_argument("--effort", type=int, default=1, help="multiplies the search (default: %(default)s)")
+    parser.add_argument(
+        "--land", action="store_true", help="tune for lighter devices until every drop of the demanded ones settles"
+    )
+    parser.add_argument("--compare", action="store_true", help="against best PD, every PDα and the seed's optimum")
+    parser.add_argument(
+        "--delays", type=shared.not_negative, nargs="+", default=[0.0, 1.0, 2.0], help="of --compare [ticks]"
+    )
+    parser.add_argument(
+        "--margins", type=shared.not_negative, nargs="+", default=[0.0, 0.5], help="delay margins of --compare [ticks]"
+    )
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Design, or compare.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0; 1 when no law keeps the demand.
+
+    Raises
+    ------
+    UsageError
+        When the demand is out of range or the recording cannot be used.
+    """
+    if not 1 <= arguments.taps <= 12:
+        raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
+    if arguments.compare and arguments.taps < 2:
+        raise UsageError(f"--taps {arguments.taps} --compare: PD and PDα have at least 2 taps")
+    if arguments.radius > 1.0:
+        raise UsageError(f"--radius {arguments.radius:g}: above 1 is unstable")
+    if not arguments.mass[0] > 0.0:
+        raise UsageError(f"--mass {arguments.mass[0]:g}..{arguments.mass[1]:g}: must be positive")
+    demand, measured = _demand(arguments)
+    return _compare(arguments, demand) if arguments.compare else _design(arguments, demand, measured)
+
+
+def _demand(arguments: argparse.Namespace) -> tuple[Demand, Measured | None]:
+    rate, delay = arguments.rate or 500.0, arguments.delay or (1.0, 1.0)
+    run = None
+    if arguments.from_run is not None:
+        try:
+            run = measure(arguments.from_run)
+        except (RecordError, ValueError, OSError) as error:
+            raise UsageError(str(error)) from error
+        rate, delay = arguments.rate or 1.0 / run.period, arguments.delay or run.delay
+    demand = Demand(
+        mass=arguments.mass,
+        damping=arguments.damping,
+        delay=delay,
+        period=1.0 / rate,
+        radius=arguments.radius,
+        nyquist=arguments.nyquist,
+        stiffness=arguments.hand,
+    )
+    return demand, run
+
+
+def _say(what: str) -> None:
+    if sys.stderr.isatty():
+        print(f"{what} ...", file=sys.stderr, flush=True)
+
+
+def _wanted(demand: Demand) -> dict[str, Any]:
+    return {
+        "mass_kg": list(demand.mass),
+        "damping_n_s_per_m": demand.damping,
+        "delay_ticks": list(demand.delay),
+        "rate_hz": 1.0 / demand.period,
+        "radius_limit": demand.radius,
+        "h_nyquist_limit_n_per_m": demand.nyquist,
+        "hand_n_per_m": list(demand.stiffness),
+    }
+
+
+def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | None) -> int:
+    _say(f"{arguments.taps} free taps")
+
+    def free(wanted: Demand) -> Tuned:
+        return designed(wanted, arguments.taps, arguments.effort)
+
+    law = landing(free, demand) if arguments.land else free(demand)
+    _say("PD, to compare")
+    pd = landing(best_pd, demand) if arguments.land else best_pd(demand)
+    passive = None
+    if demand.damping > 0.0:
+        _say("passive")
+        passive = stiffest_passive(arguments.taps, demand.period, demand.damping, demand.delay, demand.nyquist)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    figures: dict[str, Any] = {
+        "demand": _wanted(demand),
+        "designed": None,
+        "passive": None,
+        "best_pd": _row(pd, demand),
+    }
+    lines = [_describe(demand)]
+    if measured is not None:
+        figures |= _replayed(arguments.from_run, demand, law, measured)
+        lines.append(
+            f"recorded delay {measured.median:.4g} ticks, jitter {measured.jitter:.4g} ticks, {measured.unanswered} of "
+            f"{len(measured.delays)} ticks not answered in time; pole radius when the first {_REPLAYED} are replayed one by "
+            f"one: {figures['replayed_radius']}"
+        )
+    if law.found is not None and law.law is not None:
+        path = arguments.out / "designed.yaml"
+        path.write_text(to_yaml(law.law, comment=_describe(demand)), encoding="utf-8")
+        figures["designed"] = _row(law, demand) | {"yaml": str(path)}
+        lines += [_line(figures["designed"]), _line(figures["best_pd"]), f"haptic param load coupling {path}"]
+        plot = arguments.out / "design.png"
+        _draw(plot, demand, law, pd, passive)
+        figures["plot"] = str(plot)
+        lines.append(str(plot))
+    else:
+        lines.append("no law of this length keeps the demand: allow a larger radius, a narrower range or more taps")
+    if passive is not None:
+        path = arguments.out / "passive.yaml"
+        told = f"passive for any mass and hand: {_describe(demand)}"
+        path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=told), encoding="utf-8")
+        figures["passive"] = _passive_row(passive, demand) | {"yaml": str(path)}
+        lines.append(
+            f"passive        H(1) {passive.h1_n_per_m:9.2f} N/m  H(-1) {passive.h_nyquist_n_per_m:9.1f} N/m  "
+            f"radius {figures['passive']['pole_radius']:.6f}  "
+            f"K T/b {passive.ratio:.4f} (bound {passive.bound_n_per_m * demand.period / demand.damping:.4f})  {path}"
+        )
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0 if law.found is not None else 1
+
+
+def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dict[str, Any]:
+    """Replay the recorded delays on the lightest and the heaviest device: jitter is not a constant delay."""
+    worst = None
+    if law.found is not None:
+        compiled = CompiledLaw(tuple(law.found.taps.tolist()))
+        worst = max(
+            replayed_radius(
+                compiled, demand.period, Device(mass, demand.damping, 0.0, hand), measured.delays[:_REPLAYED]
+            )
+            for mass in demand.mass
+            for hand in demand.stiffness
+        )
+    return {
+        "from_run": str(path),
+        "delay_median_ticks": measured.median,
+        "jitter_ticks": measured.jitter,
+        "unanswered_ticks": measured.unanswered,
+        "replayed_radius": worst if worst is not None and math.isfinite(worst) else None,
+    }
+
+
+def _describe(demand: Demand) -> str:
+    mass, delay = demand.mass, demand.delay
+    return (
+        f"m {mass[0]:g}..{mass[1]:g} kg, b {demand.damping:g} N s/m, delay {delay[0]:.4g}..{delay[1]:.4g} ticks at "
+        f"{1.0 / demand.period:g} Hz, pole radius <= {demand.radius:g}, |H(-1)| <= {demand.nyquist:g} N/m, "
+        f"hand {demand.stiffness[0]:g}..{demand.stiffness[1]:g} N/m"
+    )
+
+
+def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
+    if tuned.found is None:
+        return {"family": tuned.family, "law": None, "h1_n_per_m": None}
+    return {
+        "family": tuned.family,
+        "law": tuned.law,
+        "taps_n_per_m": tuned.found.taps.tolist(),
+        "h1_n_per_m": tuned.found.h1_n_per_m,
+        "h_nyquist_n_per_m": tuned.found.h_nyquist_n_per_m,
+        "pole_radius": tuned.found.radius,
+        "worst_mass_kg": tuned.found.worst[0],
+        "stable_up_to_delay_ticks": latest_delay(tuned, demand),
+        "drops_settled": drops(tuned.found.taps, demand),
+    }
+
+
+def _passive_row(passive: Passive, demand: Demand) -> dict[str, Any]:
+    law = CompiledLaw(tuple(passive.taps.tolist()))
+    radius = max(
+        pole_radius(law, demand.period, mass, demand.damping, delay, hand)
+        for mass, delay, hand in itertools.product(demand.mass, demand.delay, demand.stiffness)
+    )
+    return {
+        "pole_radius": radius,
+        "taps_n_per_m": passive.taps.tolist(),
+        "h1_n_per_m": passive.h1_n_per_m,
+        "h_nyquist_n_per_m": passive.h_nyquist_n_per_m,
+        "damping_needed_n_s_per_m": passive.damping_needed_n_s_per_m,
+        "ratio": passive.ratio,
+        "bound_n_per_m": passive.bound_n_per_m,
+    }
+
+
+def _line(row: dict[str, Any]) -> str:
+    if row["law"] is None:
+        return f"{row['family']:13}  keeps the demand with no stiffness at all"
+    limit, dropped = row["stable_up_to_delay_ticks"], row["drops_settled"]
+    tuning = ", ".join(f"{key} {row['law'][key]:.5g}" for key in ("stiffness", "damping", "order") if key in row["law"])
+    return (
+        f"{row['family']:13}  H(1) {row['h1_n_per_m']:9.2f} N/m  H(-1) {row['h_nyquist_n_per_m']:9.1f} N/m  "
+        f"radius {row['pole_radius']:.6f}  stable up to {'any delay' if limit is None else f'{limit:.3f} ticks'}  "
+        f"drops settled {sum(dropped.values())}/{len(dropped)}  "
+        f"{tuning or 'taps ' + ', '.join(f'{tap:.6g}' for tap in row['taps_n_per_m'])}"
+    )
+
+
+def _compare(arguments: argparse.Namespace, demand: Demand) -> int:
+    rows, lines = [], []
+    for margin in arguments.margins:
+        for delay in arguments.delays:
+            case = replace(demand, delay=(delay, delay + margin))
+            lines.append(_describe(case))
+            laws = []
+            _say(lines[-1])
+            for one in compare(case, arguments.taps, _say, arguments.land):
+                laws.append(_row(one, case))
+                lines.append(f"  {_line(laws[-1])}")
+            rows.append(_verdict(case, laws, lines))
+    figures = {"demand": _wanted(demand), "cases": rows}
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0
+
+
+def _verdict(demand: Demand, laws: list[dict[str, Any]], lines: list[str]) -> dict[str, Any]:
+    known = {law["family"]: law["h1_n_per_m"] for law in laws if law["h1_n_per_m"] is not None}
+    mine = known.pop("designed", None)
+    rival = max(known, key=lambda family: known[family]) if known else None
+    gain = None if mine is None or rival is None else mine / known[rival]
+    if gain is None:
+        lines.append("  nothing to compare: " + ("only the designed law keeps the demand" if mine else "no law does"))
+    else:
+        verb = "stiffer than" if gain > 1.001 else "no stiffer than"
+        lines.append(f"  designed is {verb} the best of the others ({rival}): x {gain:.3f}")
+    return {"demand": _wanted(demand), "laws": laws, "best_other": rival, "gain": gain}
+
+
+def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | None) -> None:
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from nodes.stability.effective_damping import effective_damping
+
+    named = [(one.family, one.found.taps) for one in (law, pd) if one.found is not None]
+    if passive is not None:
+        named.append(("passive", passive.taps))
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    masses = np.geomspace(0.5 * demand.mass[0], 2.0 * demand.mass[1], 121)
+    theta = np.linspace(0.0, np.pi, 401)
+    whole = round(demand.delay[1])
+    for name, taps in named:
+        compiled = CompiledLaw(tuple(taps.tolist()))
+        radii = [
+            pole_radius(compiled, demand.period, m, demand.damping, demand.delay[1], demand.stiffness[0])
+            for m in masses.tolist()
+        ]
+        label = f"{name}, H(1) = {compiled.h1:.0f} N/m"
+        left.semilogx(masses, radii, label=label)
+        needed = 0.5 * demand.period * compiled.h1 + effective_damping(
+            compiled, demand.period, theta / demand.period, whole
+        )
+        right.plot(theta / np.pi, needed, label=label)
+    left.axhline(demand.radius, color="k", linestyle="--")
+    left.axvspan(*demand.mass, alpha=0.1)
+    left.set(xlabel="mass [kg]", ylabel="pole radius", title=f"delay {demand.delay[1]:.3g} ticks")
+    right.axhline(demand.damping, color="k", linestyle="--", label="damping of the device")
+    right.set(xlabel="ω/ω_N", ylabel="damping needed [N s/m]", title=f"passivity, {whole} ticks late")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    figure.savefig(path, dpi=150)

@@ -1,0 +1,66 @@
+"""The seed's figure 2: f(ω) of single fractional terms, normalised so that f(ω_N) = 1, and what is claimed about it."""
+
+from __future__ import annotations
+
+import argparse
+
+from nodes.cli.main import UsageError, answer
+from sim.studies import arguments as shared
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument("--taps", type=int, default=4, help="taps of the short filters, n + 1 (default: %(default)s)")
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Draw the figure and check the claims.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    UsageError
+        When the filters would have no memory.
+    """
+    from matplotlib.figure import Figure
+
+    from sim.paper.claims import save, table
+    from sim.paper.fig2_fig3 import claims_2, figure_2
+
+    if arguments.taps < 2:
+        raise UsageError(f"--taps {arguments.taps}: a derivative needs at least 2")
+    theta, terms = figure_2(arguments.taps)
+    claims = claims_2(arguments.taps)
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axes = figure.add_subplot(xlabel="ω/ω_N", ylabel="f(ω), normalised", ylim=(-2.5, 1.6))
+    for i, term in enumerate(terms):
+        axes.plot(theta / theta[-1], term.curve, f"C{i}", label=f"α = {term.order:g}")
+        axes.plot(theta / theta[-1], term.short, f"C{i}", linestyle=":", linewidth=1.0)
+        axes.plot(term.order / (term.order + 1.0), 0.0, f"C{i}", marker="o", markersize=4)
+    axes.axhline(0.0, color="0.6", linewidth=0.8)
+    axes.set_title(
+        f"f of one term: unlimited memory (full), {arguments.taps} taps (dotted), zero at α/(α+1)", fontsize=9
+    )
+    axes.legend(fontsize=8, ncols=2)
+    curves = [{"order": t.order, "zero": t.zero, "f": t.curve.tolist(), "f_short": t.short.tolist()} for t in terms]
+    figures = {"taps": arguments.taps, "frequency_nyquist": (theta / theta[-1]).tolist(), "curves": curves}
+    saved = save("fig2", figures, claims, figure, arguments.out)
+    answer(arguments.json, saved, f"{table(claims)}\n{saved['plot']}")
+    return 0

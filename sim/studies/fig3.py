@@ -1,0 +1,73 @@
+"""The seed's figure 3: f(ω) of its optimised two-term law beside PD, and what is claimed about it."""
+
+from __future__ import annotations
+
+import argparse
+
+from nodes.cli.main import UsageError, answer
+from sim.studies import arguments as shared
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument("--taps", type=int, default=4, help="taps of each term, n + 1 (default: %(default)s)")
+    parser.add_argument("--rate", type=shared.positive, default=500.0, help="rate, for the claim about units [Hz]")
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Draw the figure and check the claims.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    UsageError
+        When the filters would have no memory.
+    """
+    from matplotlib.figure import Figure
+
+    from sim.paper.claims import save, table
+    from sim.paper.fig2_fig3 import claims_3, figure_3
+
+    if arguments.taps < 2:
+        raise UsageError(f"--taps {arguments.taps}: a derivative needs at least 2")
+    curves = figure_3(arguments.taps)
+    claims = claims_3(arguments.taps, 1.0 / arguments.rate)
+    share = curves["theta"] / curves["theta"][-1]
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axes = figure.add_subplot(xlabel="ω/ω_N", ylabel="f(ω), normalised")
+    axes.plot(share, curves["optimum"], "C0", label="seed's optimum")
+    axes.plot(share, curves["pd"], "C1", label="PD")
+    for i, label in enumerate(("1.69 D^1.50", "1.32 D^3.47")):
+        axes.plot(share, curves["terms"][i], "C0", linestyle=("--", ":")[i], linewidth=0.9, label=label)
+    axes.plot(1.0, 1.0, "k+", markersize=9, label="what (13) asks for at ω_N")
+    axes.axhline(-1.0, color="0.6", linewidth=0.8)
+    axes.axhline(0.0, color="0.6", linewidth=0.8)
+    axes.set_title(f"f of the seed's optimum, {arguments.taps} taps per term", fontsize=9)
+    axes.legend(fontsize=8)
+    figures = {
+        "taps": arguments.taps,
+        "frequency_nyquist": share.tolist(),
+        "f_optimum": curves["optimum"].tolist(),
+        "f_pd": curves["pd"].tolist(),
+        "f_terms": curves["terms"].tolist(),
+    }
+    saved = save("fig3", figures, claims, figure, arguments.out)
+    answer(arguments.json, saved, f"{table(claims)}\n{saved['plot']}")
+    return 0

@@ -1,0 +1,140 @@
+"""The seed's figure 4: largest stiffness that settles in a drop over B, for PD, the seed's optimum and a designed law."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from nodes.cli.main import UsageError, answer
+from sim.studies import arguments as shared
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from sim.paper.fig4 import Curve, Setting
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument("--mass", type=shared.positive, default=0.1, help="dropped mass [kg] (default: %(default)s)")
+    parser.add_argument(
+        "--damping", type=shared.positive, default=1.0, help="of the device [N s/m] (default: %(default)s)"
+    )
+    parser.add_argument("--rate", type=shared.positive, default=500.0, help="of the loop [Hz] (default: %(default)s)")
+    parser.add_argument(
+        "--gain", type=shared.interval, default=(0.5, 60.0), help="B, LOW..HIGH [N s/m] (default: 0.5..60)"
+    )
+    parser.add_argument("--points", type=int, default=24, help="gains, in geometric steps (default: %(default)s)")
+    parser.add_argument("--resolution", type=shared.positive, default=2.3e-5, help="Touch X's resolution [m]")
+    parser.add_argument(
+        "--friction", type=shared.not_negative, default=0.06, help="its friction [N], a remembered figure"
+    )
+    parser.add_argument("--horizon", type=int, default=2500, help="of a drop [ticks] (default: %(default)s)")
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Drop, draw, and check the claims.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0; 130 when interrupted: what was done until then is written.
+
+    Raises
+    ------
+    UsageError
+        When there is no range of gains, or the horizon is too short.
+    """
+    import numpy as np
+
+    from sim.paper.claims import save, table
+    from sim.experiments.drop import Criterion
+    from sim.paper.fig4 import Setting, as_json, boundaries, spread_of_conventions, steps
+    from sim.paper.fig4_claims import claims_4
+    from sim.measure.stopwatch import Progress
+
+    low, high = arguments.gain
+    if not 0.0 < low < high or arguments.points < 2:
+        raise UsageError(f"--gain {low:g}..{high:g} --points {arguments.points}: needs 0 < LOW < HIGH and 2 points")
+    try:
+        criterion = Criterion(arguments.horizon)
+    except ValueError as error:
+        raise UsageError(f"--horizon: {error}") from error
+    gains = tuple(np.geomspace(low, high, arguments.points).tolist())
+    setting = Setting(
+        arguments.mass,
+        arguments.damping,
+        1.0 / arguments.rate,
+        gains,
+        arguments.resolution,
+        arguments.friction,
+        criterion,
+    )
+    progress = Progress(steps() * len(gains))
+    curves, complete = boundaries(setting, progress.step)
+    claims = []
+    if complete:
+        try:
+            claims = claims_4(setting, curves, spread_of_conventions(setting, curves, progress.step))
+        except ValueError as error:
+            raise UsageError(
+                f"--horizon {arguments.horizon} --points {arguments.points}: too little settles to judge the claims ({error}); "
+                "give a longer horizon or more points"
+            ) from error
+    saved = save(
+        "fig4", as_json(setting, curves) | {"complete": complete}, claims, _draw(setting, curves), arguments.out
+    )
+    text = table(claims) if claims else "interrupted: the boundaries found so far, no claims"
+    answer(arguments.json, saved, f"{text}\n{saved['plot']}")
+    return 0 if complete else 130
+
+
+def _draw(setting: Setting, curves: list[Curve]) -> Figure:
+    from matplotlib.figure import Figure
+
+    from sim.paper.fig4 import DELAYS, LAWS
+
+    figure = Figure(figsize=(10.0, 7.0), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True)
+    for column, delay in enumerate(DELAYS):
+        stiffness, frequency = axes[0][column], axes[1][column]
+        for curve in (c for c in curves if c.delay == delay):
+            color = f"C{LAWS.index(curve.law)}"
+            gains = setting.gains[: len(curve.found)]
+            felt = [f.h1_max_n_per_m or float("nan") for f in curve.found]
+            if curve.touch:
+                stiffness.plot(gains, felt, color, marker="x", linestyle="none", markersize=4)
+                continue
+            stiffness.plot(gains, felt, color, label=f"{curve.law}, H(1)")
+            nominal = [f.k_max_n_per_m or float("nan") for f in curve.found]
+            stiffness.plot(gains, nominal, color, linestyle="--", linewidth=0.9)
+            swings = [f.frequency_hz or float("nan") for f in curve.found]
+            frequency.plot(gains, swings, color, label=curve.law)
+        stiffness.axhline(2.0 * setting.damping / setting.period, color="0.5", linestyle=":", label="2b/T")
+        stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles [N/m]")
+        stiffness.set_title(f"d = {delay:g}: H(1) full, nominal K dashed, Touch X sensor ×", fontsize=9)
+        stiffness.legend(fontsize=8)
+        frequency.set(xlabel="B [N s/m]", ylabel="measured swing at the limit [Hz]")
+        if frequency.lines:
+            frequency.legend(fontsize=8)
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
+    figure.suptitle(
+        f"Drop of {setting.mass:g} kg, b = {setting.damping:g} N s/m, {1.0 / setting.period:g} Hz, "
+        f"{setting.criterion.ticks} ticks, history = penetration, clamped",
+        fontsize=10,
+    )
+    return figure

@@ -1,0 +1,94 @@
+"""Switch every term of a scene's model off and on: what is superfluous, what is missing, what each costs per tick."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from nodes.cli.main import UsageError, answer
+
+if TYPE_CHECKING:
+    from sim.experiments.needs import Needs
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument("scenario", help="name of a launch file, or the path of one")
+    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of timing (default: %(default)s)")
+    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Say whether a scene models enough and no more.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0 when nothing is superfluous or missing, else 1.
+
+    Raises
+    ------
+    UsageError
+        When the scene cannot be read or played in one process.
+    """
+    if arguments.rounds < 1:
+        raise UsageError(f"--rounds {arguments.rounds}: at least 1")
+    from nodes.launcher import launch_file
+    from nodes.parameters.store import ParameterError
+    from sim.experiments.needs import needs
+    from sim.scene.from_launch import from_launch
+    from sim.measure.stopwatch import Progress
+
+    try:
+        launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(arguments.assignments))
+        scene = from_launch(launch)
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
+    found = needs(scene, launch.model, arguments.rounds, Progress(arguments.rounds).step)
+    figures: dict[str, Any] = {
+        "scenario": launch.scenario,
+        "outcome": asdict(found.outcome),
+        "tolerance": launch.model.tolerance,
+        "tick_us": found.tick_us,
+        "terms": [asdict(finding) for finding in found.findings],
+        "superfluous": list(found.superfluous),
+        "missing": list(found.missing),
+    }
+    answer(arguments.json, figures, _text(launch.scenario, launch.model, found))
+    return 1 if found.superfluous or found.missing else 0
+
+
+def _text(name: str, model: Any, found: Needs) -> str:
+    now = found.outcome
+    stiffest = "" if now.h1_max_n_per_m is None else f", K_max (H(1)) {now.h1_max_n_per_m:.5g} N/m"
+    lines = [
+        f"{name}: for {', '.join(model.outcome)}; tolerance {100 * model.tolerance:g} %",
+        f"settles in {now.settling_s:.3g} s, peak {now.peak_force_n:.3g} N, at rest {now.rest_force_n:.3g} N, swing at rest "
+        f"{1e6 * now.limit_cycle_m:.3g} µm{stiffest}; {found.tick_us:.3g} µs per tick in plain Python",
+        "",
+        f"{'term':24} {'switched':34} {'moves':>9}  {'of which most':14} {'costs':>9}  verdict",
+    ]
+    for f in found.findings:
+        moved = "∞" if f.moved == float("inf") else f"{100 * f.moved:.3g} %"
+        cost = "" if f.switched == "other" else f"{f.cost_us:+.2f} µs"
+        lines.append(f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>9}  {f.verdict}")
+    lines += [
+        "",
+        f"superfluous: {', '.join(found.superfluous) or 'nothing'}",
+        f"missing: {', '.join(found.missing) or 'nothing'}",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,36 @@
+"""Study stability, designs and the paper's figures: one sub-verb per study.
+
+A study is a module of sim.verbs with the same shape as a verb: its docstring's first line is its help, ``add(parser)``
+declares its arguments and sets ``run``. Only the one asked for is imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from nodes.cli.dispatch import dispatch
+
+STUDIES: dict[str, str] = {
+    "analyse": "sim.studies.analyse",
+    "design": "sim.studies.design",
+    "chart": "sim.studies.chart",
+    "failures": "sim.studies.failures",
+    "fig2": "sim.studies.fig2",
+    "fig3": "sim.studies.fig3",
+    "fig4": "sim.studies.fig4",
+    "needs": "sim.studies.needs",
+    "guard": "sim.studies.guard",
+    "kmax": "sim.studies.kmax",
+    "optimise": "sim.studies.optimise",
+}
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the studies.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb ``study``.
+    """
+    dispatch(parser, STUDIES, "study")

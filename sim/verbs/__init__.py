@@ -1,1 +1,0 @@
-"""The verbs that nodes and recordings do not need: studies and benchmarks, one per file."""

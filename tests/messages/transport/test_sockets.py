@@ -1,0 +1,269 @@
+"""Sockets as the loop needs them: nothing left open, waits to the microsecond, one frame or three are survived."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+import zmq
+
+from messages.transport.endpoints import EndpointRefusedError, bind, connect, is_remote, split
+from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.waker import Waker
+from nodes.launcher.runs import RunError, new_run_dir, runtime_dir
+from tests.support.launching import private_runtime_dir, wait_for
+
+if TYPE_CHECKING:
+    from messages.transport.sockets import Context
+
+KEY = "ab" * 32
+
+
+@pytest.fixture
+def place() -> Iterator[str]:
+    with private_runtime_dir() as folder:
+        yield f"ipc://{folder}/p"
+
+
+@pytest.fixture
+def context() -> Iterator[Context]:
+    """Make a context, and fail the test that leaves a socket of it open."""
+    made = new_context()
+    yield made
+    left = [socket for socket in list(made._sockets) if not socket.closed]
+    for socket in left:
+        socket.close(linger=0)
+    made.term()
+    assert not left
+
+
+def connected(context: Context, place: str, *topics: str) -> tuple[Publisher, Subscription]:
+    publisher = Publisher(context, place)
+    subscription = Subscription(context, [place], topics or [""])
+    wait_for(publisher.listeners, "the subscription")
+    return publisher, subscription
+
+
+def open_files() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def test_nothing_is_left_open(place: str) -> None:
+    def once() -> None:
+        context = new_context()
+        publisher, subscription = connected(context, place)
+        publisher.send(b"/t", b"x")
+        assert subscription.receive(20_000) == (b"/t", b"x")
+        subscription.close()
+        publisher.close()
+        context.term()
+
+    once()
+    before = open_files()
+    for _ in range(5):
+        once()
+    assert open_files() == before
+    assert not Path(place.removeprefix("ipc://")).exists()
+
+
+@pytest.mark.parametrize("wait", [0.0, 0.0003, 0.0021, 0.0179])
+def test_receive_until_waits_until_the_deadline_and_not_in_milliseconds(
+    context: Context, place: str, wait: float
+) -> None:
+    publisher, subscription = connected(context, place)
+    late = []
+    for _ in range(30):
+        deadline = time.monotonic() + wait
+        assert subscription.receive_until(deadline) is None
+        late.append(time.monotonic() - deadline)
+    assert min(late) >= 0.0, "never before the deadline"
+    # The best of thirty shows the resolution of the wait whatever else the machine does: whole milliseconds, as ZeroMQ's
+    # own time-outs are, would be 0.1 to 0.9 ms late every time.
+    assert min(late) < 0.0005
+    publisher.send(b"/t", b"x")
+    assert subscription.receive_until(time.monotonic() + 20.0) == (b"/t", b"x")
+    assert subscription.receive_until(time.monotonic() - 1.0) is None
+    subscription.close()
+    publisher.close()
+
+
+def test_receive_until_loses_no_wake_up(context: Context, place: str) -> None:
+    """The descriptor is edge-triggered: a message that comes between looking and waiting must still wake it."""
+    publisher, subscription = connected(context, place)
+    count = 2000
+
+    def talk() -> None:
+        for i in range(count):
+            publisher.send(b"/t", str(i).encode())
+            if i % 7 == 0:
+                time.sleep(0.0001 * (i % 5))
+
+    talker = threading.Thread(target=talk)
+    talker.start()
+    deadline = time.monotonic() + 30.0
+    got = [subscription.receive_until(deadline) for _ in range(count)]
+    talker.join()
+    assert got == [(b"/t", str(i).encode()) for i in range(count)]
+    subscription.close()
+    publisher.close()
+
+
+@pytest.mark.parametrize("frames", [1, 3, 4, 5, 9])
+@pytest.mark.parametrize("until", [False, True])
+def test_messages_of_another_number_of_frames(context: Context, place: str, frames: int, until: bool) -> None:
+    rogue = context.socket(zmq.XPUB)
+    bind(rogue, place)
+    subscription = Subscription(context, [place], [""])
+    assert rogue.poll(20_000)
+    good = (b"/good", b"payload")
+    for _ in range(3):
+        rogue.send_multipart([b"/t"] * frames)
+        for _ in range(3):
+            rogue.send_multipart(good)
+    rogue.send_multipart((b"/end", b""))
+    got = []
+    while (b"/end", b"") not in got:
+        found = subscription.receive_until(time.monotonic() + 20.0) if until else subscription.receive(20_000)
+        assert found is not None
+        got.append(found)
+        if until and found != good:
+            # As the nodes do when it is not the topic they expect or its payload is refused.
+            subscription.resynchronise()
+    # At most the message next to a wrong one is lost with it, and what comes after is in step again.
+    assert got.count(good) >= 3 * 2
+    if not until:
+        # A lone frame is told as no message.
+        assert got.count((b"", b"")) == 3 * (frames % 2)
+        assert got.count(good) == 3 * 3
+    subscription.close()
+    rogue.close(linger=0)
+
+
+def test_a_listener_cannot_talk_back(context: Context, place: str) -> None:
+    publisher, subscription = connected(context, place)
+    with context.socket(zmq.XSUB) as mouth:
+        connect(mouth, place)
+        for word in (b"\x02garbage", b"", b"\x00never subscribed", b"\x01real"):
+            mouth.send(word)
+        wait_for(lambda: publisher.listeners() == 2, "the one real subscription, beside the one there was")
+    subscription.close()
+    publisher.close()
+
+
+PUBLISH = """
+import sys, time
+from messages.transport.sockets import Publisher, new_context
+publisher = Publisher(new_context(), sys.argv[1])
+while True:
+    publisher.send(b"/t", sys.argv[2].encode())
+    time.sleep(0.005)
+"""
+
+
+def test_a_publisher_started_again_after_a_kill_is_heard_again(context: Context, place: str) -> None:
+    subscription = Subscription(context, [place], ["/t"])
+    for life in ("first", "second", "third"):
+        process = subprocess.Popen([sys.executable, "-c", PUBLISH, place, life])
+        try:
+            wait_for(lambda life=life: subscription.receive(1000) == (b"/t", life.encode()), life)  # type: ignore[misc]
+        finally:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+    subscription.close()
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp://10.0.0.2:5600", "tcp://*:5600", "tcp://0.0.0.0:5600", "tcp://eth0:5600", "tcp://[::]:5600", "tcp://host:1"],
+)
+def test_tcp_off_loopback_needs_a_key(endpoint: str, context: Context) -> None:
+    with pytest.raises(EndpointRefusedError, match="haptic keys new"):
+        split(endpoint)
+    with pytest.raises(EndpointRefusedError, match="haptic keys new"):
+        Publisher(context, endpoint)
+    with pytest.raises(EndpointRefusedError, match="haptic keys new"):
+        Subscription(context, [endpoint], [""])
+    assert is_remote(endpoint)
+    assert split(f"{endpoint}#{KEY}") == (endpoint, KEY)
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["tcp://127.0.0.1:5600", "tcp://127.8.9.1:1", "tcp://[::1]:5600", "tcp://localhost:2"]
+)
+def test_loopback_needs_none(endpoint: str) -> None:
+    assert split(endpoint) == (endpoint, "")
+    assert not is_remote(endpoint)
+
+
+@pytest.mark.parametrize("endpoint", ["udp://127.0.0.1:1", "inproc://x", "nonsense", "tcp://127.0.0.1:5600#abc"])
+def test_other_endpoints_are_refused(endpoint: str) -> None:
+    with pytest.raises(ValueError, match=r"ipc://|key"):
+        split(endpoint)
+
+
+def test_a_taken_address_is_told(context: Context) -> None:
+    first = context.socket(zmq.PUB)
+    port = first.bind_to_random_port("tcp://127.0.0.1")
+    with pytest.raises(EndpointRefusedError, match="cannot be bound"):
+        Publisher(context, f"tcp://127.0.0.1:{port}")
+    first.close(linger=0)
+
+
+def test_the_directory_of_the_sockets_is_private(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(Path(place.removeprefix("ipc://")).with_name("haptic")))
+    before = os.umask(0)
+    try:
+        assert runtime_dir().stat().st_mode & 0o777 == 0o700
+        assert new_run_dir("r").stat().st_mode & 0o777 == 0o700
+    finally:
+        os.umask(before)
+    with pytest.raises(RunError, match="exists already"):
+        new_run_dir("r")
+
+
+def test_a_hostile_directory_made_before_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trap = tmp_path / "trap"
+    trap.mkdir(mode=0o700)
+    (tmp_path / "link").symlink_to(trap)
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o750)
+    for name in ("link", "open"):
+        monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(tmp_path / name))
+        with pytest.raises(RunError, match="0700"):
+            runtime_dir()
+    if os.getuid() == 0:
+        os.chown(trap, 65534, 65534)
+        monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(trap))
+        with pytest.raises(RunError, match="must be a directory of user"):
+            runtime_dir()
+
+
+def test_a_wait_without_end_is_ended_from_another_thread_and_by_nobody_else(context: Context, place: str) -> None:
+    publisher, subscription = connected(context, place, "/t")
+    waker = Waker(context, b"/t")
+    subscription.woken_by(waker)
+    subscription.set_timeout(-1)
+    thread = threading.Thread(target=waker.wake)
+    thread.start()
+    assert subscription.next_frame() == waker.frame
+    thread.join()
+    # Waking is no message: neither for whoever takes whole ones, nor for those who count subscriptions.
+    waker.wake()
+    assert subscription.receive(1000) is None
+    assert publisher.listeners() == 1
+    # What another process publishes under that name is a message on another topic like any other.
+    publisher.send(waker.frame + b"!", b"payload")
+    publisher.send(b"/t", b"after")
+    assert subscription.receive(1000) == (waker.frame + b"!", b"payload")
+    assert subscription.receive(1000) == (b"/t", b"after")
+    subscription.close()
+    waker.wake()
+    publisher.close()

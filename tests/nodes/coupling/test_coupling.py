@@ -1,0 +1,488 @@
+"""The coupling's parts: rendering to the bit, warm-up of recursive laws, fades, swaps all or nothing, the law book's checks."""
+
+from __future__ import annotations
+
+import math
+import random
+import sys
+import threading
+import time
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from messages.types import Proxy
+from nodes import kernels
+from nodes.coupling.law_book import MAX_TEXT, LawBook
+from nodes.coupling.law_on_axis import MAX_LEAVING, UNROLLED_TAPS, Fade, History, LawOnAxis, sum_of_taps, weighted_taps
+from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.time_budget import Budget
+from nodes.laws import CompiledLaw
+from nodes.laws.presets import preset_names
+from nodes.parameters.store import ParameterError, convert
+from tests.support import FIXTURES
+
+T = 0.002
+RECURSIVE = CompiledLaw((900.0, 50.0), ((300.0, -250.0, -1.2, 0.4), (-20.0, 10.0, 0.9, 0.1)))
+"""Two taps beside two decaying sections: the poles have radius sqrt(0.4) = 0.63 and 0.77."""
+
+
+def deflections(count: int, seed: int = 1) -> list[float]:
+    source = random.Random(seed)  # noqa: S311  # reproducible, not secret
+    return [source.gauss(0.0, 1e-3) for _ in range(count)]
+
+
+def filled(values: list[float], length: int) -> History:
+    history = History(length)
+    for value in values:
+        history.push(value)
+    return history
+
+
+# -- taps ------------------------------------------------------------------------------------------------------------------
+
+finite = st.floats(-1e6, 1e6)
+
+
+@settings(deadline=None)
+@given(st.lists(finite, max_size=80), st.lists(finite, max_size=90))
+def test_taps_written_out_and_added_by_numpy_have_the_bits_of_the_kernel(
+    taps: list[float], values: list[float]
+) -> None:
+    history = filled(values, 80)
+    found = sum_of_taps(tuple(taps), history)(history.head)
+    expected = kernels.fir(taps, history.values, history.head)
+    assert found.hex() == expected.hex()
+
+
+@pytest.mark.parametrize("count", [1, 2, UNROLLED_TAPS, UNROLLED_TAPS + 1, 2000])
+def test_long_laws_have_the_bits_of_the_kernel_and_no_minus_zero(count: int) -> None:
+    taps = tuple(deflections(count, 2))
+    history = History(2048)
+    render = sum_of_taps(taps, history)
+    assert render(history.head).hex() == (0.0).hex()
+    history.push(-0.0)
+    assert render(history.head).hex() == (0.0).hex()
+    for value in deflections(2100, 3):
+        history.push(value)
+    assert render(history.head).hex() == kernels.fir(taps, history.values, history.head).hex()
+
+
+def test_a_law_longer_than_the_history_is_refused_at_the_edge() -> None:
+    LawOnAxis(CompiledLaw((1.0,) * 8), History(8))
+    with pytest.raises(ValueError, match="9 taps, but the history remembers 8"):
+        LawOnAxis(CompiledLaw((1.0,) * 9), History(8))
+
+
+# -- history ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_bridge_is_a_straight_line_up_to_the_next_deflection() -> None:
+    history = filled([0.001], 16)
+    history.bridge(0.005, 3)
+    history.push(0.005)
+    newest_first = [history.values[history.head + age] for age in range(5)]
+    assert newest_first == pytest.approx([0.005, 0.004, 0.003, 0.002, 0.001], rel=1e-15)
+
+
+@pytest.mark.parametrize("missing", [7, 8, 9, 1000])
+def test_a_gap_longer_than_the_history_fills_it_once(missing: int) -> None:
+    history = filled([1.0], 8)
+    history.bridge(2.0, missing)
+    held = [history.values[history.head + age] for age in range(8)]
+    assert held == sorted(held, reverse=True)
+    assert held[0] == pytest.approx(2.0 - 1.0 / (missing + 1), rel=1e-15)
+    assert history.pushes <= 9
+
+
+def test_a_snapshot_taken_while_the_loop_pushes_belongs_to_one_tick() -> None:
+    history = History(64)
+    ending = threading.Event()
+
+    def loop() -> None:
+        while not ending.is_set():
+            # The value is its own number, so that a torn copy shows.
+            history.push(float(history.pushes + 1))
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    thread = threading.Thread(target=loop)
+    thread.start()
+    try:
+        for _ in range(2000):
+            copy = history.snapshot()
+            known = [copy.values[copy.head + age] for age in range(copy.known)]
+            assert known == [max(0.0, float(copy.pushes - age)) for age in range(copy.known)]
+    finally:
+        ending.set()
+        thread.join()
+        sys.setswitchinterval(before)
+    assert history.pushes > 64
+
+
+# -- recursive sections ----------------------------------------------------------------------------------------------------
+
+
+def test_a_warmed_up_law_is_where_it_would_be_had_it_run_all_along() -> None:
+    values = deflections(120)
+    history = History(128)
+    along = LawOnAxis(RECURSIVE, history)
+    for value in values[:50]:
+        history.push(value)
+        along.force()
+    late = LawOnAxis(RECURSIVE, history)
+    late.warm_up(history.snapshot())
+    # Ticks pass between the snapshot and the swap.
+    for value in values[50:70]:
+        history.push(value)
+        along.force()
+    late.catch_up()
+    late.catch_up()
+    assert late.present() == along.present()
+    for value in values[70:]:
+        history.push(value)
+        assert late.force().hex() == along.force().hex()
+
+
+def test_what_lies_before_the_history_is_forgotten_as_the_poles_decay() -> None:
+    values = deflections(400)
+    history = History(64)
+    along = LawOnAxis(RECURSIVE, history)
+    for value in values:
+        history.push(value)
+        along.force()
+    late = LawOnAxis(RECURSIVE, history)
+    late.warm_up(history.snapshot())
+    # 63 known values, the largest pole has radius 0.7702: what is left of the force before them is below 0.7702^62 times
+    # the largest force of a section, some 300 N/m · 4 mm · a few.
+    assert abs(late.present() - along.present()) < 0.7702**62 * 10.0
+
+
+def test_sections_see_the_ticks_that_were_bridged() -> None:
+    # A law whose sections are the first-order difference equation y = x + 0.5 y₋₁: fed a line, it has a closed form.
+    law = CompiledLaw((0.0,), ((1.0, 0.0, -0.5, 0.0),))
+    renderer = Renderer([2], 32)
+    renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((0.0,)), renderer.histories)
+    renderer.law = ActiveLaw("r", "{}", law, renderer.histories)
+    whole = Renderer([2], 32)
+    whole.law = ActiveLaw("r", "{}", law, whole.histories)
+    inside = [proxy_at(-0.001 * k, k) for k in range(10)]
+    for k, proxy in enumerate(inside):
+        expected = whole.render(proxy)
+        if k in (4, 5, 6):
+            continue
+        if k == 7:
+            renderer.bridge(proxy, 3)
+        found = renderer.render(proxy)
+        assert found == pytest.approx(expected, rel=1e-12)
+
+
+# -- fades and swaps -------------------------------------------------------------------------------------------------------
+
+
+def proxy_at(z: float, seq: int = 0) -> Proxy:
+    """Meet a floor at z = 0."""
+    surface = (0.0, 0.0, 0.0 if z < 0.0 else z)
+    return Proxy(
+        seq=seq, stamp=0.0, position=(0.0, 0.0, z), proxy=surface, normal=(0.0, 0.0, 1.0), distance=z, contact=z < 0.0
+    )
+
+
+def renderer_with(*taps: float) -> Renderer:
+    renderer = Renderer([2], 64)
+    renderer.law = ActiveLaw("first", '{"law":"first"}', CompiledLaw(taps), renderer.histories)
+    renderer.fallback = ActiveLaw("fallback", '{"law":"fallback"}', CompiledLaw((0.0, 0.0)), renderer.histories)
+    return renderer
+
+
+def law_of(renderer: Renderer, *taps: float, **more: Any) -> ActiveLaw:
+    return ActiveLaw("next", '{"law":"next"}', CompiledLaw(taps, **more), renderer.histories)
+
+
+def test_a_fade_is_the_kernels_and_ends_after_its_ramp() -> None:
+    renderer = renderer_with(1000.0)
+    depth = -0.001
+    renderer.render(proxy_at(depth))
+    step = renderer.swap(law_of(renderer, 3000.0), 4)
+    assert step == pytest.approx(2.0, rel=1e-15)
+    forces = [renderer.render(proxy_at(depth))[2] for _ in range(6)]
+    old, new = 1000.0 * 0.001, 3000.0 * 0.001
+    assert forces[:4] == [kernels.cross_fade(old, new, done, 4) for done in range(4)]
+    assert forces[3:] == [new] * 3
+
+
+@given(
+    st.lists(st.tuples(st.floats(100.0, 5000.0), st.integers(0, 30), st.integers(1, 12)), min_size=1, max_size=14),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_swap_during_a_fade_does_not_make_the_force_jump(swaps: list[tuple[float, int, int]]) -> None:
+    # Held at 1 mm every law's force is constant, so a fade's largest step is the whole difference over its ramp; a hard
+    # swap's is the difference itself. More than MAX_LEAVING laws are joined, which must not show either.
+    renderer = renderer_with(1000.0)
+    before = renderer.render(proxy_at(-0.001))[2]
+    present = before
+    for stiffness, ramp, ticks in swaps:
+        target = stiffness * 0.001
+        told = renderer.swap(law_of(renderer, stiffness), ramp)
+        assert told == pytest.approx(abs(target - present), rel=1e-9, abs=1e-12)
+        for tick in range(ticks):
+            force = renderer.render(proxy_at(-0.001))[2]
+            left = max(ramp - tick, 1)
+            assert abs(force - present) <= abs(target - present) / left + 1e-12
+            present = force
+    assert all(len(fade.leaving) <= MAX_LEAVING for fade in renderer._fades)
+
+
+@pytest.mark.parametrize("counts", [(1, 3, 2), (30, 3, 70)])
+def test_laws_of_taps_are_joined_exactly(counts: tuple[int, ...]) -> None:
+    laws = [
+        (tuple(deflections(count, 7 + count)), weight) for count, weight in zip(counts, (0.5, 0.2, 0.3), strict=True)
+    ]
+    history = filled(deflections(100), 80)
+    joined = kernels.fir(weighted_taps(laws), history.values, history.head)
+    apart = sum(weight * kernels.fir(taps, history.values, history.head) for taps, weight in laws)
+    # Sums of 100 products of size 1e-6 in another order.
+    assert joined == pytest.approx(apart, abs=100 * 1e-6 * 2**-52)
+
+
+def test_shares_add_up_and_the_least_are_joined() -> None:
+    history = History(8)
+    sections = ((1.0, 0.0, -0.5, 0.0),)
+    laws = [LawOnAxis(CompiledLaw((1.0,), sections if k % 2 else ()), history) for k in range(3 * MAX_LEAVING)]
+    fade = Fade([(laws[0], 1.0)], 10)
+    for law in laws[1:]:
+        fade.mix(0.0)
+        shares = fade.shares(law)
+        assert math.fsum(share for _, share in shares) == pytest.approx(1.0, rel=1e-12)
+        assert len(shares) <= MAX_LEAVING
+        fade = Fade(shares, 10)
+
+
+def test_a_fade_interrupted_before_its_first_tick_has_no_share_of_the_new_law() -> None:
+    history = History(8)
+    old, new = (LawOnAxis(CompiledLaw((k,)), history) for k in (1.0, 2.0))
+    assert Fade([(old, 1.0)], 5).shares(new) == [(old, 1.0)]
+
+
+def broken(ring: Any, head: int) -> float:
+    raise RuntimeError(f"no force at {ring[head]:g}")
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ({"evaluate": broken}, "raised RuntimeError: no force at 0.001"),
+        ({"evaluate": lambda *_: math.nan}, "nan, which is not a finite force"),
+        ({"evaluate": lambda *_: "strong"}, "raised TypeError"),
+    ],
+)
+def test_a_law_that_fails_at_once_is_not_swapped_in(more: dict[str, Any], told: str) -> None:
+    renderer = renderer_with(1000.0)
+    renderer.render(proxy_at(-0.001))
+    running = renderer.law
+    with pytest.raises(ParameterError, match="law 'next'") as raised:
+        renderer.swap(law_of(renderer, 500.0, **more), 5)
+    assert told in str(raised.value)
+    assert renderer.law is running
+    assert renderer.render(proxy_at(-0.001))[2] == 1.0
+
+
+def test_taps_that_overflow_at_the_present_deflection_are_not_swapped_in() -> None:
+    renderer = renderer_with(1000.0)
+    renderer.render(proxy_at(-1e3))
+    with pytest.raises(ParameterError, match="force step of inf"):
+        renderer.swap(law_of(renderer, 1e308), 0)
+    assert renderer.law.name == "first"
+
+
+def test_a_failed_law_is_replaced_within_the_tick_whose_deflection_it_kept_from_the_history() -> None:
+    renderer = renderer_with(1000.0)
+    renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((5.0 / T, -5.0 / T)), renderer.histories)
+    renderer.law = law_of(renderer, 1000.0, evaluate=broken)
+    assert renderer.guarded
+    pushes = renderer.pushes()
+    with pytest.raises(RuntimeError):
+        renderer.render(proxy_at(-0.001))
+    force = renderer.fall_back(proxy_at(-0.001), pushes)
+    # From 0 to 1 mm within one tick, times 5 N s/m; the deflection is in the history once.
+    assert force[2] == pytest.approx(5.0 * 0.001 / T, rel=1e-12)
+    assert renderer.histories[0].pushes == 1
+    assert renderer.law.name == "fallback"
+    assert not renderer.guarded
+
+
+def test_a_fallback_that_overflows_renders_nothing() -> None:
+    renderer = renderer_with(1000.0)
+    renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((1e308, -1e308)), renderer.histories)
+    assert renderer.fall_back(proxy_at(-1e3), renderer.pushes()) == (0.0, 0.0, 0.0)
+
+
+def test_a_law_that_fades_out_is_guarded_until_it_is_gone() -> None:
+    renderer = renderer_with(1000.0)
+    renderer.law = law_of(renderer, 1000.0, evaluate=lambda *_: 1.0)
+    renderer.render(proxy_at(-0.001))
+    renderer.swap(law_of(renderer, 2000.0), 3)
+    guarded = []
+    for _ in range(4):
+        guarded.append(renderer.guarded)
+        renderer.render(proxy_at(-0.001))
+    assert guarded == [True, True, True, False]
+
+
+# -- budget ----------------------------------------------------------------------------------------------------------------
+
+
+def test_sleeping_and_computing_overrun_and_waiting_for_the_interpreter_is_excused() -> None:
+    budget = Budget(0.005)
+    budget.start()
+    assert budget.overrun() == ""
+    time.sleep(0.01)
+    assert "slept" in budget.overrun()
+    assert budget.overrun(excused=True) == ""
+    budget.start()
+    until = time.thread_time() + 0.006
+    while time.thread_time() < until:
+        pass
+    assert "computed for" in budget.overrun()
+    assert "budget 5000 µs" in budget.overrun(excused=True)
+
+
+# -- law book --------------------------------------------------------------------------------------------------------------
+
+
+def parameters(**more: Any) -> CouplingParameters:
+    laws = {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}, "optimum": "paper_optimum"}
+    made: CouplingParameters = convert({"law": "pd", "laws": laws, **more}, CouplingParameters, "coupling")
+    return made
+
+
+def check(delay: float = 0.0, **more: Any) -> None:
+    LawBook("coupling", T).check(parameters(**more), delay)
+
+
+def test_a_bare_preset_is_a_law() -> None:
+    check(law="optimum")
+    book = LawBook("coupling", T)
+    assert book.description(parameters(), "optimum") == book.description(parameters(), "paper_optimum")
+    assert book.names(parameters()) == ["pd", "optimum", *preset_names()]
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ({"law": "nix"}, "coupling.law: no law is named 'nix'; there is: pd, optimum, "),
+        ({"laws": {"pd": 3}}, "coupling.laws.pd: expected a mapping with kind and parameters, got 3"),
+        (
+            {"laws": {"pd": {"kind": "pd", "damping": 1.0}}},
+            "coupling.laws.pd: object missing required field 'stiffness'",
+        ),
+        ({"laws": {"pd": {"kind": "pdd"}}}, "coupling.laws.pd.kind: 'pdd' is not an installed law"),
+        ({"schedule": [{"at": 1.0, "law": "nix"}]}, "coupling.schedule[0].law: no law is named 'nix'"),
+        (
+            {"schedule": [{"at": 2.0, "law": "pd"}, {"at": 1.0, "law": "pd", "ramp": 501}]},
+            "coupling.schedule[0].at: 2 s is tick 1000, but the swap before it is over at tick 1001 only",
+        ),
+        ({"schedule": [{"at": 1.0, "law": "pd"}, {"at": 1.0, "law": "optimum"}]}, "is over at tick 501 only"),
+        ({"stability": "refuse"}, "coupling.stability: refuse needs coupling.plant"),
+        ({"memory": 3, "law": "optimum"}, "coupling.laws.optimum: 4 taps, but coupling.memory is 3"),
+        ({"laws": {"a.b": "paper_optimum"}}, "coupling.laws: Expected str matching regex"),
+        ({"laws": {"x" * 65: "paper_optimum"}}, "coupling.laws: Expected str matching regex"),
+    ],
+)
+def test_what_does_not_belong_together_is_refused(more: dict[str, Any], told: str) -> None:
+    with pytest.raises(ParameterError) as raised:
+        check(**more)
+    assert told in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"schedule": [{"at": 2.0, "law": "pd"}, {"at": 1.0, "law": "pd", "ramp": 500}]},
+        {"memory": 4, "law": "optimum"},
+        {"laws": {"x" * 64: "paper_optimum"}, "law": "x" * 64},
+        {"stability": "refuse", "plant": {"mass": 0.1}},
+    ],
+)
+def test_the_limits_themselves_are_accepted(more: dict[str, Any]) -> None:
+    check(**more)
+
+
+def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
+    # The edge is found by bisection on the figures, which other tests hold against closed forms, and crossed by 0.1 %.
+    book = LawBook("coupling", T)
+    plant = {"mass": 0.1, "damping": 1.0}
+
+    def at(stiffness: float, policy: str) -> CouplingParameters:
+        laws = {"pd": {"kind": "pd", "stiffness": stiffness, "damping": 3.0}}
+        return parameters(laws=laws, plant=plant, stability=policy)
+
+    def radius(stiffness: float) -> float:
+        return float(book.figures(at(stiffness, "off"), "pd", 0.0)["pole_radius"])
+
+    low, high = 100.0, 100_000.0
+    assert radius(low) < 1.0 < radius(high)
+    while high - low > 1e-6 * low:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if radius(middle) < 1.0 else (low, middle)
+    for policy in ("refuse", "warn", "off"):
+        assert book.compile(at(0.999 * low, policy), "pd", 0.0)[1] == ""
+    assert book.compile(at(1.001 * high, "off"), "pd", 0.0)[1] == ""
+    warning = book.compile(at(1.001 * high, "warn"), "pd", 0.0)[1]
+    with pytest.raises(ParameterError) as raised:
+        book.compile(at(1.001 * high, "refuse"), "pd", 0.0)
+    for text in (warning, str(raised.value)):
+        assert "coupling.laws.pd: pole radius 1.0" in text
+        assert "limit: < 1" in text
+    # The measured delay counts, unless the plant declares one.
+    with pytest.raises(ParameterError, match=r"at a delay of 3 ticks"):
+        book.compile(at(0.999 * low, "refuse"), "pd", 3.0)
+    plant["delay"] = 0.0
+    assert book.compile(at(0.999 * low, "refuse"), "pd", 3.0)[1] == ""
+
+
+def test_laws_that_cannot_be_rendered_are_listed_and_do_not_stop_the_others() -> None:
+    # At 4 kHz the seed's optimum has H(1) = 1000 − 0.14245·3·4000 < 0 (its leak grows with 1/T).
+    book = LawBook("coupling", 1.0 / 4000.0)
+    fast = parameters()
+    book.check(fast, 0.0)
+    (reason,) = book.unfit(fast)
+    assert reason.startswith("coupling.laws.optimum: renders H(1) = -")
+    with pytest.raises(ParameterError, match=r"H\(1\) = -"):
+        book.check(msgspec.structs.replace(fast, law="optimum"), 0.0)
+
+
+def test_receipts_of_long_laws_stay_short_and_readable() -> None:
+    book = LawBook("coupling", T)
+    long = parameters(laws={"long": {"kind": "fir", "taps": [1.25] * 2000}}, law="long")
+    assert msgspec.json.decode(book.text(long, "long")) == {"law": "long", "kind": "fir", "taps": "2000 values"}
+    assert len(book.text(long, "long")) < MAX_TEXT
+    described = msgspec.json.decode(book.text(parameters(), "pd"))
+    assert described == {"law": "pd", "kind": "pd", "stiffness": 1000.0, "damping": 3.0}
+
+
+INSTALLED = FIXTURES / "installed"
+
+
+@pytest.mark.parametrize(
+    ("law", "told"),
+    [
+        ({"kind": "absent"}, "coupling.laws.pd.kind: absent cannot be imported: ModuleNotFoundError"),
+        ({"kind": "uncompilable"}, "coupling.laws.pd: cannot be compiled: KeyError: 0.002"),
+        (
+            {"kind": "stiffening", "stiffness": 1.0, "qubic": 1.0},
+            "coupling.laws.pd.qubic: law kind stiffening has no such",
+        ),
+    ],
+)
+def test_laws_of_another_package_break_with_a_path(
+    law: dict[str, Any], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(INSTALLED))
+    with pytest.raises(ParameterError) as raised:
+        check(laws={"pd": law})
+    assert told in str(raised.value)

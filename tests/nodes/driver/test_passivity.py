@@ -1,0 +1,255 @@
+"""The passivity guard: its bound for every law and every motion, what it makes safe, and what it leaves alone."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nodes.driver.passivity import PassivityGuard, PassivityParameters, control, forget, observe
+from nodes.launcher import launch_file
+from nodes.laws.pd import PD
+from nodes.recording.reader import Recording
+from sim.device.model import DeviceModel
+from sim.scene.from_launch import from_launch
+from sim.scene.loop import Scene, Surface, Trace, run
+from tests.support.launching import haptic, launch_json
+
+T = 0.002
+ON = PassivityParameters()
+
+forces = st.floats(-50.0, 50.0)
+steps = st.floats(-5e-3, 5e-3)
+
+
+# -- the kernels at their edges ---------------------------------------------------------------------------------------
+
+
+def test_energy_is_exact_in_samples() -> None:
+    # 2 N through 3 mm, then −1 N through −4 mm: 6 mJ + 4 mJ.
+    assert observe(observe(0.0, 2.0, 0.003), -1.0, -0.004) == pytest.approx(0.010, rel=1e-15)
+
+
+def test_what_is_in_store_may_leave_to_the_last_bit_and_no_more() -> None:
+    assert control(-0.5, 2.0, 0.25, 0.0) == 2.0
+    lowered = control(-0.5, math.nextafter(2.0, 3.0), 0.25, 0.0)
+    assert lowered == 2.0
+    assert control(-0.5, 400.0, 0.25, 0.0) == 2.0
+    assert control(0.0, 2.0, 0.25, 0.0) == 0.0
+    assert control(-1e-300, 2.0, 0.25, 0.0) == 4e-300
+
+
+def test_absorbing_forces_pass_and_a_debt_is_taken_back_with_at_most_the_damper() -> None:
+    assert control(-1.0, 2.0, -0.25, 7.0) == 2.0
+    assert control(0.0, 2.0, -0.25, 7.0) == 2.0
+    assert (
+        control(0.5, 2.0, -0.25, 7.0) == 2.0 + 7.0 * 0.25
+    )  # 2 N would take all back at once: the damper's limit holds
+    assert control(0.5, 2.0, -0.25, 8.0) == 2.0 + 2.0
+    assert control(0.5, 2.0, -0.25, 9.0) == 2.0 + 2.0  # no more than is owed
+    assert control(0.5, -2.0, 0.25, 9.0) == -4.0
+
+
+def test_at_rest_and_in_free_space_nothing_is_changed() -> None:
+    assert control(1.0, 2.0, 0.0, 5.0) == 2.0
+    assert control(1.0, 0.0, 0.25, 5.0) == 0.0
+
+
+def test_credit_is_forgotten_down_to_what_a_spring_holds_and_a_debt_never() -> None:
+    assert forget(-1.0, 2.0, None) == -1.0
+    assert forget(-1.0, 0.0, None) == 0.0
+    assert forget(-1.0, 2.0, 4.0) == -0.5  # 2²/(2·4)
+    assert forget(-0.25, 2.0, 4.0) == -0.25
+    assert [forget(0.3, force, 4.0) for force in (0.0, 2.0)] == [0.3, 0.3]
+
+
+# -- the bound --------------------------------------------------------------------------------------------------------
+
+
+@given(
+    energy=st.floats(-1.0, 1.0),
+    law=forces,
+    step=steps,
+    following=steps,
+    rate=st.floats(0.0, 1e5),
+    stiffness=st.one_of(st.none(), st.floats(1.0, 1e5)),
+)
+def test_one_tick_gives_out_no_more_than_force_times_the_change_of_displacement(
+    energy: float, law: float, step: float, following: float, rate: float, stiffness: float | None
+) -> None:
+    before = forget(energy, law, stiffness)
+    assert before >= energy
+    force = control(before, law, step, rate)
+    after = observe(before, force, following)
+    slack = 1e-12 * (abs(before) + abs(force) * (abs(step) + abs(following)))  # a few roundings of its own terms
+    assert after <= max(before, 0.0) + force * (following - step) + slack
+    assert force * law >= 0.0
+    assert (force == 0.0) or (law != 0.0)
+    # Where nothing is owed, forces are lowered only.
+    assert before > 0.0 or abs(force) <= abs(law)
+
+
+@given(
+    run_=st.lists(st.tuples(forces, steps), min_size=2, max_size=80),
+    stiffness=st.one_of(st.none(), st.floats(1.0, 1e5)),
+    damping=st.floats(0.0, 20.0),
+)
+def test_over_a_whole_run_only_the_changes_of_displacement_add_up(
+    run_: list[tuple[float, float]], stiffness: float | None, damping: float
+) -> None:
+    guard = PassivityGuard(PassivityParameters(stiffness=stiffness, damping=damping), T, [2])
+    position, energy, allowed = 0.0, 0.0, 0.0
+    acting, last = 0.0, 0.0
+    for law, step in run_:
+        guard.observe([0.0, 0.0, acting], (0.0, 0.0, position), (0.0, 0.0, position + step))
+        taken = (position + step) - position
+        position += step
+        energy += acting * taken
+        allowed += max(acting * (taken - last), 0.0)
+        # Forgetting credit only ever makes the guard stricter than the true energy.
+        assert guard.energy >= energy - 1e-9
+        assert energy <= allowed + 1e-9  # 80 sums of terms up to 0.25 J
+        acting = guard.control((0.0, 0.0, law), (0.0, 0.0, 0.0), 0.0)[2]
+        last = taken
+
+
+# -- in the loop ------------------------------------------------------------------------------------------------------
+
+
+def scene(
+    guard: PassivityParameters | None, mass: float = 0.1, next_tick: bool = False, resolution: float | None = None
+) -> Scene:
+    device = DeviceModel(mass=mass, damping=1.0, gravity=9.81, position=0.01, resolution=resolution)
+    return Scene(
+        device=device, surface=Surface("plane"), period=T, raw=False, clamp=True, next_tick=next_tick, passivity=guard
+    )
+
+
+def given_out(trace: Trace, next_tick: bool = False) -> Any:
+    """Energy given out up to each sample [J], from forces and positions alone."""
+    acting = np.concatenate(([0.0], trace.force[:-2])) if next_tick else trace.force[:-1]
+    return np.concatenate(([0.0], np.cumsum(acting * np.diff(trace.measured))))
+
+
+@settings(deadline=None)  # the first example compiles
+@given(
+    ratio=st.floats(0.1, 0.5),
+    damping=st.floats(0.0, 5.0),
+    mass=st.floats(0.05, 0.5),
+    credit=st.booleans(),
+)
+def test_a_dropped_mass_never_gains_more_than_one_tick_allows(
+    ratio: float, damping: float, mass: float, credit: bool
+) -> None:
+    stiffness = ratio * mass / T**2
+    guard = PassivityParameters(stiffness=stiffness if credit else None)
+    trace = run(scene(guard, mass), PD(stiffness=stiffness, damping=damping).compile(T), 1500)
+    energy = given_out(trace)
+    force = trace.force[:-1]
+    step = np.diff(trace.measured, prepend=trace.measured[0])
+    allowed = np.maximum(energy[:-1], 0.0) + force * np.diff(trace.measured) - force * step[:-1]
+    assert np.all(energy[1:] <= allowed + 1e-12)  # sums of some 1e-3 J over 1500 ticks
+    # The mass has what it fell with, and what was given out: it cannot fly higher than that.
+    most = 0.01 + max(float(energy.max()), 0.0) / (mass * 9.81)
+    assert trace.position.max() <= most * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("next_tick", [False, True])
+def test_an_unstable_wall_throws_the_mass_up_without_the_guard_and_lets_it_lie_with_it(next_tick: bool) -> None:
+    law = PD(stiffness=2000.0 if next_tick else 5000.0, damping=3.0).compile(T)
+    wild = run(scene(None, next_tick=next_tick), law, 3000)
+    calm = run(scene(ON, next_tick=next_tick), law, 3000)
+    lively = float(np.ptp(wild.position[-500:]))
+    quiet = float(np.ptp(calm.position[-500:]))
+    assert given_out(wild, next_tick).max() > 0.1  # it goes on giving: 119 mJ after 6 s here, 40 mJ per second
+    assert given_out(calm, next_tick).max() < 0.006
+    assert lively > 2e-3
+    assert quiet < 0.1 * lively
+    assert calm.position[-500:].max() < 0.0  # it lies on the floor
+    # What carries the weight is still the wall.
+    assert calm.force[-1000:].mean() == pytest.approx(0.981, rel=0.03)
+
+
+def test_a_wall_that_is_stable_is_not_touched() -> None:
+    law = PD(stiffness=1000.0, damping=3.0).compile(T)
+    free, guarded = run(scene(None), law, 2000), run(scene(ON), law, 2000)
+    assert np.array_equal(free.force, guarded.force)
+    assert np.array_equal(free.position, guarded.position)
+
+
+def test_guarded_runs_compiled_and_interpreted_give_the_same_bits() -> None:
+    guard = PassivityParameters(stiffness=5000.0, damping=10.0)
+    law = PD(stiffness=5000.0, damping=3.0).compile(T)
+    for next_tick in (False, True):
+        place = scene(guard, next_tick=next_tick, resolution=2.3e-5)
+        a, b = run(place, law, 500), run(place, law, 500, interpreted=True)
+        assert np.array_equal(a.force, b.force)
+        assert np.array_equal(a.position, b.position)
+
+
+def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
+    # A mass on a two-sided coupling: a second of damping gives credit; then the law is swapped for one that pumps.
+    from nodes.laws import CompiledLaw
+    from sim.scene.loop import Swap
+
+    # It starts with a velocity, not deflected: before tick 0 nothing is in store.
+    device = DeviceModel(mass=0.1, damping=0.0, velocity=1.0)
+    calm = PD(stiffness=500.0, damping=1.0).compile(T)
+    pump = CompiledLaw((500.0 - 1.0 / T, 1.0 / T))  # negative damping
+    worst = {}
+    for name, guard in {
+        "none": None,
+        "plain": PassivityParameters(),
+        "spring": PassivityParameters(stiffness=500.0),
+    }.items():
+        place = Scene(device=device, surface=Surface("anchor"), period=T, raw=False, clamp=False, passivity=guard)
+        trace = run(place, calm, 1500, [Swap(250, pump)])
+        worst[name] = float(np.abs(trace.position[250:]).max())
+    assert worst["none"] > 1e3
+    # The plain observer hands the 50 mJ of the first half second back, which is 14 mm of this spring and a little more;
+    # with no more in store than the spring holds, the motion that was left at the swap stays what it was.
+    assert 10e-3 < worst["plain"] < 20e-3
+    assert worst["spring"] < 4e-3
+
+
+# -- four processes ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
+def test_lockstep_equals_one_process_and_publishes_its_energy(tmp_path: Path, apply: str) -> None:
+    words = {"pace": "lockstep", "duration": 0.6, "apply": apply, "height": 0.002}
+    figures = launch_json(tmp_path, "floor_guarded", *(f"{name}:={value}" for name, value in words.items()))
+    recording = Recording(tmp_path / figures["recording"])
+    state = recording.arrays("/device/state")
+    trace = from_launch(launch_file.read("floor_guarded", words)).play()
+    assert np.array_equal(state["position"][:-1, 2], trace.measured)
+    assert np.array_equal(state["force"][1:, 2], trace.force)
+    energy = given_out(trace, apply == "next_tick")
+    assert np.array_equal(state["energy"][:-1], energy)
+    assert figures["energy_max_j"] == max(energy.max(), state["energy"][-1])
+    assert figures["guard"]["lowered"] > 0
+    assert state["guard"].any()
+    assert np.all(state["guard"] >= state["energy"] - 1e-15)
+
+
+def test_study_guard_answers_with_what_it_costs(tmp_path: Path) -> None:
+    words = "--json --points 2 --low 1000 --high 8000 --duration 6 --out ."
+    done = haptic(tmp_path, "study", "guard", *words.split())
+    figures = json.loads(done.stdout.splitlines()[-1])
+    soft, soft_guarded, stiff, stiff_guarded = figures["drops"]
+    # Below K_max the guard changes nothing but the way to rest; both walls are felt as K.
+    assert soft["felt_n_per_m"] == pytest.approx(1000.0, rel=1e-6)
+    assert soft_guarded["felt_n_per_m"] == pytest.approx(1000.0, rel=1e-6)
+    # Above it the mass never lies still without the guard; with it, it falls no deeper than g T² between two pushes.
+    assert stiff["felt_n_per_m"] is None
+    assert stiff["energy_max_j"] > 0.05
+    assert stiff_guarded["energy_max_j"] < 2e-3
+    assert stiff_guarded["unrest_m"] <= 1.1 * 9.81 * T**2
+    assert 0.5 < stiff_guarded["felt_n_per_m"] / 8000.0 < 0.6
+    assert (tmp_path / "guard.png").stat().st_size > 10_000

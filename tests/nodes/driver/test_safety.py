@@ -1,0 +1,485 @@
+"""The driver's safety: every limit at its edge, and no sequence of messages whatever that gets past one."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from messages.types import ZERO, Force, Vector
+from nodes.base.setup import Setup
+from nodes.driver.device import DeviceLimits
+from nodes.driver.limits import STOP_TIME, SafetyParameters, lower
+from nodes.driver.node import Driver
+from nodes.driver.safety import Safety
+from nodes.parameters.store import ParameterError, convert
+
+T = 0.002
+UP: Vector = (0.0, 0.0, 1.0)
+
+
+def force(seq: int, z: float = 1.0) -> Force:
+    return Force(seq=seq, stamp=0.0, force=(0.0, 0.0, z))
+
+
+class Port:
+    """A safety with its events, driven as the driver does it."""
+
+    def __init__(
+        self, device: DeviceLimits | None = None, axes: tuple[int, ...] = (0, 1, 2), **parameters: Any
+    ) -> None:
+        self.events: list[tuple[str, str]] = []
+        self.safety = Safety(
+            SafetyParameters(**parameters),
+            device or DeviceLimits(),
+            T,
+            list(axes),
+            lambda kind, reason: self.events.append((kind, reason)),
+        )
+
+    def answer(self, message: Force, tick: int) -> bool:
+        """Let a force arrive; tell whether it was admitted."""
+        if not self.safety.admit(message, tick):
+            return False
+        self.safety.command(message.force, message.seq, tick)
+        return True
+
+    def changes(self) -> list[str]:
+        """List the changes of state that were told."""
+        return [text.split(" at tick")[0] for kind, text in self.events if kind == "safety"]
+
+
+# -- watchdog --------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_handed_over_before_the_first_force() -> None:
+    port = Port(watchdog=3)
+    assert all(port.safety.missed(tick, ZERO) is None for tick in range(100))
+    assert port.safety.state == "waiting"
+    assert port.safety.force == ZERO
+    assert port.events == []
+
+
+@pytest.mark.parametrize("watchdog", [1, 2, 10])
+def test_watchdog_holds_for_n_minus_1_ticks_and_damps_at_n(watchdog: int) -> None:
+    port = Port(watchdog=watchdog, damping_ticks=5, damping=2.0)
+    assert port.answer(force(7), 7)
+    velocity = (0.1, 0.0, -0.25)
+    for silent in range(1, watchdog):
+        assert port.safety.missed(7 + silent, velocity) is None
+        assert port.safety.state == "active"
+        assert port.safety.force == UP
+    assert port.safety.missed(7 + watchdog, velocity) == (-0.2, 0.0, 0.5)
+    assert port.safety.state == "damping"
+    assert port.events[-1] == (
+        "safety",
+        f"active → damping at tick {7 + watchdog}: no fresh force for {watchdog} ticks, limit {watchdog}",
+    )
+
+
+def test_a_fresh_force_one_tick_before_the_watchdog_starts_it_anew() -> None:
+    port = Port(watchdog=4)
+    port.answer(force(0), 0)
+    for tick in range(1, 4):
+        assert port.safety.missed(tick, ZERO) is None
+    port.answer(force(4), 4)
+    for tick in range(5, 8):
+        assert port.safety.missed(tick, ZERO) is None
+    port.safety.missed(8, ZERO)
+    assert port.changes() == ["waiting → active", "active → damping"]
+
+
+@pytest.mark.parametrize("damping_ticks", [0, 1, 6])
+def test_damping_lasts_its_ticks_and_then_the_force_is_zero(damping_ticks: int) -> None:
+    port = Port(watchdog=2, damping_ticks=damping_ticks, damping=1.0)
+    port.answer(force(0), 0)
+    port.safety.missed(1, UP)
+    handed = [port.safety.missed(tick, UP) for tick in range(2, 2 + damping_ticks + 3)]
+    assert handed == [(0.0, 0.0, -1.0)] * damping_ticks + [ZERO] * 3
+    assert port.safety.state == "zero"
+
+
+def test_silence_counts_ticks_that_the_driver_itself_left_out() -> None:
+    port = Port(watchdog=10, damping_ticks=0)
+    port.answer(force(0), 0)
+    # The driver was held up from tick 1 to tick 500: the first tick it sees again is over the watchdog at once.
+    assert port.safety.missed(500, ZERO) == ZERO
+    assert port.safety.state == "zero"
+
+
+def test_forces_resume_by_themselves_with_the_ramp() -> None:
+    port = Port(watchdog=1, damping_ticks=0, ramp=4 * T)
+    got = []
+    for tick in range(4):
+        port.answer(force(tick), tick)
+        got.append(port.safety.force[2])
+    assert got == [0.25, 0.5, 0.75, 1.0]
+    port.safety.missed(4, ZERO)
+    assert port.safety.force == ZERO
+    port.answer(force(5), 5)
+    assert port.safety.force[2] == 0.25
+    assert port.changes() == ["waiting → ramp", "ramp → active", "active → damping", "damping → zero", "zero → ramp"]
+
+
+def test_a_force_that_is_late_does_not_hurry_the_ramp() -> None:
+    port = Port(ramp=4 * T)
+    port.answer(force(10), 10)
+    # Three answers in one tick: one step of the ramp, not three.
+    for seq in (11, 12, 13):
+        assert port.answer(force(seq), 13)
+    assert port.safety.force[2] == 1.0 * 4 / 4
+    port = Port(ramp=100 * T)
+    port.answer(force(10), 10)
+    for seq in (11, 12, 13):
+        port.answer(force(seq), 13)
+    assert port.safety.force[2] == 0.04
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("seq", "tick", "why"),
+    [
+        (20, 20, None),
+        (21, 20, "future"),
+        (15, 20, None),
+        (14, 20, "stale"),
+        (10, 12, "replayed"),
+        (9, 12, "replayed"),
+        (11, 12, None),
+    ],
+)
+def test_forces_are_refused_by_age_order_and_future(seq: int, tick: int, why: str | None) -> None:
+    port = Port(max_age=5)
+    port.answer(force(10), 10)
+    assert port.answer(force(seq, 3.0), tick) is (why is None)
+    assert port.safety.force[2] == (3.0 if why is None else 1.0)
+    assert {key for key, count in port.safety.refused.items() if count} == (set() if why is None else {why})
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_force_that_is_not_finite_is_refused_even_behind_the_codec(value: float) -> None:
+    port = Port()
+    port.answer(force(0), 0)
+    assert not port.answer(Force(seq=1, stamp=0.0, force=(0.0, value, 0.0)), 1)
+    assert port.safety.force == UP
+    assert port.safety.refused["not_finite"] == 1
+
+
+# -- limits -----------------------------------------------------------------------------------------------------------
+
+
+def test_peak_holds_at_its_edge_and_is_counted() -> None:
+    port = Port(peak_force=2.0)
+    port.answer(force(0, 2.0), 0)
+    assert (port.safety.force[2], port.safety.limited["peak"]) == (2.0, 0)
+    port.answer(force(1, math.nextafter(2.0, 3.0)), 1)
+    assert (port.safety.force[2], port.safety.limited["peak"]) == (2.0, 1)
+    port.answer(force(2, -1e300), 2)
+    assert port.safety.force[2] == -2.0
+
+
+def test_slew_is_shared_by_all_forces_of_one_tick() -> None:
+    port = Port(slew=0.5 / T)
+    port.answer(force(0, 0.2), 0)
+    assert port.safety.force[2] == 0.2
+    port.answer(force(3, 10.0), 5)
+    assert port.safety.force[2] == 0.7
+    # The slew of tick 5 is used up; late answers in the same tick cannot take another step, nor one back.
+    port.answer(force(4, 10.0), 5)
+    port.answer(force(5, -10.0), 5)
+    assert port.safety.force[2] == 0.7
+    port.answer(force(6, -10.0), 6)
+    assert port.safety.force[2] == pytest.approx(0.2, abs=1e-15)  # 0.7 − 0.5, one rounding
+
+
+def test_zero_and_fault_are_reached_within_the_slew_too() -> None:
+    port = Port(slew=0.4 / T, watchdog=1, damping_ticks=0, workspace=((-1.0, 1.0),) * 3)
+    for tick in range(3):
+        port.answer(force(tick, 1.0), tick)
+    assert port.safety.force[2] == 1.0
+    got = []
+    for tick in range(3, 7):
+        port.safety.missed(tick, ZERO)
+        got.append(round(port.safety.force[2], 12))
+    assert got == [0.6, 0.2, 0.0, 0.0]
+
+
+def test_continuous_force_comes_down_at_the_slew_and_stays_at_its_limit() -> None:
+    limit, slew, tau = 1.75, 100.0 * T, 0.2
+    port = Port(continuous_force=limit, thermal_time=tau, slew=slew / T, peak_force=7.9)
+    keep = math.exp(-T / tau)
+    heat, handed = 0.0, []
+    for tick in range(2000):
+        port.answer(force(tick, 7.9), tick)
+        handed.append(port.safety.force[2])
+        heat = keep * heat + (1.0 - keep) * handed[-1] ** 2
+        assert heat <= limit**2 * (1.0 + 1e-12)  # the last bits of 2000 sums
+    assert max(handed) > 2.0 * limit  # short forces are still large
+    assert handed[-1] == pytest.approx(limit, rel=1e-3)  # and after ten time constants the limit is used, not less
+    assert max(abs(b - a) for a, b in pairwise(handed)) <= slew * (1.0 + 1e-12)
+    assert port.safety.limited["continuous"] > 0
+
+
+def test_continuous_force_also_counts_ticks_without_an_answer() -> None:
+    port = Port(continuous_force=1.0, thermal_time=0.1, watchdog=10_000, peak_force=5.0)
+    keep = math.exp(-T / 0.1)
+    port.answer(force(0, 5.0), 0)
+    heat = (1.0 - keep) * port.safety.force[2] ** 2
+    for tick in range(1, 300):
+        port.safety.missed(tick, ZERO)
+        heat = keep * heat + (1.0 - keep) * port.safety.force[2] ** 2
+        assert heat <= 1.0 + 1e-12  # 300 sums
+    assert port.safety.state == "active"
+
+
+def test_outside_the_workspace_there_is_no_force_and_back_inside_it_grows_again() -> None:
+    port = Port(workspace=((-1.0, 1.0), (-1.0, 1.0), (0.0, 0.1)), ramp=2 * T)
+    for tick in range(3):
+        port.safety.watch_position((0.0, 0.0, 0.1), tick)
+        port.answer(force(tick), tick)
+    assert port.safety.force == UP
+    port.safety.watch_position((0.0, 0.0, math.nextafter(0.1, 1.0)), 3)
+    assert port.safety.state == "fault"
+    assert port.safety.missed(3, UP) == ZERO  # without waiting for any watchdog
+    port.answer(force(4), 4)
+    assert port.safety.force == ZERO
+    port.safety.watch_position((0.0, 0.0, 0.1), 5)
+    assert port.safety.force == ZERO
+    port.answer(force(5), 5)
+    assert port.safety.force[2] == 0.5
+    assert port.changes() == ["waiting → ramp", "ramp → active", "active → fault", "fault → zero", "zero → ramp"]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_position_that_is_not_finite_is_a_fault_and_must_not_be_used(value: float) -> None:
+    port = Port()
+    port.answer(force(0), 0)
+    assert not port.safety.watch_position((0.0, value, 0.0), 1)
+    assert port.safety.state == "fault"
+    assert port.safety.missed(1, ZERO) == ZERO
+
+
+def test_axes_that_the_scene_does_not_compute_get_no_force() -> None:
+    port = Port(axes=(2,), damping=1.0, watchdog=1)
+    port.answer(Force(seq=0, stamp=0.0, force=(5.0, 5.0, 1.0)), 0)
+    assert port.safety.force == UP
+    assert port.safety.missed(1, (3.0, 3.0, 0.5)) == (0.0, 0.0, -0.5)
+
+
+# -- the device's limits ----------------------------------------------------------------------------------------------
+
+TOUCH = DeviceLimits(
+    peak_force=7.9,
+    continuous_force=1.75,
+    slew=2000.0,
+    silence=0.05,
+    workspace=((-0.08, 0.08), (-0.06, 0.06), (-0.06, 0.06)),
+)
+
+
+def test_no_launch_file_raises_a_limit_of_the_device_and_each_attempt_is_told() -> None:
+    greedy = SafetyParameters(
+        peak_force=20.0,
+        continuous_force=10.0,
+        slew=1e6,
+        watchdog=10_000,
+        damping_ticks=1000,
+        max_age=500,
+        workspace=((-1.0, 1.0), (-0.01, 0.01), (-0.06, 0.07)),
+    )
+    limits = lower(greedy, TOUCH, T, "driver.safety")
+    assert (limits.peak, limits.continuous, limits.slew) == (7.9, 1.75, 2000.0 * T)
+    assert (limits.watchdog, limits.damping_ticks, limits.max_age) == (25, 25, 25)
+    assert limits.workspace == ((-0.08, 0.08), (-0.01, 0.01), (-0.06, 0.06))
+    assert [text.split(":")[0].removeprefix("driver.safety.") for text in limits.told] == [
+        "peak_force",
+        "slew",
+        "watchdog",
+        "damping_ticks",
+        "max_age",
+        "workspace[0]",
+        "workspace[2]",
+        "continuous_force",
+    ]
+    assert limits.told[0] == "driver.safety.peak_force: 20 N, limit 7.9 N of the device, which holds"
+    port = Port(TOUCH, peak_force=20.0)
+    assert port.events == [("limit", "safety.peak_force: 20 N, limit 7.9 N of the device, which holds")]
+    assert port.safety.summary()["told"] == [port.events[0][1]]
+
+
+def test_a_modest_launch_file_lowers_the_limits_and_nothing_is_told() -> None:
+    modest = SafetyParameters(peak_force=7.9, continuous_force=1.0, slew=2000.0, watchdog=25, damping_ticks=5)
+    limits = lower(modest, TOUCH, T)
+    assert (limits.peak, limits.continuous, limits.watchdog, limits.told) == (7.9, 1.0, 25, ())
+    # Left out, the device's own limits hold.
+    limits = lower(SafetyParameters(damping_ticks=25), TOUCH, T)
+    assert (limits.peak, limits.continuous, limits.slew) == (7.9, 1.75, 2000.0 * T)
+
+
+def test_a_slew_too_slow_to_stop_in_time_lowers_the_peak() -> None:
+    limits = lower(SafetyParameters(slew=2.0, peak_force=3.0), DeviceLimits(), T)
+    assert (limits.peak, limits.told) == (3.0, ())  # 3 N at 2 N/s is exactly STOP_TIME
+    limits = lower(SafetyParameters(slew=2.0, peak_force=3.01), DeviceLimits(), T)
+    assert limits.peak == 2.0 * STOP_TIME
+    assert limits.told[0].startswith("safety.slew: 2 N/s takes")
+
+
+@pytest.mark.parametrize(
+    ("data", "path"),
+    [
+        ({"watchdog": 0}, "driver.safety.watchdog"),
+        ({"peak_force": 0.0}, "driver.safety.peak_force"),
+        ({"peak_force": -1.0}, "driver.safety.peak_force"),
+        ({"slew": math.inf}, "driver.safety.slew"),
+        ({"ramp": math.nan}, "driver.safety.ramp"),
+        ({"workspace": [[0, 1], [0, 1]]}, "driver.safety.workspace"),
+        ({"max_peak": 3.0}, "driver.safety"),
+    ],
+)
+def test_parameters_that_make_no_sense_are_refused_by_path(data: dict[str, Any], path: str) -> None:
+    with pytest.raises(ParameterError, match=rf"^{path}".replace(".", r"\.")):
+        convert(data, SafetyParameters, "driver.safety")
+
+
+def test_an_empty_workspace_is_refused_before_anything_is_started() -> None:
+    def setup(high: float) -> Setup:
+        return Setup(
+            run="r",
+            run_dir="",
+            name="arm",
+            kind="driver",
+            factory="nodes.driver.node:Driver",
+            period=T,
+            pace="realtime",
+            apply="on_arrival",
+            axes=["z"],
+            ticks=0,
+            publish="",
+            control="",
+            sources={},
+            parameters={"safety": {"workspace": [[-1.0, 1.0], [-1.0, 1.0], [0.0, high]]}},
+        )
+
+    Driver.check(setup(1e-3))
+    with pytest.raises(ParameterError, match=r"^arm\.safety\.workspace\[2\]: 0 to 0 m, .*low to high"):
+        Driver.check(setup(0.0))
+
+
+def test_a_device_that_exists_is_not_made_to_wait() -> None:
+    setup = Setup(
+        run="r", run_dir="", name="arm", kind="driver", factory="", period=T, pace="lockstep", apply="on_arrival",
+        axes=["z"], ticks=0, publish="", control="", sources={},
+    )  # fmt: skip
+    with pytest.raises(ParameterError, match=r"^arm: pace lockstep waits for each force, however long"):
+        Driver.check(setup)
+
+
+# -- the end ----------------------------------------------------------------------------------------------------------
+
+
+@given(
+    start=st.floats(-7.9, 7.9),
+    slew=st.one_of(st.none(), st.floats(5.3, 1e5)),
+)
+def test_soft_stop_ends_at_zero_within_slew_and_time(start: float, slew: float | None) -> None:
+    port = Port(slew=slew, peak_force=7.9)
+    port.safety.force = (0.0, start, -0.5 * start)
+    steps = port.safety.soft_stop()
+    assert steps[-1] == ZERO
+    assert len(steps) * T <= STOP_TIME + T  # rounding the number of steps up
+    most = slew * T if slew is not None else abs(start) / 10.0
+    for before, after in pairwise([port.safety.force, *steps]):
+        assert all(abs(b - a) <= most * (1.0 + 1e-9) + 1e-12 for a, b in zip(before, after, strict=True))
+
+
+def test_soft_stop_without_force_is_one_zero() -> None:
+    assert Port().safety.soft_stop() == [ZERO]
+
+
+# -- no sequence of messages whatever ---------------------------------------------------------------------------------
+
+anything = st.one_of(st.floats(-20.0, 20.0), st.sampled_from([1e308, -1e308, math.nan, math.inf, 5e-324, 0.0]))
+vectors = st.tuples(anything, anything, anything)
+places = st.one_of(st.just(0.0), st.floats(-0.2, 0.2), st.just(math.nan))
+messages = st.tuples(st.integers(-12, 2), vectors)
+ticks = st.tuples(
+    st.integers(1, 3),  # ticks passed: more than one is an overrun
+    st.tuples(places, places, places),
+    st.lists(messages, max_size=8),  # forces that arrive in this tick, by the tick they answer
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    run=st.lists(ticks, min_size=1, max_size=60),
+    peak=st.floats(0.1, 10.0),
+    slew=st.floats(1.0, 5e3),
+    continuous=st.one_of(st.none(), st.floats(0.05, 5.0)),
+    watchdog=st.integers(1, 5),
+    ramp=st.sampled_from([0.0, 3 * T]),
+)
+def test_no_sequence_of_messages_gets_past_a_limit(
+    run: list[tuple[int, Vector, list[tuple[int, Vector]]]],
+    peak: float,
+    slew: float,
+    continuous: float | None,
+    watchdog: int,
+    ramp: float,
+) -> None:
+    box = ((-0.1, 0.1),) * 3
+    port = Port(
+        peak_force=peak,
+        slew=slew,
+        continuous_force=continuous,
+        thermal_time=0.05,
+        watchdog=watchdog,
+        damping_ticks=2,
+        ramp=ramp,
+        workspace=box,
+    )
+    safety = port.safety
+    keep = math.exp(-T / 0.05)
+    heat, tick, since = 0.0, 0, 0
+    overrun = False
+    for passed, position, arrivals in run:
+        tick += passed
+        overrun = overrun or passed > 1
+        heat *= keep ** (passed - 1)
+        safety.watch_position(position, tick)
+        inside = all(abs(value) <= 0.1 for value in position)
+        handed = [safety.force]
+        answered = False
+        for offset, vector in arrivals:
+            seq = max(tick + offset, 0)
+            before = safety.force_seq
+            if port.answer(Force(seq=seq, stamp=0.0, force=vector), tick):
+                assert before < seq <= tick
+                assert tick - seq <= 5
+                assert all(map(math.isfinite, vector))
+                since = tick
+                answered = answered or seq == tick
+                handed.append(safety.force)
+        if not answered:
+            safety.missed(tick, (0.0, 0.0, 0.3))
+            handed.append(safety.force)
+        for vector in handed:
+            assert all(abs(value) <= peak for value in vector)
+        most = slew * T * (1.0 + 1e-9)  # sums of a handful of steps
+        for axis in range(3):
+            assert sum(abs(b[axis] - a[axis]) for a, b in pairwise(handed)) <= most
+        heat = keep * heat + (1.0 - keep) * max(sum(v * v for v in vector) for vector in handed[1:] or handed)
+        if continuous is not None and not overrun:
+            # Without overruns the heat is never over the limit; an overrun holds a force that nobody can take back.
+            assert heat <= continuous**2 * (1.0 + 1e-9)
+        if tick - since >= watchdog + 2 + math.ceil(peak / (slew * T)) and safety.state != "waiting":
+            assert safety.force == ZERO or passed > 1
+        if not inside:
+            assert safety.state == "fault"
+    assert msgspec.json.encode(safety.summary())

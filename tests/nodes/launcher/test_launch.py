@@ -1,0 +1,151 @@
+"""Launch files and the launcher: every scenario runs, every mistake is told with its path, the summary is true."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from pathlib import Path
+
+import pytest
+
+from messages.topics import DEVICE_STATE, FORCE, PROXY
+from nodes.driver.response_times import ResponseTimes
+from nodes.launcher import launch_file
+from nodes.parameters.store import ParameterError
+from nodes.recording.reader import Recording
+from tests.support.launching import haptic, launch_json, running
+
+PROMISED = {
+    "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot", "exit_reason", "final",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("scenario", launch_file.scenarios())
+def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None:
+    figures = launch_json(tmp_path, scenario)
+    assert set(figures) >= PROMISED
+    assert figures["exit_reason"] == "done"
+    recording = Recording(tmp_path / figures["recording"])
+    counts = recording.topics
+    ticks = figures["ticks"] + figures["overruns"]
+    assert counts[DEVICE_STATE].messages == figures["ticks"] + 1
+    # What the driver itself could not sample is counted as an overrun; nothing else may be missing from the record.
+    assert counts[DEVICE_STATE].gaps == figures["overruns"]
+    states = recording.messages(DEVICE_STATE)
+    assert states[-1].seq == ticks
+    assert states[-1].missed == figures["missed"]
+
+
+def test_floor_drop_settles_at_weight_over_stiffness(tmp_path: Path) -> None:
+    figures = launch_json(tmp_path, "floor_drop", "stiffness:=800", "mass:=0.08", "pace:=lockstep")
+    # 3 s are 60 time constants 2m/(b+B) = 50 ms: what is left of the bounce is below the rounding of a micrometre.
+    assert figures["final"]["position_m"] == pytest.approx(-0.08 * 9.81 / 800.0, rel=1e-9)
+    assert figures["final"]["force_n"] == pytest.approx(0.08 * 9.81, rel=1e-9)
+    recording = Recording(tmp_path / figures["recording"])
+    for topic in (DEVICE_STATE, PROXY, FORCE):
+        assert recording.topics[topic].gaps == 0
+        assert recording.topics[topic].messages == figures["ticks"] + 1
+
+
+def test_summary_is_true_to_the_recording(tmp_path: Path) -> None:
+    figures = launch_json(tmp_path, "floor_drop", "duration:=1.5")
+    states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
+    times = ResponseTimes()
+    for state in states[1:]:
+        if state.response > 0.0:
+            times.add(state.response)
+    assert figures["response_us"] == times.summary_us()
+    assert figures["age_ticks_max"] == max(state.age for state in states)
+    span = states[-1].stamp - states[0].stamp
+    # The mean rate is of the deadlines; each end of the recorded span may have been woken late.
+    late = states[0].lateness + states[-1].lateness
+    assert (states[-1].seq - states[0].seq) / span == pytest.approx(figures["rate_hz"], rel=late / span + 1e-6)
+    assert figures["final"]["position_m"] == states[-1].position[2]
+
+
+def test_wall_press_reaches_the_balance_of_hand_and_wall(tmp_path: Path) -> None:
+    figures = launch_json(tmp_path, "wall_press", "pace:=lockstep", "duration:=2.0")
+    states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
+    # k_hand (0.03 − x) = K (x − 0.02): two springs in series.
+    balance = (300.0 * 0.03 + 1000.0 * 0.02) / 1300.0
+    assert states[-1].position[0] == pytest.approx(balance, abs=1e-6)  # 1 s after the last corner, 8 time constants
+    assert states[-1].force[0] == pytest.approx(-1000.0 * (balance - 0.02), abs=1e-3)
+
+
+def test_free_space_renders_no_force(tmp_path: Path) -> None:
+    figures = launch_json(tmp_path, "free_space", "pace:=lockstep")
+    forces = Recording(tmp_path / figures["recording"]).messages(FORCE)
+    assert {force.force for force in forces} == {(0.0, 0.0, 0.0)}
+
+
+def test_interrupt_before_the_time_ends_cleanly(tmp_path: Path) -> None:
+    with running(tmp_path, "floor_drop", "duration:=600") as launch:
+        launch.wait_ticks(50)
+        figures = launch.finish(signal.SIGINT, code=130)
+    assert figures["exit_reason"] == "SIGINT"
+    recording = Recording(tmp_path / figures["recording"])
+    assert recording.topics[DEVICE_STATE].messages == figures["ticks"] + 1
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("flor_drop",), "no launch file is named 'flor_drop'; there is: floor"),
+        (("floor_drop", "stifness:=3"), "no argument 'stifness'; there is: rate"),
+        (("floor_drop", "stiffness:=soft"), "floor_drop.yaml.arguments.stiffness: expected float, got 'soft'"),
+        (("floor_drop", "rate:=1"), "floor_drop.yaml.arguments.rate: 1.0 Hz, limit: at least 50 Hz"),
+        (("floor_drop", "pace:=slow"), "arguments.pace: 'slow', expected one of realtime, lockstep"),
+        (("floor_drop", "mass:=-1"), "driver.device.mass: Expected float > 0.0, got -1.0"),
+        (("floor_drop", "law:=spring"), "coupling.law: no law is named 'spring'; there is: pd"),
+        (("floor_drop", "stiffness:=-5"), "coupling.laws.pd.stiffness"),
+        (("nowhere.yaml",), "nowhere.yaml: no such file"),
+        (("floor_drop", "--without", "camera"), "no node 'camera'; there is: driver"),
+    ],
+)
+def test_mistakes_are_told_with_path_value_and_limit(words: tuple[str, ...], told: str, tmp_path: Path) -> None:
+    done = haptic(tmp_path, "launch", *words, code=2)
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_launch_files_are_checked_completely(tmp_path: Path) -> None:
+    good = launch_file.find("floor_drop").read_text(encoding="utf-8")
+    broken = {
+        "kind: sim_driver": ("kind: robot", "nodes.driver.kind: 'robot' is not installed"),
+        "kind: plane": ("kind: cone", "environment.surface.kind: 'cone' is not a surface"),
+        "rate: $(var rate)": ("rate: $(var speed)", "$(var speed) is not an argument"),
+        "required: false": ("requird: false", "unknown field requird"),
+        "gravity: 9.81": ("gravity: .nan", "not a finite number"),
+        "  logger:": ("  Logger!:", "a node's name is lower-case"),
+    }
+    for before, (after, told) in broken.items():
+        path = tmp_path / "broken.yaml"
+        path.write_text(good.replace(before, after, 1), encoding="utf-8")
+        assert told in haptic(tmp_path, "launch", "broken.yaml", code=2).stderr
+
+
+def test_arguments_keep_the_type_of_their_default() -> None:
+    launch = launch_file.read("floor_drop", {"stiffness": 900})
+    assert launch.arguments["stiffness"] == 900.0
+    assert isinstance(launch.arguments["stiffness"], float)
+    with pytest.raises(ParameterError, match="expected float, got True"):
+        launch_file.read("floor_drop", {"stiffness": True})
+
+
+def test_listing_and_arguments_for_people_and_machines(tmp_path: Path) -> None:
+    listed = json.loads(haptic(tmp_path, "launch", "--list", "--json").stdout)
+    assert set(listed["scenarios"]) == set(launch_file.scenarios())
+    shown = haptic(tmp_path, "launch", "--show-args", "floor_drop").stdout
+    assert "stiffness:=1000.0 N/m" in shown
+
+
+def test_percentiles_are_those_of_the_values() -> None:
+    times = ResponseTimes()
+    values = [(i * 7919 % 1000 + 0.5) * 1e-6 for i in range(1000)]  # a permutation of 0.5 … 999.5 µs
+    for value in values:
+        times.add(value)
+    summary = times.summary_us()
+    assert summary == {"p50": 500.0, "p99": 990.0, "p999": 999.0, "max": 999.5}
+    assert math.isclose(times.longest, max(values))

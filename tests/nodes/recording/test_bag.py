@@ -1,0 +1,370 @@
+"""``haptic bag``: what is printed, what is written and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from matplotlib import colors, image
+
+from messages import topics
+from messages.codec import Decoder
+from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.types import DeviceState, Event, Message
+from nodes.cli import main
+from nodes.recording import plot
+from nodes.recording.export import columns, export_csv, export_npz, plain_names
+from nodes.recording.play import play
+from nodes.recording.reader import Recording
+from nodes.recording.writer import RecordError, RecordWriter
+from tests.support.recorded import drop
+from tests.support.strategies import TYPES
+
+MISSED = (40, 41, 150)
+
+
+def write(path: Path, sent: list[tuple[str, Message]], **manifest: str) -> None:
+    with RecordWriter(path, {"scenario": "floor_drop", "pace": "realtime"} | manifest) as writer:
+        for topic, message in sent:
+            writer.write(topic, message, message.stamp + 1e-4)
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    path = tmp_path / "drop.mcap"
+    write(path, list(drop(300, missed=MISSED, switch=100)))
+    return path
+
+
+@pytest.fixture
+def cut(bag: Path) -> Path:
+    path = bag.with_name("cut.mcap")
+    data = bag.read_bytes()
+    # Behind the second chunk, before the end.
+    path.write_bytes(data[: len(data) * 2 // 3])
+    return path
+
+
+def haptic(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    code = main.main(["bag", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def answered(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[str, Any]:
+    code, out, err = haptic(capsys, *arguments, "--json")
+    assert code == 0, err
+    found: dict[str, Any] = json.loads(out.splitlines()[-1])
+    return found
+
+
+# -- info and recover ------------------------------------------------------------------------------------------------
+
+
+def test_info(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = answered(capsys, "info", bag)
+    assert told["recovered"] is False
+    assert told["complete"] is True
+    # From the first tick's stamp to the last one's; recorded to the nanosecond.
+    assert told["duration_s"] == pytest.approx(299 * 0.002, abs=1e-9)
+    assert {topic: (figures["messages"], figures["gaps"]) for topic, figures in told["topics"].items()} == {
+        topics.DEVICE_STATE: (300, 0),
+        topics.PROXY: (300, 0),
+        topics.FORCE: (300, 0),
+        topics.RECEIPT: (1, 0),
+        "/driver/status": (1, 0),
+        "/environment/status": (1, 0),
+    }
+    assert told["nodes"]["driver"] == {"sent": 300, "recorded": 300, "lost": 0}
+    code, out, _ = haptic(capsys, "info", bag)
+    assert code == 0
+    assert re.search(r"/device/state +300 +500 +0 +0\n", out)
+    assert "driver: sent 300, recorded 300: all there" in out
+
+
+def test_info_and_recover_of_a_cut_file(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = answered(capsys, "info", cut)
+    assert before["recovered"] is True
+    assert before["complete"] is False
+    assert before["cut"].startswith(f"{cut}: cut at byte ")
+    kept = {topic: figures["messages"] for topic, figures in before["topics"].items()}
+    assert 0 < kept[topics.DEVICE_STATE] < 300
+    saved = answered(capsys, "recover", cut)
+    out = cut.with_suffix(".recovered.mcap")
+    assert saved == {"out": str(out), "messages": kept, "problems": [before["cut"]], "recovered": True}
+    after = answered(capsys, "info", out)
+    assert (after["recovered"], after["complete"], after["topics"]) == (True, True, before["topics"])
+    assert haptic(capsys, "recover", cut)[0] == 2
+    assert haptic(capsys, "recover", cut, "--force")[0] == 0
+
+
+def test_recover_of_a_sound_file_says_so(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = haptic(capsys, "recover", bag)
+    assert code == 0
+    assert "nothing was lost" in out
+
+
+@pytest.mark.parametrize("verb", ["info", "play", "recover", "export", "plot"])
+def test_bad_files(tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
+    code, _, err = haptic(capsys, verb, tmp_path / "nothing.mcap")
+    assert (code, err) == (2, f"haptic: {tmp_path}/nothing.mcap: no such file\n")
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"no recording")
+    code, out, err = haptic(capsys, verb, bad)
+    assert (code, out) == (1, "")
+    assert err.startswith(f"haptic: {bad}: ")
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [bad], "nothing is written for a file that cannot be read"
+
+
+def test_record_without_a_launch(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(tmp_path / "run"))
+    monkeypatch.chdir(tmp_path)
+    code, _, err = haptic(capsys, "record")
+    assert code == 2
+    assert "nothing is running; start something with: haptic launch" in err
+
+
+# -- export ----------------------------------------------------------------------------------------------------------
+
+
+def parse(text: str, like: object) -> object:
+    if isinstance(like, bool):
+        return bool(int(text))
+    return type(like)(text)  # type: ignore[call-arg]
+
+
+def test_csv_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = answered(capsys, "export", bag)["files"]
+    folder = bag.with_name("drop_csv")
+    assert sorted(map(Path, files)) == sorted(folder.iterdir())
+    recording = Recording(bag)
+    for topic, name in plain_names(recording.topics).items():
+        entries = list(recording.entries([topic]))
+        with (folder / f"{name}.csv").open(newline="", encoding="utf-8") as stream:
+            header, *rows = csv.reader(stream)
+        assert header == columns(type(entries[0].message))
+        assert len(rows) == len(entries)
+        for row, entry in zip(rows, entries, strict=True):
+            flat: list[Any] = [entry.log_time]
+            for value in msgspec.structs.astuple(entry.message):
+                flat.extend(value if isinstance(value, tuple) else [value])
+            # To the last bit: Python writes the shortest text that reads back as the same double.
+            assert [parse(text, like) for text, like in zip(row, flat, strict=True)] == flat
+
+
+def test_columns_carry_units() -> None:
+    found = columns(DeviceState)
+    assert found[:6] == ["log_time [s]", "seq", "stamp [s]", "position_x [m]", "position_y [m]", "position_z [m]"]
+    assert {"force_z [N]", "response [s]", "lateness [s]", "energy [J]", "delay [ticks]"} <= set(found)
+    for message_type in TYPES:
+        assert len(set(columns(message_type))) == len(columns(message_type))
+
+
+def test_npz_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (file,) = answered(capsys, "export", "--format", "npz", bag)["files"]
+    assert file == str(bag.with_suffix(".npz"))
+    recording = Recording(bag)
+    with np.load(file, allow_pickle=False) as arrays:
+        expected = {
+            f"{name}.{field}": array
+            for topic, name in plain_names(recording.topics).items()
+            for field, array in recording.arrays(topic).items()
+        }
+        assert set(arrays) == set(expected)
+        for name, array in expected.items():
+            np.testing.assert_array_equal(arrays[name], array)
+        assert arrays["device_state.position"].shape == (300, 3)
+
+
+def test_topics_of_a_file_choose_no_path() -> None:
+    found = plain_names(["/../../etc/passwd", "/a/b_c", "/a_b/c", "", "/ü"])
+    assert all(re.fullmatch(r"\w{1,110}", name, re.ASCII) for name in found.values())
+    assert len(set(found.values())) == len(found)
+
+
+@pytest.mark.parametrize(("verb", "made"), [("export", "drop_csv"), ("plot", "drop.png")])
+def test_nothing_is_overwritten_unasked(bag: Path, capsys: pytest.CaptureFixture[str], verb: str, made: str) -> None:
+    out = bag.with_name(made)
+    assert haptic(capsys, verb, bag)[0] == 0
+    code, _, err = haptic(capsys, verb, bag)
+    assert code == 2
+    assert f"{out}: exists already; replace it with --force" in err
+    assert haptic(capsys, verb, bag, "--force")[0] == 0
+    other = bag.with_name("other")
+    assert haptic(capsys, verb, bag, "--out", other)[0] == 0
+    assert sorted(path.name for path in bag.parent.iterdir()) == sorted([bag.name, made, "other"])
+
+
+def test_exports_tell_a_place_that_cannot_be_written(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag.with_name("file").write_text("")
+    for arguments in (["--format", "csv"], ["--format", "npz"]):
+        code, _, err = haptic(capsys, "export", bag, *arguments, "--out", bag.with_name("file") / "x")
+        assert code == 1
+        assert "Not a directory" in err
+    with pytest.raises(RecordError, match="exists"):
+        export_npz(Recording(bag), bag)
+    export_csv(Recording(bag), bag.with_name("csv"))
+    with pytest.raises(RecordError, match=r"device_state\.csv: File exists"):
+        export_csv(Recording(bag), bag.with_name("csv"))
+
+
+# -- plot ------------------------------------------------------------------------------------------------------------
+
+
+def near(picture: Any, color: str) -> Any:
+    """Pixels that are one colour, or its blend with white by a third or more (lines are smoothed)."""
+    ink = 1.0 - picture[:, :, :3]
+    pure = 1.0 - np.array(colors.to_rgb(color))
+    share = ink @ pure / (pure @ pure)
+    rest = np.abs(ink - share[:, :, None] * pure).max(axis=2)
+    return (share > 0.33) & (share < 1.1) & (rest < 0.05)
+
+
+def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = Path(answered(capsys, "plot", bag)["plot"])
+    assert out.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    picture = image.imread(out)
+    height, width, _ = picture.shape
+    assert width == 1200
+    assert height > 800
+    # The device's line runs through nearly the whole width, and leaves a height that shows the bounces.
+    device = near(picture, plot.COLORS["device"])
+    assert device.any(axis=0).mean() > 0.8
+    assert device.any(axis=1).mean() > 0.3
+    # The switch is a dotted line through all panels.
+    switch = near(picture, plot.COLORS["switch"]).sum(axis=0)
+    assert switch.max() > 0.2 * height
+
+
+def test_plot_marks_missed_ticks_and_the_period(tmp_path: Path) -> None:
+    amounts = []
+    for name, missed, pace in (("none", (), "realtime"), ("some", MISSED, "realtime"), ("lockstep", (), "lockstep")):
+        write(tmp_path / f"{name}.mcap", list(drop(300, missed=missed)), pace=pace)
+        picture = image.imread(plot.plot(Recording(tmp_path / f"{name}.mcap"), tmp_path / f"{name}.png"))
+        amounts.append(int(near(picture, plot.COLORS["late"]).sum()))
+    without, with_missed, lockstep = amounts
+    # Without a deadline there is no period line; two marks (two of the three ticks are neighbours) are triangles of 5 pt.
+    assert lockstep == 0
+    assert without > 300
+    assert with_missed > without + 60
+
+
+def test_plot_keeps_every_extreme_of_a_long_run() -> None:
+    rng = np.random.default_rng(1)
+    time = np.arange(100_000) * 0.002
+    value = rng.normal(size=len(time))
+    value[77_777], value[12_345] = 50.0, -50.0
+    thin_time, thin = plot.thin(time, value)
+    assert len(thin) <= plot.POINTS
+    assert (thin.max(), thin.min()) == (50.0, -50.0)
+    assert np.all(np.diff(thin_time) > 0.0)
+    np.testing.assert_array_equal(thin, value[np.searchsorted(time, thin_time)])
+
+
+def test_plot_of_texts_that_look_like_formulas(tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+    write(path, list(drop(20, switch=5)), scenario=r"$\frac{x$ \n %s")
+    assert plot.draw(Recording(path)).startswith(b"\x89PNG")
+
+
+def test_plot_of_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "r.mcap"
+    write(path, list(drop(1)))
+    code, _, err = haptic(capsys, "plot", path)
+    assert code == 1
+    assert "a plot needs at least two" in err
+    # Two states and nothing else are enough.
+    only = tmp_path / "only.mcap"
+    write(only, [(topic, message) for topic, message in drop(2) if topic == topics.DEVICE_STATE])
+    assert haptic(capsys, "plot", only)[0] == 0
+
+
+# -- play ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Iterator[tuple[Publisher, Subscription]]:
+    context = new_context()
+    publisher = Publisher(context, f"ipc://{tmp_path}/p")
+    inbox = Subscription(context, [publisher.endpoint], [""])
+    while not publisher.listeners():
+        pass
+    yield publisher, inbox
+    inbox.close()
+    publisher.close()
+    context.term()
+
+
+def test_play_publishes_what_was_recorded(bag: Path, pair: tuple[Publisher, Subscription]) -> None:
+    publisher, inbox = pair
+    for entry in play(Recording(bag), publisher, rate=float("inf")):
+        frames = inbox.receive(5000)
+        assert frames is not None
+        assert frames[0].decode() == entry.topic
+        assert Decoder(type(entry.message)).decode(frames[1]) == entry.message
+    assert inbox.receive(0) is None
+
+
+def test_play_keeps_the_pace(
+    tmp_path: Path, pair: tuple[Publisher, Subscription], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publisher, _ = pair
+    path = tmp_path / "r.mcap"
+    gaps = [0.0, 1.5, 1.5, 4.0]
+    with RecordWriter(path, {}) as writer:
+        for seq, log_time in enumerate(gaps):
+            writer.write("/a/event", Event(seq=seq, stamp=0.0, node="a", kind="b", reason=""), 100.0 + log_time)
+    clock = [1000.0]
+    monkeypatch.setattr("nodes.recording.play.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("nodes.recording.play.time.sleep", lambda wait: clock.__setitem__(0, clock[0] + wait))
+    at = [clock[0] - 1000.0 for _ in play(Recording(path), publisher, rate=2.0)]
+    # Receipts are kept to the nanosecond, the clock's doubles near 1000 to 1e-13.
+    assert at == pytest.approx([gap / 2.0 for gap in gaps], abs=1e-8)
+    with pytest.raises(ValueError, match=r"rate is 0\.0"):
+        next(play(Recording(path), publisher, rate=0.0))
+
+
+def test_play_from_the_command_line(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    context = new_context()
+    endpoint = f"ipc://{tmp_path}/q"
+    inbox = Subscription(context, [endpoint], [topics.FORCE])
+    seqs: list[int] = []
+    decoder = Decoder(topics.LOOP[topics.FORCE])
+
+    def listen() -> None:
+        while len(seqs) < 300 and (frames := inbox.receive(20_000)) is not None:
+            seqs.append(decoder.decode(frames[1]).seq)
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    told = answered(capsys, "play", bag, "--endpoint", endpoint, "--topics", topics.FORCE, "--rate", "inf", "--wait")
+    thread.join()
+    inbox.close()
+    context.term()
+    assert told == {"published": {topics.FORCE: 300}}
+    assert seqs == list(range(300))
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "told"),
+    [
+        ("tcp://0.0.0.0:9872", "a recording is not sent abroad"),
+        ("tcp://*:9872", "a recording is not sent abroad"),
+        ("ipc:///nowhere/at/all", "No such file or directory"),
+    ],
+)
+def test_play_refuses_endpoints(bag: Path, capsys: pytest.CaptureFixture[str], endpoint: str, told: str) -> None:
+    code, _, err = haptic(capsys, "play", bag, "--endpoint", endpoint)
+    assert code == 2
+    assert told in err

@@ -1,0 +1,207 @@
+"""The drill: its judgement on made-up runs at the edge, and some faults on real processes (all of them: haptic drill)."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from messages.types import DeviceState
+from nodes.base.setup import Setup
+from nodes.driver.device import DeviceLimits
+from nodes.driver.limits import lower
+from nodes.launcher import launch_file
+from nodes.launcher.runs import alive
+from nodes.parameters.store import convert
+from sim.device.driver import SimDriverParameters, TimedDevice
+from sim.drill import drill
+from sim.drill.faults import faults
+from sim.drill.soak import soak
+from sim.measure.rig import Rig
+from tests.support.launching import HAPTIC, haptic, wait_for
+
+HELD = (0.0, 0.0, 1.0)
+
+
+def state(seq: int, force_seq: int, z: float = 1.0, safety: str = "active", energy: float = 0.0) -> DeviceState:
+    return DeviceState(
+        seq=seq,
+        stamp=0.0,
+        position=(0.0, 0.0, 0.0),
+        force=(0.0, 0.0, z),
+        force_seq=force_seq,
+        safety=safety,
+        energy=energy,
+    )
+
+
+# -- the judgement ----------------------------------------------------------------------------------------------------
+
+
+def test_fresh_forces_are_safe_at_any_age() -> None:
+    assert drill.time_to_safe([state(k, k - 1) for k in range(10)], 25) == 0
+    assert drill.time_to_safe([state(k, k - 4) for k in range(4, 14)], 25) == 0
+    assert drill.time_to_safe([], 25) == 0
+
+
+def test_time_to_safe_runs_from_the_last_fresh_force_to_zero() -> None:
+    # The force of tick 1 is told by state 2; it is held, then damped, and state 14 tells zero.
+    run = [state(1, 0), state(2, 1), *(state(k, 1) for k in range(3, 12)), state(12, 1, 0.1, "damping")]
+    run += [state(13, 1, 0.1, "damping"), state(14, 1, 0.0, "zero"), state(15, 1, 0.0, "zero")]
+    assert drill.time_to_safe(run, 25) == 11
+
+
+def test_a_driver_that_hangs_is_safe_when_the_device_lets_go() -> None:
+    run = [state(1, 0), state(2, 1), state(202, 1, 0.0, "zero")]
+    assert drill.time_to_safe(run, 25) == 25
+    assert drill.time_to_safe(run, 1000) == 200
+    # Nobody renewed the force while it was held, so that the device's time runs from the last fresh one.
+    run = [state(1, 0), state(2, 1), *(state(k, 1) for k in range(3, 11)), state(110, 1, 0.0, "zero")]
+    assert drill.time_to_safe(run, 25) == 25
+    # No force, no danger.
+    assert drill.time_to_safe([state(1, 0, 0.0), state(200, 0, 0.0)], 25) == 0
+
+
+def test_energy_goes_on_through_a_respawned_driver() -> None:
+    run = [state(1, 0, energy=0.5), state(2, 1, energy=0.7), state(9, -1, 0.0, energy=0.0), state(10, 9, energy=0.3)]
+    assert drill.energy_given_out(run) == pytest.approx(0.5)
+    assert drill.energy_given_out([state(1, 0, energy=0.5), state(2, 1, energy=0.4)]) == 0.0
+
+
+def test_recovery_needs_calm() -> None:
+    run = [state(k, k - 1) for k in range(drill.CALM)]
+    assert drill.in_order(run)
+    assert not drill.in_order(run[1:])
+    assert not drill.in_order([*run, state(drill.CALM, drill.CALM - 1, safety="ramp")])
+    assert not drill.in_order([*run[:10], *(state(k, 9) for k in range(10, 10 + drill.CALM))])
+
+
+def test_the_limit_is_that_of_the_drill_s_own_safety(tmp_path: Path) -> None:
+    path = tmp_path / "drill.yaml"
+    path.write_text(json.dumps(drill.scene()))
+    launch = launch_file.read(str(path), {})
+    parameters = convert(launch.nodes["driver"].parameters, SimDriverParameters, "driver")
+    limits = lower(parameters.safety, DeviceLimits(), launch.run.period)
+    assert limits.peak is not None
+    assert limits.slew is not None
+    down = limits.peak / limits.slew
+    hold = parameters.hold / launch.run.period
+    assert max(limits.watchdog + limits.damping_ticks + down, hold) + 2 <= drill.LIMIT
+
+
+# -- the device's own deadline ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("hold", "let_go"), [(0.02, 10), (None, None)])
+def test_the_virtual_device_lets_go_after_its_deadline(hold: float | None, let_go: int | None) -> None:
+    period = 0.002
+    setup = Setup(
+        run="r", run_dir="", name="driver", kind="sim_driver", factory="", period=period, pace="realtime",
+        apply="on_arrival", axes=["z"], ticks=0, publish="", control="", sources={},
+    )  # fmt: skip
+    model = convert({"device": {"mass": 1.0, "damping": 0.0}}, SimDriverParameters, "driver").device
+    device = TimedDevice(model, setup, hold)
+    device.read_position(0)
+    device.write_force(HELD, 0, 0.0)
+    speeds = []
+    last = 0.0
+    for seq in range(1, 21):
+        position = device.read_position(seq)[2]
+        speeds.append((position - last) / period)
+        last = position
+    # 1 N on 1 kg: the speed grows by T each tick as long as the force acts.
+    grows = [k for k in range(1, 20) if speeds[k] - speeds[k - 1] > 0.5 * period]
+    assert grows == list(range(1, 20 if let_go is None else let_go))
+
+
+# -- on real processes ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["kill coupling", "stop driver", "dead link"])
+def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
+    fault = next(fault for fault in faults() if fault.name == name)
+    outcome = drill.drill(fault)
+    if outcome.skipped:
+        pytest.skip(outcome.skipped)
+    assert outcome.passed, outcome.reasons
+    assert outcome.left == []
+    assert outcome.safe_ticks <= drill.LIMIT
+    assert outcome.recovered
+    assert outcome.lost_ticks > drill.WATCHDOG
+
+
+def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
+    def strike(rig: Rig) -> None:
+        rig.call("link", "param.set", values={"drop": 1.0})
+        rig.wait(lambda: rig.states[-1].safety == "zero", 10.0)
+        rig.launcher.terminate()
+        rig.launcher.wait(20.0)
+
+    def change(content: dict[str, Any]) -> None:
+        content["nodes"]["link"] = {"kind": "link"}
+
+    broken = drill.Fault(name="ended", what="the launcher is ended half-way", strike=strike, change=change)
+    outcome = drill.drill(broken, patience=0.2)
+    assert not outcome.passed
+    assert not outcome.recovered
+    assert outcome.safe_ticks <= drill.LIMIT
+    assert any("not recovered" in reason for reason in outcome.reasons)
+
+
+def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
+    listed = json.loads(haptic(tmp_path, "drill", "--list", "--json").stdout)["faults"]
+    assert {"kill driver", "flood", "clock step", "starvation"} <= set(listed)
+    refused = haptic(tmp_path, "drill", "earthquake", code=2)
+    assert "no fault is named 'earthquake'" in refused.stderr
+    figures = json.loads(haptic(tmp_path, "drill", "full disk", "--json").stdout.splitlines()[-1])
+    assert figures["passed"] is True
+    assert figures["drills"][0]["skipped"] or figures["drills"][0]["safe_ticks"] <= figures["limit_ticks"]
+
+
+def test_soak_accounts_for_every_message_and_keeps_its_memory() -> None:
+    # The short form of haptic drill soak; a busy test machine misses ticks, so that they are not judged.
+    found = soak(10.0, round_seconds=5.0, miss_limit=1.0)
+    assert found.passed, found.reasons
+    assert found.rounds == found.respawns >= 2
+    assert found.loggers == 2 * found.rounds
+    assert found.changes == 8 * found.rounds
+    assert {"driver", "environment", "coupling"} <= set(found.accounts)
+    assert all(one["lost"] == 0 for one in found.accounts.values())
+    assert found.accounts["driver"]["sent"] > 1000
+    assert found.shared > 1000
+    assert sum(found.missed_after.values()) == found.missed >= found.held_up
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(tmp_path: Path, number: signal.Signals) -> None:
+    drilling = subprocess.Popen([*HAPTIC, "drill", "soak"], cwd=tmp_path, stderr=subprocess.DEVNULL)
+
+    def children(parents: set[int]) -> set[int]:
+        found = set()
+        for path in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+                if int(path.read_text().rsplit(")", 1)[1].split()[1]) in parents:
+                    found.add(int(path.parent.name))
+        return found
+
+    try:
+        # The drill's child is the launcher; the launcher's are the guard and four nodes.
+        launcher = wait_for(lambda: children({drilling.pid}), "the launcher starts")
+        nodes = wait_for(lambda: found if len(found := children(launcher)) >= 5 else None, "nodes start")
+        folder = Path(f"/proc/{min(launcher)}/cwd").resolve()
+        drilling.send_signal(number)
+        drilling.wait()
+        wait_for(lambda: not any(map(alive, launcher | nodes)), "launcher, guard and nodes end")
+        # What was killed cannot tidy up its own working folder; the sockets in it are gone all the same.
+        assert folder.exists() == (number == signal.SIGKILL)
+        assert not list(folder.glob("run/*"))
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        drilling.kill()
+        drilling.wait()

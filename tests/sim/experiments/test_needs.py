@@ -1,0 +1,191 @@
+"""Every shipped scenario models enough and no more, and the study notices when one does not."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from nodes.cli.main import main
+from nodes.launcher import launch_file
+from nodes.launcher.launch_spec import Model
+from nodes.parameters.store import ParameterError
+from sim.experiments.needs import Needs, Outcome, movement, needs, outcome
+from sim.experiments.terms import TERMS
+from sim.scene.from_launch import LaunchedScene, from_launch
+from sim.scene.loop import Trace
+
+
+def judge(name: str, **arguments: Any) -> Needs:
+    launch = launch_file.read(name, arguments)
+    return needs(from_launch(launch), launch.model, rounds=1)
+
+
+def verdicts(found: Needs) -> dict[str, str]:
+    return {finding.term: finding.verdict for finding in found.findings}
+
+
+def changed(tmp_path: Path, name: str, edit: Any) -> str:
+    data = yaml.safe_load(launch_file.find(name).read_text())
+    edit(data)
+    path = tmp_path / "changed.yaml"
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    return str(path)
+
+
+def played_in_one_process(name: str) -> bool:
+    launch = launch_file.read(name, {})
+    try:
+        from_launch(launch)
+    except ParameterError:
+        return False
+    return True
+
+
+SCENARIOS = sorted(launch_file.scenarios())
+PLAYED = [name for name in SCENARIOS if played_in_one_process(name)]
+
+
+@pytest.mark.parametrize("scenario", sorted(set(SCENARIOS) - set(PLAYED)))
+def test_what_one_process_cannot_play_is_refused_by_name(scenario: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "needs", scenario]) == 2
+    assert "one process" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("scenario", PLAYED)
+def test_shipped_scenarios_model_enough_and_no_more(scenario: str) -> None:
+    found = judge(scenario)
+    assert found.superfluous == ()
+    assert found.missing == ()
+    declared = [finding for finding in found.findings if finding.switched == "off"]
+    assert declared
+    assert all(finding.verdict == "needed" for finding in declared)
+
+
+def test_a_term_without_effect_is_named_superfluous(tmp_path: Path) -> None:
+    def edit(data: dict[str, Any]) -> None:
+        data["nodes"]["driver"]["parameters"]["device"]["peak_force"] = 100.0
+
+    assert judge(changed(tmp_path, "floor_drop", edit)).superfluous == ("peak_force",)
+
+
+def test_a_term_that_is_not_there_is_named_missing(tmp_path: Path) -> None:
+    def edit(data: dict[str, Any]) -> None:
+        data["model"].pop("leaves_out")
+
+    found = judge(changed(tmp_path, "floor_drop", edit))
+    assert "friction" in found.missing
+    assert "gravity" not in found.missing
+    # At 7.9 N the motor is not reached by the default drop (4.2 N), so its limit is not needed.
+    assert verdicts(found)["peak_force"] == "not needed"
+
+
+def test_delay_is_brought_by_the_loop_and_moves_k_max() -> None:
+    finding = next(f for f in judge("floor_drop").findings if f.term == "delay")
+    assert finding.verdict == "brought by the loop"
+    assert finding.most == "k_max"
+    # Heavy device: K_max ~ 1/(½ + d); 250 µs are d = 1/8 at 500 Hz, so K_max falls to 4/5.
+    assert finding.changes["k_max"] == pytest.approx(0.2, abs=0.01)
+
+
+def test_long_memory_that_nothing_depends_on_is_superfluous(tmp_path: Path) -> None:
+    def edit(data: dict[str, Any]) -> None:
+        coupling = data["nodes"]["coupling"]["parameters"]
+        coupling["laws"] = {
+            "pd": {
+                "kind": "pd_alpha",
+                "stiffness": 1000.0,
+                "damping": 3.0,
+                "order": 1.2,
+                "taps": length,
+                "gains": "normalised",
+                "derivative": "gl_leak_corrected",
+            }
+        }
+
+    length = 400
+    assert verdicts(judge(changed(tmp_path, "floor_drop", edit)))["memory"] == "superfluous"
+    length = 4
+    assert verdicts(judge(changed(tmp_path, "floor_drop", edit)))["memory"] == "needed"
+
+
+def test_costs_are_told_for_every_term() -> None:
+    launch = launch_file.read("floor_drop", {})
+    found = needs(from_launch(launch), launch.model, rounds=3)
+    assert found.tick_us > 0.0
+    # No single term costs more than the whole tick several times over, whatever the machine.
+    assert all(abs(f.cost_us) < 20.0 * found.tick_us for f in found.findings)
+
+
+@pytest.mark.parametrize("term", TERMS, ids=lambda term: str(term.name))
+def test_switches_do_what_they_say(term: Any) -> None:
+    scene = from_launch(launch_file.read("floor_drop", {}))
+    if term.typical is not None:
+        assert term.declared(term.typical(scene))
+        assert not term.declared(term.without(term.typical(scene)))
+    elif term.declared(scene):
+        assert not term.declared(term.without(scene))
+
+
+def test_outcome_of_a_known_motion() -> None:
+    scene = from_launch(launch_file.read("free_space", {}))
+    ticks = 1000
+    position = np.where(np.arange(ticks) < 300, 0.02, 0.0)
+    position[-1] = 1e-4
+    trace = Trace(
+        scene.scene.period, position, position, position, position, 3.0 * np.sign(position - 0.01), (0.0, 0.0)
+    )
+    found = outcome(scene, trace)
+    # 20 mm until tick 300; the last sample is within 1 % of the travel.
+    assert found.settling_s == pytest.approx(300 * scene.scene.period)
+    assert found.travel_m == pytest.approx(0.02)
+    assert found.limit_cycle_m == pytest.approx(1e-4)
+    assert found.peak_force_n == 3.0
+    assert found.rest_force_n == pytest.approx(-3.0)
+    assert found.h1_max_n_per_m is None
+
+
+def test_movement_ignores_swings_too_small_to_feel_and_sees_divergence() -> None:
+    still = Outcome(1.0, 2.0, 1.0, 0.01, 1e-12, 1000.0)
+    assert movement(still, replace(still, limit_cycle_m=9e-7), 0.002)["limit_cycle"] == 0.0
+    assert movement(still, replace(still, limit_cycle_m=5e-6), 0.002)["limit_cycle"] == pytest.approx(1.0, abs=1e-5)
+    assert movement(still, replace(still, peak_force_n=math.inf), 0.002)["peak_force"] == math.inf
+    assert movement(still, replace(still, h1_max_n_per_m=None), 0.002)["k_max"] == math.inf
+    assert movement(still, replace(still, h1_max_n_per_m=980.0), 0.002)["k_max"] == pytest.approx(0.02)
+
+
+def test_command_answers_and_judges(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["study", "needs", "floor_drop", "--rounds", "1", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert answer["superfluous"] == answer["missing"] == []
+    assert {"term", "switched", "verdict", "moved", "most", "changes", "cost_us"} <= set(answer["terms"][0])
+
+    def edit(data: dict[str, Any]) -> None:
+        data["nodes"]["driver"]["parameters"]["device"]["peak_force"] = 100.0
+
+    assert main(["study", "needs", changed(tmp_path, "floor_drop", edit), "--rounds", "1"]) == 1
+    assert "superfluous: peak_force" in capsys.readouterr().out
+    assert main(["study", "needs", "no_such_scene"]) == 2
+
+
+def test_unknown_terms_are_refused(tmp_path: Path) -> None:
+    def edit(data: dict[str, Any]) -> None:
+        data["model"]["leaves_out"] = ["air"]
+
+    with pytest.raises(ParameterError, match=r"model\.leaves_out"):
+        launch_file.read(changed(tmp_path, "floor_drop", edit), {})
+
+
+def test_model_counts_only_what_the_scene_is_for() -> None:
+    scene: LaunchedScene = from_launch(launch_file.read("floor_drop", {}))
+    found = needs(scene, Model(outcome=["rest_force"]), rounds=1)
+    judged = verdicts(found)
+    assert judged["gravity"] == "needed"
+    # How it settles does not count here, so damping has nothing to move.
+    assert judged["damping"] == "superfluous"

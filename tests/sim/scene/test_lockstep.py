@@ -1,0 +1,102 @@
+"""Four processes in lockstep and the same scene in one process give the same bits.
+
+This test holds the project together: what a study computes in one process is what the loop renders. Equality is exact, not
+within a tolerance, because both call the same functions on the same floats in the same order.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from messages.topics import DEVICE_STATE, FORCE
+from nodes.launcher import launch_file
+from nodes.recording.reader import Recording
+from sim.scene.from_launch import from_launch
+from tests.support.launching import haptic, launch_json
+
+SHORT = "duration:=1.2"
+VARIANTS = (
+    ("floor_drop", "apply:=next_tick", "law:=multi_term"),
+    ("floor_drop", "law:=pd_alpha", "rate:=1000"),
+    ("floor_buzz", "apply:=next_tick", "law:=pd_alpha"),
+    ("wall_press", "delay:=1.3", "law:=multi_term"),
+    ("wall_press", "delay:=0.4", "apply:=next_tick"),
+    ("floor_drop", "law:=designed_d0"),
+    ("floor_drop", "law:=designed_d1", "apply:=next_tick"),
+)
+"""Beyond each scenario as it stands: every law, quantiser and friction, whole and fractional delay, both rules of apply."""
+
+
+def bits(values: list[float]) -> list[int]:
+    return [int(v) for v in np.array(values).view(np.int64)]
+
+
+@pytest.mark.parametrize(
+    "words", [(name,) for name in launch_file.scenarios()] + list(VARIANTS), ids=lambda words: " ".join(words)
+)
+def test_four_processes_give_the_bits_of_one(words: tuple[str, ...], tmp_path: Path) -> None:
+    _, arguments = launch_file.read_arguments(launch_file.find(words[0]))
+    duration = [] if words[0] == "floor_swap" or "duration" not in arguments else [SHORT]
+    assert_same_bits(tmp_path, words[0], *words[1:], *duration)
+
+
+def assert_same_bits(tmp_path: Path, scenario: str, *assignments: str, laid_over: tuple[Path, ...] = ()) -> None:
+    given = launch_file.parse_assignments([*assignments, "pace:=lockstep"])
+    played = from_launch(launch_file.read(scenario, given, laid_over))
+    trace = played.play()
+
+    options = [word for path in laid_over for word in ("--params", str(path))]
+    figures = launch_json(tmp_path, scenario, *assignments, "pace:=lockstep", *options)
+
+    recording = Recording(tmp_path / figures["recording"])
+    states = recording.messages(DEVICE_STATE)
+    ticks = played.ticks
+    assert figures["ticks"] == ticks
+    # One state a tick, and a last one that tells where the device came to rest.
+    assert [state.seq for state in states] == list(range(ticks + 1))
+    axis = played.axis
+    assert bits([state.position[axis] for state in states[:ticks]]) == bits(list(trace.measured))
+    assert bits([state.force[axis] for state in states[1:]]) == bits(list(trace.force))
+    forces = recording.messages(FORCE)
+    assert [force.seq for force in forces] == list(range(ticks + 1))
+
+
+def test_designs_that_were_just_made_are_rendered_bit_for_bit(tmp_path: Path) -> None:
+    """What ``haptic study design`` writes starts any scenario with a coupling: here both of its files, one over the other."""
+    words = ("--mass", "0.1", "--taps", "3", "--delay", "1", "--json")
+    made = json.loads(haptic(tmp_path, "study", "design", *words).stdout)
+    files = tuple(tmp_path / made[which]["yaml"] for which in ("passive", "designed"))
+    launch = launch_file.read("floor_drop", {}, files)
+    laws = launch.nodes["coupling"].parameters["laws"]
+    assert launch.nodes["coupling"].parameters["law"] == "designed"
+    assert laws["designed"]["taps"] == made["designed"]["taps_n_per_m"]
+    assert {"pd", "pd_alpha", "multi_term", "passive"} < set(laws)
+    assert_same_bits(tmp_path, "floor_drop", "apply:=next_tick", SHORT, laid_over=files)
+
+
+def test_files_of_parameters_are_checked_before_anything_starts(tmp_path: Path) -> None:
+    for text, told in (
+        ("coupling: {law: spring}", "coupling.law: no law is named 'spring'"),
+        ("couplng: {law: pd}", "has no node 'couplng'; there is: driver, environment, coupling, logger"),
+        ("coupling: pd", "given.yaml.coupling: expected a mapping of parameters, got 'pd'"),
+        ("[1, 2]", "given.yaml: expected a mapping from node to parameters"),
+        ("driver: {device: {mass: -1.0}}", "driver.device.mass"),
+    ):
+        (tmp_path / "given.yaml").write_text(text, encoding="utf-8")
+        assert told in haptic(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
+    assert "elsewhere.yaml" in haptic(tmp_path, "launch", "floor_drop", "--params", "elsewhere.yaml", code=2).stderr
+
+
+def test_lockstep_twice_gives_the_same_recording(tmp_path: Path) -> None:
+    found = []
+    for part in ("one", "two"):
+        folder = tmp_path / part
+        folder.mkdir()
+        figures = launch_json(folder, "floor_buzz", SHORT, "pace:=lockstep")
+        states = Recording(folder / figures["recording"]).messages(DEVICE_STATE)
+        found.append([(state.seq, state.stamp, state.position, state.force, state.energy) for state in states])
+    assert found[0] == found[1]

@@ -1,0 +1,254 @@
+"""The commands of README.md as a reader would type them: blocks of ``sh``, line by line, from top to bottom.
+
+What a launch started with ``&`` gives goes on until its block ends. Long commands are run with the options that their own
+``--help`` offers for shortening; nothing else is changed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import zmq
+
+from messages.transport.requests import ControlError, call
+from nodes.launcher.runs import RunInfo
+from tests.support.launching import DEADLINE, assert_nothing_left, wait_for
+
+_BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+_HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+_FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+_OPERATORS = "&|;<>"
+
+
+def blocks(text: str) -> list[list[str]]:
+    """Collect the commands.
+
+    Parameters
+    ----------
+    text : str
+        Markdown.
+
+    Returns
+    -------
+    list of list of str
+        The lines of each block; continued lines are joined, comments and empty lines left out.
+    """
+    found = []
+    for block in _BLOCK.findall(text):
+        lines = block.replace("\\\n", " ").splitlines()
+        found.append([line for line in lines if line.strip() and not line.lstrip().startswith("#")])
+    return found
+
+
+def links(text: str) -> list[str]:
+    """Collect what links and pictures point to.
+
+    Parameters
+    ----------
+    text : str
+        Markdown.
+
+    Returns
+    -------
+    list of str
+        Targets outside code, in order.
+    """
+    return _LINK.findall(re.sub(r"`[^`\n]*`", "", _FENCED.sub("", text)))
+
+
+def anchors(text: str) -> set[str]:
+    """Name the headings as links name them.
+
+    Parameters
+    ----------
+    text : str
+        Markdown.
+
+    Returns
+    -------
+    set of str
+        Lower case, blanks as hyphens, punctuation left out.
+    """
+    headings = _HEADING.findall(_FENCED.sub("", text))
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@dataclass(frozen=True)
+class Command:
+    """One line of a block.
+
+    Attributes
+    ----------
+    line : str
+        As it is run.
+    background : bool
+        Whether it ended with ``&``.
+    """
+
+    line: str
+    background: bool
+
+    @property
+    def words(self) -> list[str]:
+        """Its words, up to the first operator of the shell."""
+        lexer = shlex.shlex(self.line, posix=True, punctuation_chars=_OPERATORS)
+        lexer.whitespace_split = True
+        found = []
+        for token in lexer:
+            if set(token) <= set(_OPERATORS):
+                break
+            found.append(token)
+        return found
+
+
+def command(line: str, shorter: Mapping[str, str]) -> Command:
+    """Read a line, and shorten what it does.
+
+    Parameters
+    ----------
+    line : str
+        As it stands in the block.
+    shorter : mapping of str to str
+        From the first words of a command to words that are added after its last one. The longest that fits is taken.
+
+    Returns
+    -------
+    Command
+        Without comment and ``&``.
+    """
+    lexer = shlex.shlex(line, posix=False, punctuation_chars=_OPERATORS)
+    lexer.whitespace_split = True
+    tokens = list(lexer)
+    background = tokens[-1] == "&"
+    if background:
+        tokens.pop()
+    end = next((i for i, token in enumerate(tokens) if set(token) <= set(_OPERATORS)), len(tokens))
+    start = [key for key in shorter if tokens[: len(key.split())] == key.split()]
+    if start and not background:
+        tokens[end:end] = shorter[max(start, key=len)].split()
+    return Command(" ".join(tokens), background)
+
+
+class Shell:
+    """Runs commands in one folder, as one user at one terminal.
+
+    Parameters
+    ----------
+    folder : Path
+        Working directory.
+    runtime_dir : Path
+        Private runtime directory.
+
+    Attributes
+    ----------
+    background : list of subprocess.Popen
+        What was started with ``&`` and has not been ended.
+    """
+
+    def __init__(self, folder: Path, runtime_dir: Path) -> None:
+        self.folder = folder
+        self.runtime_dir = runtime_dir
+        self.background: list[subprocess.Popen[bytes]] = []
+        self._log = folder / "background.txt"
+        self._environment = {
+            **os.environ,
+            # The haptic of this environment, as after `source .venv/bin/activate`.
+            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+            "HAPTIC_RUNTIME_DIR": str(runtime_dir),
+            "HAPTIC_KEYS": str(folder / "keys"),
+        }
+
+    def run(self, wanted: Command) -> str:
+        """Run one command: to its end, or in the background until it is up.
+
+        Parameters
+        ----------
+        wanted : Command
+            The command.
+
+        Returns
+        -------
+        str
+            What it wrote to standard output; nothing for one in the background.
+        """
+        shell = ["bash", "-euo", "pipefail", "-c"]
+        if wanted.background:
+            with open(self._log, "ab") as log:
+                process = subprocess.Popen(
+                    [*shell, f"exec {wanted.line}"],
+                    cwd=self.folder,
+                    env=self._environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    process_group=0,
+                )
+            self.background.append(process)
+            if wanted.words[:2] == ["haptic", "launch"]:
+                wait_for(lambda: process.poll() is not None or self._ticks(), f"{wanted.line}: the first tick")
+            assert process.poll() is None, f"{wanted.line} ended: {self._log.read_text(encoding='utf-8')}"
+            return ""
+        done = subprocess.run(
+            [*shell, wanted.line],
+            cwd=self.folder,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=2.0 * DEADLINE,
+            check=False,
+        )
+        assert done.returncode == 0, f"$ {wanted.line}\n{done.stdout}{done.stderr}exit code {done.returncode}"
+        return done.stdout
+
+    def _ticks(self) -> bool:
+        with contextlib.suppress(ControlError), zmq.Context() as context:
+            for path in self.runtime_dir.glob("*/run.json"):
+                run = msgspec.json.decode(path.read_bytes(), type=RunInfo)
+                if call(context, run.nodes["driver"].control, "status", timeout=1.0)["ticks"]:
+                    return True
+        return False
+
+    def end_background(self) -> None:
+        """End what still runs as Ctrl-C does, and assert that nothing of it is left."""
+        for process in reversed(self.background):
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+            code = process.wait(timeout=DEADLINE)
+            assert code in (0, 130), f"exit code {code}: {self._log.read_text(encoding='utf-8')}"
+        self.background.clear()
+        assert_nothing_left(self.runtime_dir)
+
+
+@contextlib.contextmanager
+def shell(folder: Path, runtime_dir: Path) -> Iterator[Shell]:
+    """Run commands for the length of a with block.
+
+    Parameters
+    ----------
+    folder : Path
+        Working directory.
+    runtime_dir : Path
+        Private runtime directory.
+
+    Yields
+    ------
+    Shell
+        Where to run them; what was left in the background is ended at the end.
+    """
+    opened = Shell(folder, runtime_dir)
+    try:
+        yield opened
+    finally:
+        opened.end_background()

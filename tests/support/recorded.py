@@ -1,0 +1,87 @@
+"""A drop onto a floor, tick by tick, as the messages of its nodes: what the tests of recordings read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT, status
+from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Receipt
+from nodes.kernels import deflection, one_sided, plane_distance
+from sim.device.model import advance, coefficients
+
+PERIOD = 0.002
+MASS, STIFFNESS, DAMPING = 0.1, 1500.0, 3.0
+
+
+def drop(ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None) -> Iterator[tuple[str, Message]]:
+    """Play the drop of 0.1 kg from 10 mm.
+
+    Parameters
+    ----------
+    ticks : int
+        How many.
+    missed : tuple of int
+        Ticks to report as missed.
+    switch : int or None
+        Tick at which the damping is doubled, with a receipt.
+
+    Yields
+    ------
+    tuple of str and Message
+        Topic and message, in the order of publication; a final status of each node last.
+    """
+    step = coefficients(MASS, 0.0, 0.0, PERIOD)
+    x, v, force, before, damping, energy = 0.010, 0.0, 0.0, 0.0, DAMPING, 0.0
+    late = 0
+    for k in range(ticks):
+        up = (0.0, 0.0, 1.0)
+        late += k - 1 in missed
+        yield (
+            DEVICE_STATE,
+            DeviceState(
+                seq=k,
+                stamp=k * PERIOD,
+                position=(0.0, 0.0, x),
+                force=(0.0, 0.0, force),
+                force_seq=k - 1,
+                response=0.0 if k == 0 or k - 1 in missed else 160e-6 + 40e-6 * ((k * 7919) % 13) / 13,
+                missed=late,
+                energy=energy,
+            ),
+        )
+        distance = plane_distance(x, 0.0, 1.0)
+        contact = distance < 0.0
+        proxy = 0.0 if contact else x
+        yield (
+            PROXY,
+            Proxy(
+                seq=k,
+                stamp=k * PERIOD,
+                position=(0.0, 0.0, x),
+                proxy=(0.0, 0.0, proxy),
+                normal=up,
+                distance=distance,
+                contact=contact,
+            ),
+        )
+        if k == switch:
+            damping *= 2.0
+            yield (
+                RECEIPT,
+                Receipt(
+                    seq=k, stamp=k * PERIOD, action="switch", before="{law: pd}", after="{law: stiffer}", revision=1
+                ),
+            )
+        stretch = deflection(x, proxy, distance, 1.0, contact, False)
+        law = STIFFNESS * stretch + damping * (stretch - before) / PERIOD
+        force, before = one_sided(law, 1.0, contact, False, True), stretch
+        name = "pd" if switch is None or k < switch else "stiffer"
+        yield FORCE, Force(seq=k, stamp=k * PERIOD, force=(0.0, 0.0, force), law=name)
+        energy -= force * x
+        x, v = advance(x, v, force - MASS * 9.81, step)
+        energy += force * x
+    for node, kind, sent in (("driver", "sim_driver", ticks), ("environment", "environment", ticks)):
+        yield (
+            status(node),
+            NodeStatus(seq=ticks, stamp=ticks * PERIOD, node=node, kind=kind, state="finished", pid=1, sent=sent),
+        )
