@@ -19,8 +19,7 @@ from messages.transport.endpoints import DOMAIN
 from messages.transport.keys import KeyRefusedError, allowed, identity, key_dir
 
 if TYPE_CHECKING:
-    Context = zmq.Context[zmq.Socket[bytes]]
-    Socket = zmq.Socket[bytes]
+    from messages.transport.endpoints import Context, Socket
 
 ZAP = "inproc://zeromq.zap.01"
 FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_AUTH

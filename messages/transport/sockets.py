@@ -19,11 +19,9 @@ import zmq
 from messages.transport.endpoints import bind, connect, remove_ipc
 
 if TYPE_CHECKING:
+    from messages.transport.endpoints import Context, Socket
     from messages.transport.gate import Gate
     from messages.transport.waker import Waker
-
-    Context = zmq.Context[zmq.Socket[bytes]]
-    Socket = zmq.Socket[bytes]
 
 SEND_QUEUE = 4096
 """Messages queued for one stalled listener before its newest ones are dropped: 8 s at 500 Hz, about 1 MB."""

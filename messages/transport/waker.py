@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import zmq
 
 if TYPE_CHECKING:
-    from messages.transport.sockets import Context
+    from messages.transport.endpoints import Context
 
 
 class Waker:

@@ -24,8 +24,8 @@ from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import WatchedFile
 
 if TYPE_CHECKING:
+    from messages.transport.endpoints import Context
     from messages.transport.gate import Gate
-    from messages.transport.sockets import Context
     from nodes.base.node import Node
 
 STATUS_PERIOD = 0.5

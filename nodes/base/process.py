@@ -27,7 +27,7 @@ from nodes.base.setup import Setup
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
-    from messages.transport.sockets import Context
+    from messages.transport.endpoints import Context
 
 LISTENERS_WAIT = 0.002
 """How long messages for listeners may be collected in real time, one period or more [s]."""

@@ -1,8 +1,8 @@
 """The coupling node: renders a force for each proxy with the law that is active now, and swaps laws while the wall is felt.
 
 A law is prepared on the control thread (validated, compiled, judged for stability, brought up to date, tried) and taken up
-between two ticks (nodes/coupling/renderer.py); what is refused leaves the running law untouched. A law that raises, returns a force
-that is not finite or overruns its budget is replaced within the same tick.
+between two ticks (nodes/coupling/renderer.py); what is refused leaves the running law untouched. A law that raises, returns a
+force that is not finite or overruns its budget is replaced within the same tick.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ def launch_dirs() -> list[Path]:
     list of Path
         In the wheel, then beside the package.
     """
-    here = Path(__file__).resolve().parent
-    return [path for path in (here / "_launch", here.parent / "launch") if path.is_dir()]
+    nodes = Path(__file__).resolve().parents[1]
+    return [path for path in (nodes / "_launch", nodes.parent / "launch") if path.is_dir()]
 
 
 def scenarios() -> dict[str, Path]:

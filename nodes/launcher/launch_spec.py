@@ -58,7 +58,8 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     fifo : int or str
         SCHED_FIFO priority of the chain; ``auto`` takes 50 in real time, 0 none.
     awake : bool or str
-        Whether idle processors are kept from going to sleep (`nodes.base.realtime.awake`); ``auto``: in real time from 1 kHz up.
+        Whether idle processors are kept from going to sleep (`nodes.base.realtime.awake`); ``auto``: in real
+        time from 1 kHz up.
     host : str
         Address under which other machines reach this one; needed when nodes run elsewhere.
     port : int

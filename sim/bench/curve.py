@@ -32,7 +32,7 @@ from nodes.base.setup import Scheduling, Setup
 from nodes.cli.main import RefusedError, answer
 
 if TYPE_CHECKING:
-    from messages.transport.sockets import Context
+    from messages.transport.endpoints import Context
 
 PATIENCE_MS = 5000
 """Longest wait for an answer [ms]."""

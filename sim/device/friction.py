@@ -1,7 +1,7 @@
 """Coulomb friction, exactly: the velocity's next zero is known in closed form, so a step is split there and nowhere else.
 
-Between two zeros of the velocity friction is one more constant force, and the map of `sim.device.model` holds; at a zero the device
-sticks or turns. Kernels as those of `sim.device.model`: plain functions that are called as they stand, and compiled.
+Between two zeros of the velocity friction is one more constant force, and the map of `sim.device.model` holds; at a zero
+the device sticks or turns. Kernels as those of `sim.device.model`: plain functions that are called as they stand, and compiled.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The virtual device from tick to tick: what the driver node holds.
 
-It adds no arithmetic of its own to the kernels of `sim.device.model`, so the scene in one process (`sim.scene.loop`), which calls
-those kernels in the same order, gives the same bits.
+It adds no arithmetic of its own to the kernels of `sim.device.model`, so the scene in one process (`sim.scene.loop`),
+which calls those kernels in the same order, gives the same bits.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""3D Systems Touch and Touch X as a driver node, through OpenHaptics' HDAPI (libHD) and a servo loop in C (nodes/driver/touch/servo.c).
+"""3D Systems Touch and Touch X as a driver node, through OpenHaptics' HDAPI (libHD) and a servo loop in C (servo.c).
 
 Written from the facts in public headers and bindings, and not yet run on hardware; what can be checked without is checked
 against a stand-in library (tests/nodes/driver/test_touch.py).
@@ -116,7 +116,7 @@ class TouchDevice:
         self._code.servo_size.restype = ctypes.c_size_t
         if self._code.servo_size() != ctypes.sizeof(Servo):
             raise OSError(
-                "nodes/driver/touch/servo.c and nodes/driver/touch/driver.py disagree about their shared structure; reinstall haptic-nodes"
+                "touch_driver: servo.c and hdapi.py disagree about their shared structure; reinstall haptic-nodes"
             )
         device = self._hd.hdInitDevice(self._parameters.name.encode() or None)
         self._check(f"device {self._parameters.name or '(default)'} cannot be opened", "is it plugged in and set up?")

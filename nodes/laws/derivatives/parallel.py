@@ -10,6 +10,7 @@ because two poles near z = 1 in one direct form would lose half the digits.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 
 from nodes.laws import CompiledLaw
@@ -20,6 +21,9 @@ _PAIRED = 0.1
 _EPSILON = 1e-18
 
 Section = tuple[float, float, float, float]
+
+ROUNDING = 16 * sys.float_info.epsilon
+"""Relative distance within which an order is a whole number."""
 
 
 def split(order: float) -> tuple[int, float]:
@@ -33,8 +37,12 @@ def split(order: float) -> tuple[int, float]:
     Returns
     -------
     tuple of int and float
-        k and β with α = k + β and 0 <= β < 1.
+        k and β with α = k + β and 0 <= β < 1. An order that differs from a whole one by no more than rounding is that
+        whole one: β = 1 − 2⁻⁵² is beyond what the quadratures of the realisations bear.
     """
+    nearest = round(order)
+    if abs(order - nearest) <= ROUNDING * nearest:
+        return nearest, 0.0
     whole = math.floor(order)
     return whole, order - whole
 

@@ -29,7 +29,7 @@ from messages.types import Force
 from tests.support.launching import DEADLINE, HAPTIC, haptic, running, wait_for
 
 if TYPE_CHECKING:
-    from messages.transport.sockets import Context
+    from messages.transport.endpoints import Context
 
 SCENE = """\
 summary: A coupling behind an encrypted endpoint, on loopback

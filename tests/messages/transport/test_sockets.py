@@ -22,7 +22,7 @@ from nodes.launcher.runs import RunError, new_run_dir, runtime_dir
 from tests.support.launching import private_runtime_dir, wait_for
 
 if TYPE_CHECKING:
-    from messages.transport.sockets import Context
+    from messages.transport.endpoints import Context
 
 KEY = "ab" * 32
 

@@ -1,0 +1,1 @@
+"""Studies: the verb `haptic study`, one study a file."""
