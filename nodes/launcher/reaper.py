@@ -1,9 +1,9 @@
-"""The guard: what is left to do when the launcher itself is killed.
+"""The reaper: what is left to do when the launcher itself is killed.
 
 A small process of its own session, holding the other end of a pipe. When the pipe closes without a ``done``, the launcher is
-dead: the guard stops the nodes of the run (SIGTERM, then SIGKILL) and removes its directory. It finds them by their command
+dead: the reaper stops the nodes of the run (SIGTERM, then SIGKILL) and removes its directory. It finds them by their command
 line, so that one that was just being started is not forgotten. It imports nothing but the standard library, so that it is
-small and cannot fail with the rest. A launcher whose guard was killed starts another.
+small and cannot fail with the rest. A launcher whose reaper was killed starts another.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def end(run_dir: str) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Watch one launcher: ``python guard.py RUN_DIR`` with the pipe as standard input.
+    """Watch one launcher: ``python reaper.py RUN_DIR`` with the pipe as standard input.
 
     Parameters
     ----------

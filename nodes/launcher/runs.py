@@ -1,7 +1,7 @@
 """Runs of launches on this machine: where they live, how to find them, how nothing stale stays behind.
 
 A run is a private directory (mode 0700) below the runtime directory. It holds the sockets, one setup file per node, and
-``run.json``, which tells listeners who publishes what. It is removed at every end: by the launcher, by the guard when the
+``run.json``, which tells listeners who publishes what. It is removed at every end: by the launcher, by the reaper when the
 launcher was killed, and by the next launch should both have been killed.
 """
 

@@ -110,7 +110,7 @@ class Supervisor:
                 wall_minus_monotonic=offset,
                 manifest=manifest,
             )
-            self._guard = self._start_guard(run_dir)
+            self._reaper = self._start_reaper(run_dir)
             self.context = new_context()
             for name, setup in setups.items():
                 spec = self._launch.nodes[name]
@@ -134,12 +134,12 @@ class Supervisor:
             if self.context is not None:
                 self.context.term()
             shutil.rmtree(run_dir, ignore_errors=True)
-            if hasattr(self, "_guard"):
-                self._dismiss_guard()
+            if hasattr(self, "_reaper"):
+                self._dismiss_reaper()
 
     # -- processes ---------------------------------------------------------------------------------------------------
 
-    def _start_guard(self, run_dir: Path) -> subprocess.Popen[bytes]:
+    def _start_reaper(self, run_dir: Path) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
             [sys.executable, "-S", "-E", str(reaper.__file__), str(run_dir)],
             stdin=subprocess.PIPE,
@@ -147,8 +147,8 @@ class Supervisor:
             start_new_session=True,
         )
 
-    def _dismiss_guard(self) -> None:
-        pipe: IO[bytes] | None = self._guard.stdin
+    def _dismiss_reaper(self) -> None:
+        pipe: IO[bytes] | None = self._reaper.stdin
         assert pipe is not None  # noqa: S101
         # It may have been killed this moment; then nothing is left for it to do.
         with contextlib.suppress(BrokenPipeError):
@@ -156,14 +156,14 @@ class Supervisor:
             pipe.flush()
         with contextlib.suppress(BrokenPipeError):
             pipe.close()
-        self._guard.wait()
+        self._reaper.wait()
 
-    def _keep_guard(self) -> None:
-        if self._guard.poll() is not None:
-            self._say(f"the guard ended with exit code {self._guard.returncode}; starting another")
-            if self._guard.stdin is not None:
-                self._guard.stdin.close()
-            self._guard = self._start_guard(self.run_dir)
+    def _keep_reaper(self) -> None:
+        if self._reaper.poll() is not None:
+            self._say(f"the reaper ended with exit code {self._reaper.returncode}; starting another")
+            if self._reaper.stdin is not None:
+                self._reaper.stdin.close()
+            self._reaper = self._start_reaper(self.run_dir)
 
     def _await_ready(self) -> None:
         assert self.context is not None  # noqa: S101
@@ -194,7 +194,7 @@ class Supervisor:
     def _watch(self, progress: Callable[[Supervisor], None] | None) -> None:
         next_progress = 0.0
         while not self._stop_asked:
-            self._keep_guard()
+            self._keep_reaper()
             for name, child in self.children.items():
                 self._look_after(name, child)
             if progress is not None and time.monotonic() >= next_progress:

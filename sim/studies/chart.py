@@ -57,11 +57,11 @@ def run(arguments: argparse.Namespace) -> int:
     for part in parts:
         if part not in PARTS:
             raise UsageError(f"--parts {part}: there is none of that name; choose from {', '.join(PARTS)}")
-    from sim.chart.points import Group, as_json, save, with_front
     from sim.chart.derivatives import derivative_groups, derivative_steps
     from sim.chart.integrators import integrator_groups, integrator_steps
     from sim.chart.k_max import kmax_groups, kmax_steps
     from sim.chart.page import conclusions, draw, page
+    from sim.chart.points import Group, as_json, save, with_front
     from sim.chart.rates import LaunchFailedError, rate_groups, rate_steps
     from sim.measure.stopwatch import Progress, machine
 

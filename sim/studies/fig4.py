@@ -60,11 +60,11 @@ def run(arguments: argparse.Namespace) -> int:
     """
     import numpy as np
 
-    from sim.paper.claims import save, table
     from sim.experiments.drop import Criterion
+    from sim.measure.stopwatch import Progress
+    from sim.paper.claims import save, table
     from sim.paper.fig4 import Setting, as_json, boundaries, spread_of_conventions, steps
     from sim.paper.fig4_claims import claims_4
-    from sim.measure.stopwatch import Progress
 
     low, high = arguments.gain
     if not 0.0 < low < high or arguments.points < 2:

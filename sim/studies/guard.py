@@ -7,10 +7,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 from nodes.cli.main import UsageError, answer
-from nodes.laws.pd import PD
 from nodes.driver.passivity import PassivityParameters
-from sim.experiments.guarded_drop import Drop, compare
+from nodes.laws.pd import PD
 from sim.device.model import DeviceModel
+from sim.experiments.guarded_drop import Drop, compare
 from sim.studies.arguments import not_negative, positive
 
 

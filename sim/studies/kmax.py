@@ -114,8 +114,8 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Device,
     """Bisect one grid twice, by launches and in one process; around what the simulation found."""
     import numpy as np
 
-    from sim.experiments.k_max_launched import same_k_max
     from sim.experiments.drop import Criterion
+    from sim.experiments.k_max_launched import same_k_max
     from sim.measure.launches import MeasurementError
     from sim.measure.stopwatch import Progress
 

@@ -50,8 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     from nodes.launcher import launch_file
     from nodes.parameters.store import ParameterError
     from sim.experiments.needs import needs
-    from sim.scene.from_launch import from_launch
     from sim.measure.stopwatch import Progress
+    from sim.scene.from_launch import from_launch
 
     try:
         launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(arguments.assignments))

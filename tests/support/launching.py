@@ -63,7 +63,7 @@ def processes_of(runtime_dir: Path) -> dict[int, str]:
     Parameters
     ----------
     runtime_dir : Path
-        The directory; nodes and guards name it on their command line.
+        The directory; nodes and reapers name it on their command line.
 
     Returns
     -------

@@ -152,13 +152,13 @@ def pid(launch: RunningLaunch, node: str) -> int:
     return int(launch.call(node, "status")["pid"])
 
 
-def guards(launch: RunningLaunch) -> list[int]:
-    return [number for number, line in processes_of(launch.runtime_dir).items() if "guard.py" in line]
+def reapers(launch: RunningLaunch) -> list[int]:
+    return [number for number, line in processes_of(launch.runtime_dir).items() if "reaper.py" in line]
 
 
-def guard(launch: RunningLaunch) -> int:
+def reaper(launch: RunningLaunch) -> int:
     # Between fork and exec a new one does not show its command line yet.
-    found = wait_for(lambda: guards(launch), "a guard")
+    found = wait_for(lambda: reapers(launch), "a reaper")
     assert len(found) == 1
     return int(found[0])
 
@@ -193,16 +193,16 @@ def test_an_interrupt_during_the_start_ends_it_without_a_traceback(tmp_path: Pat
         assert "Traceback" not in launch.errors
 
 
-@pytest.mark.parametrize("victims", [("launcher",), ("guard", "launcher"), ("launcher", "logger")])
+@pytest.mark.parametrize("victims", [("launcher",), ("reaper", "launcher"), ("launcher", "logger")])
 def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
-        if "guard" in victims:
-            first = guard(launch)
+        if "reaper" in victims:
+            first = reaper(launch)
             os.kill(first, signal.SIGKILL)
-            # A launcher that has lost its guard starts another.
-            wait_for(lambda: not alive(first), "the first guard ends")
+            # A launcher that has lost its reaper starts another.
+            wait_for(lambda: not alive(first), "the first reaper ends")
             wait_for(lambda: "starting another" in launch.errors, "the launcher notices")
-            assert guard(launch) != first
+            assert reaper(launch) != first
         if "logger" in victims:
             # A stopped node cannot end by itself.
             os.kill(pid(launch, "logger"), signal.SIGSTOP)
@@ -210,10 +210,10 @@ def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
         launch.process.wait()
 
 
-def test_guard_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_launch(tmp_path: Path) -> None:
+def test_reaper_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_launch(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         stale = launch.run_dir
-        os.kill(guard(launch), signal.SIGKILL)
+        os.kill(reaper(launch), signal.SIGKILL)
         launch.process.kill()
         launch.process.wait()
         wait_for(lambda: not processes_of(launch.runtime_dir), "the parent-death signal ends the nodes")
