@@ -20,6 +20,7 @@ STUDIES: dict[str, str] = {
     "fig4": "sim.studies.fig4",
     "needs": "sim.studies.needs",
     "guard": "sim.studies.guard",
+    "identify": "sim.studies.identify",
     "kmax": "sim.studies.kmax",
     "optimise": "sim.studies.optimise",
 }

@@ -1,0 +1,155 @@
+"""A safe push for identifying a device: two pseudo-random forces over a soft spring that keeps it where it is.
+
+It is a law like any other, so it takes over in a running launch by a swap and goes through all of the driver's limits. The
+fast force tells mass and delay, the slow one damping and friction. Beyond `reach` it only pushes back; a device that stays
+there (the edge of the workspace, a hand that pulls it away) ends it for good, and so does the end of its time: what is left
+is the soft spring.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+
+from nodes.laws import CompiledLaw, Law
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Clock = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
+
+ASTRAY = 100
+"""Ticks in a row beyond twice the reach after which the push ends for good."""
+
+
+def held_back(wanted: float, deflection: float, reach: float) -> float:
+    """Turn a push towards the centre when the device is far from it.
+
+    Parameters
+    ----------
+    wanted : float
+        Pseudo-random force [N].
+    deflection : float
+        From the device to the centre [m].
+    reach : float
+        How far the device may be pushed [m].
+
+    Returns
+    -------
+    float
+        The force itself within the reach; its magnitude towards the centre beyond it [N].
+    """
+    if deflection > reach:
+        return abs(wanted)
+    if deflection < -reach:
+        return -abs(wanted)
+    return wanted
+
+
+class Telegraph:
+    """Pseudo-random telegraph signals, each with its own clock, added in equal shares.
+
+    Parameters
+    ----------
+    amplitude : float
+        Largest sum [N].
+    clocks : sequence of int
+        Ticks after which each may change its sign.
+    seed : int
+        Of the signs.
+    """
+
+    def __init__(self, amplitude: float, clocks: Sequence[int], seed: int) -> None:
+        self._signs = random.Random(seed)  # noqa: S311  # a repeatable push, no secret
+        self._clocks = list(enumerate(clocks))
+        self._share = amplitude / len(clocks)
+        self._parts = [0.0] * len(clocks)
+        self._ticks = 0
+
+    def next(self) -> float:
+        """Go on by one tick.
+
+        Returns
+        -------
+        float
+            Force [N].
+        """
+        for i, clock in self._clocks:
+            if self._ticks % clock == 0:
+                self._parts[i] = self._share if self._signs.random() < 0.5 else -self._share
+        self._ticks += 1
+        return sum(self._parts)
+
+
+class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Two-rate pseudo-random push over a centring spring; for an ``anchor`` surface at the place where the device is.
+
+    Attributes
+    ----------
+    amplitude : float
+        Largest pseudo-random force [N].
+    duration : float
+        How long it pushes [s]; then only the spring is left.
+    clocks : list of int
+        Ticks after which each of the forces may change its sign.
+    stiffness : float
+        Centring spring [N/m].
+    damping : float
+        Centring damper [N s/m].
+    reach : float
+        Deflection beyond which it pushes back only [m].
+    start : float
+        Time in which the push grows to its full size [s].
+    seed : int
+        Of the pseudo-random signs; every axis has its own.
+    """
+
+    kind: ClassVar[str] = "excitation"
+
+    amplitude: Positive = 0.7
+    duration: Annotated[float, msgspec.Meta(gt=0.0, le=600.0)] = 8.0
+    clocks: Annotated[tuple[Clock, ...], msgspec.Meta(min_length=1, max_length=4)] = (10, 60)
+    stiffness: Positive = 20.0
+    damping: NonNegative = 0.3
+    reach: Positive = 0.03
+    start: NonNegative = 0.2
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 1
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Turn the spring and the damper into taps; the push is the law's own code.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            Two taps and an evaluator that counts its ticks.
+        """
+        damper = self.damping / period
+        return CompiledLaw((self.stiffness + damper, -damper), evaluate=self._push(period))
+
+    def _push(self, period: float) -> Callable[[Sequence[float], int], float]:
+        ticks, growing = max(1, round(self.duration / period)), self.start / period
+        reach = self.reach
+        axes: dict[int, list[Any]] = {}
+
+        def push(ring: Sequence[float], head: int) -> float:
+            # Every axis has its own ring, and so its own push.
+            axis = axes.get(id(ring))
+            if axis is None:
+                axis = axes[id(ring)] = [0, 0, Telegraph(self.amplitude, self.clocks, self.seed + len(axes))]
+            k, astray, signal = axis
+            if k >= ticks:
+                return 0.0
+            deflection = ring[head]
+            astray = astray + 1 if abs(deflection) > 2.0 * reach else 0
+            axis[0], axis[1] = (k + 1, astray) if astray < ASTRAY else (ticks, 0)
+            share = (k + 1) / growing if k + 1 < growing else 1.0
+            return share * held_back(signal.next(), deflection, reach)
+
+        return push

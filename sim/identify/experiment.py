@@ -1,0 +1,161 @@
+"""What a recording holds for identification: positions at ticks, and the forces with the instant each one was handed over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from messages.topics import DEVICE_STATE
+from nodes.base.setup import AXIS_INDEX
+from nodes.recording.reader import Recording
+
+Array = NDArray[np.float64]
+
+SHORTEST = 400
+"""Fewer ticks in a row tell no device [ticks]."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One axis of a run.
+
+    Attributes
+    ----------
+    period : float
+        Sampling period T [s].
+    position : ndarray, shape (N,)
+        Measured position at each tick [m].
+    segments : tuple of tuple of int, shape (s, 2)
+        First tick and end of each stretch without a gap: indices into `position`.
+    at : ndarray, shape (M,)
+        When each force was handed to the device [ticks since the first position], rising.
+    force : ndarray, shape (M,)
+        The force handed over then, which holds until the next [N].
+    delay : ndarray, shape (D,)
+        Delay of each answered tick as the driver measured it, the device's own not included [ticks].
+    axis : str
+        ``x``, ``y`` or ``z``.
+    """
+
+    period: float
+    position: Array
+    segments: tuple[tuple[int, int], ...]
+    at: Array
+    force: Array
+    delay: Array
+    axis: str = "x"
+
+    def between(self, start: int, end: int) -> Experiment:
+        """Cut out a stretch of time.
+
+        Parameters
+        ----------
+        start, end : int
+            First tick and end, as indices into `position`.
+
+        Returns
+        -------
+        Experiment
+            The same with other segments; forces stay, for they act on.
+        """
+        kept = [(max(first, start), min(last, end)) for first, last in self.segments]
+        return replace(self, segments=tuple((first, last) for first, last in kept if last > first))
+
+
+def lockstep(period: float, position: Array, force: Array, delay: float = 0.0, axis: str = "x") -> Experiment:
+    """Make an experiment of a run in which every tick was answered.
+
+    Parameters
+    ----------
+    period : float
+        Sampling period T [s].
+    position : ndarray, shape (N,)
+        Measured positions [m].
+    force : ndarray, shape (N,)
+        Force that answers each of them [N].
+    delay : float
+        Delay that the loop is known to have [ticks]: 1 for ``apply: next_tick``.
+    axis : str
+        Its axis.
+
+    Returns
+    -------
+    Experiment
+        One segment.
+    """
+    ticks = len(position)
+    return Experiment(
+        period,
+        np.asarray(position, dtype=np.float64),
+        ((0, ticks),),
+        np.arange(ticks, dtype=np.float64) + delay,
+        np.asarray(force, dtype=np.float64),
+        np.full(ticks, delay),
+        axis,
+    )
+
+
+def read(path: Path, axis: str | None = None) -> Experiment:
+    """Read one axis of a recording.
+
+    Parameters
+    ----------
+    path : Path
+        Recording of a launch.
+    axis : str or None
+        Which axis; None takes the one that was pushed hardest.
+
+    Returns
+    -------
+    Experiment
+        Its positions and forces.
+
+    Raises
+    ------
+    ValueError
+        When it holds no stretch that is long enough, or tells no rate.
+    RecordError
+        When it cannot be read.
+    """
+    recording = Recording(path)
+    rate = float(recording.manifest.get("rate_hz", 0.0))
+    if not rate > 0.0:
+        raise ValueError(f"{path}: its manifest tells no rate_hz")
+    states = recording.messages(DEVICE_STATE)
+    if len(states) < SHORTEST:
+        raise ValueError(f"{path}: {len(states)} ticks recorded, at least {SHORTEST} are needed to identify a device")
+    positions = np.array([state.position for state in states])
+    forces = np.array([state.force for state in states])
+    if axis is None:
+        axis = "xyz"[int(np.argmax(forces.std(axis=0)))]
+    column = AXIS_INDEX[axis]
+    seq = np.array([state.seq for state in states], dtype=np.int64)
+    age = np.array([state.age for state in states], dtype=np.float64)
+    told = np.array([state.delay for state in states])
+    # A state tells of the tick before it. Its force was handed over `delay − age` into that tick; one that answers nothing
+    # new (the driver's own damping after a silence) at the end of it.
+    answers = np.array([state.force_seq for state in states], dtype=np.int64)
+    fresh = np.concatenate([[False], answers[1:] != answers[:-1]])
+    changed = np.concatenate([[True], np.any(forces[1:] != forces[:-1], axis=1)])
+    took = seq - 1 + np.where(fresh, told - age, 1.0)
+    used = fresh | changed
+    at = np.maximum.accumulate(took[used]) - seq[0]
+    breaks = np.flatnonzero(np.diff(seq) != 1) + 1
+    ends = [0, *breaks.tolist(), len(seq)]
+    # Indices of `position` are ticks: what is missing between two segments is never looked at.
+    whole = np.zeros(int(seq[-1] - seq[0]) + 1)
+    whole[seq - seq[0]] = positions[:, column]
+    segments = tuple(
+        (int(seq[first] - seq[0]), int(seq[last - 1] - seq[0]) + 1)
+        for first, last in zip(ends[:-1], ends[1:], strict=True)
+        if last - first >= SHORTEST // 4
+    )
+    if sum(last - first for first, last in segments) < SHORTEST:
+        raise ValueError(
+            f"{path}: no {SHORTEST} ticks without gaps between them; record by a faster disk or a shorter run"
+        )
+    delays = told[fresh & (age == 0)]
+    return Experiment(1.0 / rate, whole, segments, at, forces[used, column], delays, axis)
