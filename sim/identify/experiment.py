@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -150,7 +151,7 @@ def read(path: Path, axis: str | None = None) -> Experiment:
     whole[seq - seq[0]] = positions[:, column]
     segments = tuple(
         (int(seq[first] - seq[0]), int(seq[last - 1] - seq[0]) + 1)
-        for first, last in zip(ends[:-1], ends[1:], strict=True)
+        for first, last in itertools.pairwise(ends)
         if last - first >= SHORTEST // 4
     )
     if sum(last - first for first, last in segments) < SHORTEST:

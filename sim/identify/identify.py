@@ -170,7 +170,7 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
 
 
 def _nothing(experiment: Experiment, length: int, why: str) -> Identified:
-    """What is told by a run that tells nothing of the device."""
+    """Tell what a run without a changing force tells: its delays and its encoder."""
     unknown = Estimate(None, why=why)
     _, shortest, longest, jitter = _delays(experiment)
     return Identified(
@@ -322,7 +322,7 @@ def _conclude(experiment: Experiment, found: Fit, grid: Encoder, held_out: float
 
 
 def _bounded(value: float, width: float, too_wide: float) -> Estimate:
-    """An estimate of what cannot be negative; None when its error is as large as what it is told from."""
+    """Estimate what cannot be negative; None when its error is as large as what it is told from."""
     if width > too_wide:
         return Estimate(None, why=f"its error would be {width:.2g}, as large as what it is told from ({too_wide:.2g})")
     return Estimate(value, max(value - width, 0.0), value + width)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import MutableSequence, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +24,7 @@ PUSH = Excitation()
 
 @compiled()
 def _push(
-    wanted: Sequence[float],
+    wanted: Array,
     spring: float,
     damper: float,
     reach: float,
@@ -41,10 +40,10 @@ def _push(
     whole: int,
     part: float,
     period: float,
-    positions: MutableSequence[float],
-    forces: MutableSequence[float],
+    positions: Array,
+    forces: Array,
 ) -> None:
-    """The centred excitation in closed loop, as driver and coupling do it."""
+    """Push in closed loop over the centring spring, as driver and coupling do it."""
     ticks = len(wanted)
     early_map = coefficients(mass, damping, stiffness, part * period)
     late_map = coefficients(mass, damping, stiffness, (1.0 - part) * period)
@@ -90,8 +89,9 @@ def excite(model: DeviceModel, period: float, seconds: float, seed: int, peak: f
     positions, forces = np.zeros(ticks), np.zeros(ticks)
     whole, part = split_delay(model.delay)
     signal = Telegraph(PUSH.amplitude, PUSH.clocks, seed)
+    wanted: Array = np.array([signal.next() for _ in range(ticks)])
     _push(
-        np.array([signal.next() for _ in range(ticks)]), PUSH.stiffness, PUSH.damping, PUSH.reach, peak, model.position, model.velocity, model.moving_mass,
+        wanted, PUSH.stiffness, PUSH.damping, PUSH.reach, peak, model.position, model.velocity, model.moving_mass,
         model.moving_damping, model.grip, model.friction or 0.0, model.load(0, period), model.resolution, whole, part,
         period, positions, forces,
     )  # fmt: skip

@@ -36,6 +36,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "gains": "normalised",
     },
     "fir": {"taps": [2500.0, -1700.0, 400.0, 0.125]},
+    "excitation": {"amplitude": 0.5, "stiffness": 30.0, "damping": 0.2},
 }
 
 CASES = [pytest.param({"kind": kind, **values}, id=kind) for kind, values in EXAMPLES.items()]
@@ -127,7 +128,10 @@ def test_dump_and_load_give_the_same_law_and_the_same_bits(case: dict[str, Any])
     dumped = yaml.safe_dump(law_to_dict(law))
     again = parse_law(yaml.safe_load(dumped))
     assert again == law
-    assert compile_law(again, T) == compile_law(law, T)
+    before, after = compile_law(law, T), compile_law(again, T)
+    assert (after.taps, after.sections) == (before.taps, before.sections)
+    # Code of its own keeps a state, so that two compilations are never the same object.
+    assert (after.evaluate is None) == (before.evaluate is None)
 
 
 @every_law
@@ -236,7 +240,7 @@ def test_preset_values_can_be_replaced() -> None:
         ("pd", r"^laws\.a: expected a mapping"),
         ({}, r"^laws\.a\.kind: None is not"),
         ({"kind": ["pd"]}, r"^laws\.a\.kind: \['pd'\] is not"),
-        ({"kind": "pdq", "stiffness": 1.0}, r"^laws\.a\.kind: 'pdq' is not .* known are fir, .*paper_optimum"),
+        ({"kind": "pdq", "stiffness": 1.0}, r"^laws\.a\.kind: 'pdq' is not .* known are .*fir, .*paper_optimum"),
         ({"kind": "pd"}, r"^laws\.a: .*missing required field 'stiffness'"),
         ({"kind": "pd", "stiffness": 0.0}, r"^laws\.a\.stiffness: .*> 0\.0, not 0\.0"),
         ({"kind": "pd", "stiffness": 1.0, "damping": -1e-9}, r"^laws\.a\.damping: .*>= 0\.0, not -1e-09"),
