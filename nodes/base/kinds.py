@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import entry_points
 
 from nodes.base.node import Node
+from nodes.parameters.store import ParameterError
+from nodes.registry import Registry
 
-GROUP = "haptic.nodes"
+NODES = Registry("haptic.nodes", "kind of node")
 
 
 def node_kinds() -> dict[str, str]:
@@ -18,7 +19,7 @@ def node_kinds() -> dict[str, str]:
     dict of str to str
         Kind to ``module:Class``.
     """
-    return {point.name: point.value for point in entry_points(group=GROUP)}
+    return {name: point.value for name, point in NODES.points().items()}
 
 
 def load(factory: str) -> type[Node]:
@@ -33,7 +34,19 @@ def load(factory: str) -> type[Node]:
     -------
     type of Node
         The class.
+
+    Raises
+    ------
+    ParameterError
+        When it cannot be imported, or is not a node.
     """
     module, _, name = factory.partition(":")
-    found: type[Node] = getattr(importlib.import_module(module), name)
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (Exception, SystemExit) as error:  # another package's module may raise anything while it is imported
+        raise ParameterError(f"{factory}: cannot be imported: {type(error).__name__}: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Node)):
+        raise ParameterError(
+            f"{factory}: {found!r} is registered as a kind of node, but is not a subclass of nodes.base.node.Node"
+        )
     return found

@@ -85,6 +85,23 @@ class Node(Telling):
         """
         del setup
 
+    @classmethod
+    def subscribes(cls, parameters: Any) -> tuple[str, ...]:
+        """Tell which subscriptions a node makes at each publisher that it connects to: a publisher waits for all of them.
+
+        Parameters
+        ----------
+        parameters : msgspec.Struct
+            The node's parameters.
+
+        Returns
+        -------
+        tuple of str
+            Topics.
+        """
+        del parameters
+        return cls.listens_to
+
     # -- what a kind of node defines ---------------------------------------------------------------------------------
 
     def configure(self) -> None:

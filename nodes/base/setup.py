@@ -62,7 +62,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     sources : dict of str to str
         Topic (or ``<node>``, for all its topics) to the endpoint that publishes it.
     listeners : int
-        Subscribers of the launch itself to wait for before the first tick.
+        Subscriptions of the launch's own nodes to wait for before the first tick.
     scheduling : Scheduling
         Processors and priority.
     parameters : dict

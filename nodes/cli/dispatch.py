@@ -9,6 +9,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
+from nodes.cli.main import Parser
+
 
 def _first_line(module: str) -> str:
     """Help of a module, read without running it."""
@@ -41,9 +43,11 @@ def dispatch(parser: argparse.ArgumentParser, modules: Mapping[str, str], noun: 
     def run(arguments: argparse.Namespace) -> int:
         module = import_module(modules[arguments.chosen])
         line = _first_line(modules[arguments.chosen])
-        own = argparse.ArgumentParser(prog=f"{parser.prog} {arguments.chosen}", description=line)
+        own = Parser(prog=f"{parser.prog} {arguments.chosen}", description=line)
         module.add(own)
-        chosen = own.parse_args(arguments.rest)
+        chosen, left_over = own.parse_known_args(arguments.rest)
+        if left_over:
+            chosen.parser.refuse(left_over)
         return int(chosen.run(chosen))
 
     parser.set_defaults(run=run)

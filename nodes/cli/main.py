@@ -7,14 +7,19 @@ A verb is a module whose docstring's first line is its help and which has ``add(
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import os
+import re
 import sys
-from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, NoReturn
 
-GROUP = "haptic.verbs"
+from nodes.registry import NotInstalledError, Registry
+
+VERBS = Registry("haptic.verbs", "verb")
+
+_CHOICE = re.compile(r"invalid choice: '(?P<given>[^']*)' \((?:maybe you meant '[^']*', )?choose from (?P<known>.*)\)")
 
 
 class UsageError(Exception):
@@ -23,6 +28,47 @@ class UsageError(Exception):
 
 class RefusedError(Exception):
     """What was asked is sensible, but was refused or did not succeed; the text says why. Exit code 1."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Takes no abbreviations, and says of what it does not know what was probably meant; its own usage goes before that.
+
+    Sub-parsers are of this class too, as argparse makes them.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **{**options, "allow_abbrev": False})
+        # The innermost one is left in the namespace: who finds words left over complains with its usage.
+        self.set_defaults(parser=self)
+
+    def error(self, message: str) -> NoReturn:
+        """Complain and exit with 2.
+
+        Parameters
+        ----------
+        message : str
+            What argparse says.
+        """
+        wrong = _CHOICE.search(message)
+        if wrong is not None:
+            message += _probably(wrong["given"], (word.strip("'\" ") for word in wrong["known"].split(",")))
+        super().error(message)
+
+    def refuse(self, words: list[str]) -> NoReturn:
+        """Complain about words that nothing takes.
+
+        Parameters
+        ----------
+        words : list of str
+            As typed.
+        """
+        options = [word.partition("=")[0] for word in words if word.startswith("-")]
+        hint = _probably(options[0], self._option_string_actions) if options else ""
+        super().error(f"unrecognized arguments: {' '.join(words)}{hint}")
+
+
+def _probably(given: str, known: Iterable[str]) -> str:
+    return "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(given, list(known), 1))
 
 
 def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> None:
@@ -40,28 +86,28 @@ def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> None:
     print(json.dumps(figures) if as_json else text, flush=True)
 
 
-def _parser(verbs: Mapping[str, EntryPoint], chosen: str | None) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="haptic", description="Haptic virtual coupling in separate processes.")
+def _parser(chosen: str | None) -> Parser:
+    parser = Parser(prog="haptic", description="Haptic virtual coupling in separate processes.")
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     sub = parser.add_subparsers(dest="verb", metavar="VERB")
-    for name in sorted(verbs):
+    for name in VERBS.names():
         if chosen is not None and name != chosen:
             sub.add_parser(name)
             continue
         if chosen is None:
-            sub.add_parser(name, help=_help_line(verbs[name]))
+            sub.add_parser(name, help=_help_line(name))
             continue
-        module = verbs[name].load()
+        module = VERBS.load(name)
         verb = sub.add_parser(name, description=(module.__doc__ or "").strip().splitlines()[0])
         module.add(verb)
     return parser
 
 
-def _help_line(point: EntryPoint) -> str:
+def _help_line(name: str) -> str:
     try:
-        text = point.load().__doc__
-    except Exception as error:  # noqa: BLE001  # a broken verb of another package must not hide the others
-        return f"(cannot be loaded: {type(error).__name__}: {error})".replace("%", "%%")
+        text = VERBS.load(name).__doc__
+    except NotInstalledError as error:
+        return str(error).replace("%", "%%")
     return (text or "").strip().partition("\n")[0].replace("%", "%%")
 
 
@@ -79,14 +125,17 @@ def main(argv: list[str] | None = None) -> int:
         Exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
     """
     argv = sys.argv[1:] if argv is None else argv
-    verbs = {point.name: point for point in entry_points(group=GROUP)}
     chosen = next((word for word in argv if not word.startswith("-")), None)
-    parser = _parser(verbs, chosen if chosen in verbs else None)
+    try:
+        parser = _parser(chosen if chosen in VERBS.names() else None)
+    except NotInstalledError as error:
+        print(f"haptic: {error}", file=sys.stderr)
+        return 2
     arguments, left_over = parser.parse_known_args(argv)
     if left_over:
         # argparse does not take positional words after options; name:=value may stand anywhere.
         if not hasattr(arguments, "assignments") or any(":=" not in word for word in left_over):
-            parser.error(f"unrecognized arguments: {' '.join(left_over)}")
+            arguments.parser.refuse(left_over)
         arguments.assignments += left_over
     if arguments.version:
         from importlib.metadata import version

@@ -307,6 +307,7 @@ class Coupling(Node):
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         take = follow(self, self.inbox, Decoder(Proxy), topics.PROXY)
         topic, send, simulated = topics.FORCE.encode(), self.publisher.send, self._simulated
+        send_again = self.publisher.send_hop
         renderer, finite = self._renderer, math.isfinite
         last = -1
         payload = b""
@@ -314,8 +315,11 @@ class Coupling(Node):
             proxy = take()
             if proxy is not None:
                 seq = proxy.seq
-                # A repeated tick (lockstep, after a lost answer) gets the same answer; the history must not see it twice.
-                if seq != last:
+                if seq == last:
+                    # Asked again (lockstep, after a stall or a lost answer): the same answer, to who waits for it. Neither the
+                    # history nor those who listen may see the tick twice.
+                    send_again(topic, payload)
+                else:
                     if 0 <= last < seq - 1:
                         renderer.bridge(proxy, seq - last - 1)
                     if self._schedule:
@@ -329,7 +333,7 @@ class Coupling(Node):
                     payload = encode(
                         Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=self._revision)
                     )
-                send(topic, payload)
-                self.ticks += 1
+                    send(topic, payload)
+                    self.ticks += 1
             if self.called:
                 self.between_ticks(self.seq + 1)

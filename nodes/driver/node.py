@@ -279,7 +279,7 @@ class Driver(Node):
                     if time.monotonic() - asked > ASK_AGAIN:
                         asked = time.monotonic()
                         self.tell("unanswered", f"tick {seq} has no answer; asking again")
-                        self._ask_again(seq)
+                        self.publisher.send_hop(self._topic, self._unlistened)
                     self.between_ticks(seq)
                     continue
                 force = self.take(self._decoder, frames, self._expected)
@@ -302,10 +302,6 @@ class Driver(Node):
         self._last_stamp = time.monotonic()
         self._sample(seq, seq * period)
         self._tell_listeners()
-
-    def _ask_again(self, seq: int) -> None:
-        state = DeviceState(seq=seq, stamp=seq * self.setup.period, position=self._position, safety=self._safety.state)
-        self.publisher.send_hop(self._topic, encode(state))
 
     def _epoch(self) -> float:
         """When tick 0 is or was: a respawned driver goes on counting where its predecessor was killed."""

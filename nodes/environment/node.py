@@ -87,10 +87,14 @@ class Environment(Node):
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
         topic, send, simulated = topics.PROXY.encode(), self.publisher.send, self._simulated
+        send_again, last, payload = self.publisher.send_hop, -1, b""
         while not self.stopping:
             state = take()
-            if state is not None:
-                position = state.position
+            if state is not None and state.seq == last:
+                # Asked again (lockstep, after a stall or a lost answer): the same answer, to who waits for it only.
+                send_again(topic, payload)
+            elif state is not None:
+                position, last = state.position, state.seq
                 proxy, normal, distance, contact = self._meet(position)
                 message = Proxy(
                     seq=state.seq,
@@ -102,7 +106,8 @@ class Environment(Node):
                     contact=contact,
                     delay=state.delay,
                 )
-                send(topic, encode(message))
+                payload = encode(message)
+                send(topic, payload)
                 self.ticks += 1
             if self.called:
                 self.between_ticks(self.seq + 1)

@@ -6,8 +6,7 @@ points ``haptic.surfaces``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from importlib.metadata import entry_points
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Literal, TypeAlias
 
 import msgspec
@@ -16,8 +15,9 @@ from messages.types import ZERO, Vector
 from nodes.base.setup import AXIS_INDEX, Axis
 from nodes.kernels import plane_distance
 from nodes.parameters.store import ParameterError, convert
+from nodes.registry import NotInstalledError, Registry
 
-GROUP = "haptic.surfaces"
+SURFACES = Registry("haptic.surfaces", "surface")
 
 Meeting: TypeAlias = tuple[Vector, Vector, float, bool]
 """Proxy [m], outward normal, signed distance [m], contact."""
@@ -128,18 +128,6 @@ class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         return lambda _: (anchor, ZERO, 0.0, True)
 
 
-def surface_kinds() -> dict[str, type[Surface]]:
-    """Find all installed surfaces.
-
-    Returns
-    -------
-    dict of str to type of Surface
-        Registered name to class, sorted by name.
-    """
-    found: dict[str, Any] = {point.name: point.load() for point in entry_points(group=GROUP)}
-    return dict(sorted(found.items()))
-
-
 def parse_surface(data: dict[str, Any], where: str) -> Surface:
     """Make a surface from its parameters.
 
@@ -160,9 +148,15 @@ def parse_surface(data: dict[str, Any], where: str) -> Surface:
     ParameterError
         When the kind is unknown or a field is refused.
     """
-    kinds = surface_kinds()
-    kind = data.get("kind")
-    if kind not in kinds:
-        raise ParameterError(f"{where}.kind: {kind!r} is not a surface; there is: {', '.join(kinds)}")
-    made: Surface = convert({k: v for k, v in data.items() if k != "kind"}, kinds[kind], where)
+    if not isinstance(data, Mapping):
+        raise ParameterError(f"{where}: expected a mapping with kind and parameters, got {data!r}")
+    try:
+        kind = SURFACES.load(data.get("kind", ""))
+    except NotInstalledError as error:
+        raise ParameterError(f"{where}.kind: {error}") from error
+    if not (isinstance(kind, type) and issubclass(kind, Surface)):
+        raise ParameterError(
+            f"{where}.kind: {kind!r} is registered in {SURFACES.group}, but is not a subclass of Surface"
+        )
+    made: Surface = convert({k: v for k, v in data.items() if k != "kind"}, kind, where)
     return made

@@ -16,6 +16,9 @@ from messages.transport.requests import ControlError, call
 from nodes.base.kinds import load
 from nodes.base.setup import Setup
 
+PYTHON = (sys.executable, "-P")
+"""The interpreter that our processes run in: without the working directory on its path, where a ``sim.py`` may be anybody's."""
+
 START_TIMEOUT = 30.0
 """How long a node's process may take until it is ready [s]."""
 
@@ -89,7 +92,7 @@ class Child:
         path.write_bytes(msgspec.json.encode(self.setup))
         # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends the nodes in order.
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "nodes", str(path)],
+            [*PYTHON, "-m", "nodes", str(path)],
             stdin=subprocess.DEVNULL,
             stdout=sys.stderr,
             process_group=0,

@@ -13,7 +13,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +24,7 @@ from messages.transport.requests import ControlError, call
 from messages.transport.sockets import new_context
 from nodes.base import realtime
 from nodes.launcher import reaper, runs
-from nodes.launcher.child import Child
+from nodes.launcher.child import PYTHON, Child
 from nodes.launcher.external_child import ByHand
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.wiring import manifest_of, wire
@@ -141,7 +140,7 @@ class Supervisor:
 
     def _start_reaper(self, run_dir: Path) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
-            [sys.executable, "-S", "-E", str(reaper.__file__), str(run_dir)],
+            [*PYTHON, "-S", "-E", str(reaper.__file__), str(run_dir)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             start_new_session=True,

@@ -169,9 +169,12 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
 
     setups = {}
     core = _core(launch)
+    subscribed = {
+        name: len(kind.subscribes(convert(launch.nodes[name].parameters, kind.Parameters, name)))
+        for name, kind in classes.items()
+    }
     for name, spec in launch.nodes.items():
         kind = classes[name]
-        convert(spec.parameters, kind.Parameters, name)
         if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not kind.listens_to == ("*",):
             raise ParameterError(
                 f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a lockstep run would no "
@@ -185,7 +188,9 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
                 topic: endpoint(_source(name, topic, publisher, relays), publish, name) for topic in kind.listens_to
             }
         listeners = sum(
-            other != name
+            subscribed[other]
+            for other in launch.nodes
+            if other != name
             and (
                 "*" in classes[other].listens_to
                 or any(
@@ -194,7 +199,6 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
                     if topic in publisher
                 )
             )
-            for other in launch.nodes
         )
         setups[name] = Setup(
             run=run,

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import cmath
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from typing import ClassVar
 
 import msgspec
 
-GROUP = "haptic.laws"
+from nodes.registry import Registry
+
+LAWS = Registry("haptic.laws", "law")
 
 
 @dataclass(frozen=True)
@@ -126,14 +125,14 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
 
 def law_kinds() -> dict[str, type[Law]]:
-    """Find all installed laws.
+    """Find all installed laws that can be imported.
 
     Returns
     -------
     dict of str to type of Law
         Registered name to class, sorted by name.
     """
-    return {name: load_law(name) for name in law_names()}
+    return LAWS.all()[0]
 
 
 def law_names() -> list[str]:
@@ -144,7 +143,7 @@ def law_names() -> list[str]:
     list of str
         Registered names, sorted.
     """
-    return sorted(_installed(tuple(sys.path)))
+    return LAWS.names()
 
 
 def load_law(kind: str) -> type[Law]:
@@ -162,23 +161,16 @@ def load_law(kind: str) -> type[Law]:
 
     Raises
     ------
-    KeyError
-        When none of that name is installed.
+    NotInstalledError
+        When none of that name is installed, or it cannot be imported.
     TypeError
         When what is registered is not a law.
     """
-    found = _installed(tuple(sys.path))[kind].load()
+    found = LAWS.load(kind)
     if not (isinstance(found, type) and issubclass(found, Law)):
-        raise TypeError(f"{kind}: {found!r} is registered in {GROUP}, but is not a subclass of nodes.laws.Law")
+        raise TypeError(f"{kind}: {found!r} is registered in {LAWS.group}, but is not a subclass of nodes.laws.Law")
     if found.kind != kind:
         raise TypeError(
             f"{kind}: {found!r} calls itself {found.kind!r}; its class variable kind must be its registered name"
         )
     return found
-
-
-@cache
-def _installed(path: tuple[str, ...]) -> dict[str, EntryPoint]:
-    """Read the registry once per search path: that takes milliseconds, and a running loop asks at every change."""
-    del path
-    return {point.name: point for point in entry_points(group=GROUP)}

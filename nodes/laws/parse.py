@@ -15,7 +15,8 @@ import msgspec
 
 from nodes.laws import CompiledLaw, Law, law_names, load_law
 from nodes.laws.presets import PRESETS, expand, preset_names
-from nodes.parameters.store import ParameterError
+from nodes.parameters.store import ParameterError, choices
+from nodes.registry import NotInstalledError
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<where>.*)`)?$", re.DOTALL)
 
@@ -54,12 +55,14 @@ def parse_law(data: object, path: str = "law") -> Law:
     whole = expand(data)
     kind = whole.pop("kind", None)
     if not isinstance(kind, str) or kind not in law_names():
-        known = ", ".join([*law_names(), *preset_names()])
-        raise LawRefusedError(f"{path}.kind: {_shown(named)} is not an installed law or preset; known are {known}")
+        known = [*law_names(), *preset_names()]
+        raise LawRefusedError(
+            f"{path}.kind: {_shown(named)} is not an installed law or preset; {choices(named, known)}"
+        )
     try:
         law = load_law(kind)
-    except Exception as error:  # another package's module may raise anything while it is imported
-        raise LawRefusedError(f"{path}.kind: {kind} cannot be imported: {type(error).__name__}: {error}") from error
+    except (NotInstalledError, TypeError) as error:
+        raise LawRefusedError(f"{path}.kind: {error}") from error
     parameters = law.__struct_fields__
     unknown = [key for key in whole if key not in parameters]
     if unknown:

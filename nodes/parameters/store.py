@@ -6,9 +6,10 @@ command line and the control requests all go through it, so an error always carr
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import msgspec
@@ -20,6 +21,26 @@ _AT = re.compile(r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<
 
 class ParameterError(ValueError):
     """A parameter that cannot be taken; the text names node, path, value, limit and remedy."""
+
+
+def choices(given: object, known: Iterable[str]) -> str:
+    """Say what there is in place of a name that is not, and which was probably meant.
+
+    Parameters
+    ----------
+    given : object
+        What was written.
+    known : iterable of str
+        What could have been.
+
+    Returns
+    -------
+    str
+        ``there is: fir, pd; did you mean pd?``
+    """
+    names = list(known)
+    close = difflib.get_close_matches(given, names, 1) if isinstance(given, str) else []
+    return f"there is: {', '.join(names) or 'nothing yet'}" + "".join(f"; did you mean {name}?" for name in close)
 
 
 def convert(data: Any, target: Any, where: str) -> Any:

@@ -175,6 +175,22 @@ class Logger(Node):
     Parameters: ClassVar[type[msgspec.Struct]] = LoggerParameters
     listens_to: ClassVar[tuple[str, ...]] = ("*",)
 
+    @classmethod
+    def subscribes(cls, parameters: Any) -> tuple[str, ...]:
+        """Tell which subscriptions a logger makes.
+
+        Parameters
+        ----------
+        parameters : LoggerParameters
+            Of the logger.
+
+        Returns
+        -------
+        tuple of str
+            Its topics; ``""`` takes all.
+        """
+        return tuple(dict.fromkeys(parameters.topics)) or ("",)
+
     def configure(self) -> None:
         """Create the file, so that a bad path fails the start and not the run."""
         parameters: LoggerParameters = self.store.current
@@ -193,8 +209,7 @@ class Logger(Node):
         subscribe : callable
             Makes a subscription from endpoints, topics and queue length.
         """
-        parameters: LoggerParameters = self.store.current
-        self._listening = subscribe(set(self.setup.sources.values()), parameters.topics or [""], QUEUE)
+        self._listening = subscribe(set(self.setup.sources.values()), self.subscribes(self.store.current), QUEUE)
         self._recorder = Recorder(self._listening, self._writer)
 
     def report(self) -> dict[str, Any]:

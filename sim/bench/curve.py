@@ -10,7 +10,6 @@ import argparse
 import os
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -30,6 +29,7 @@ from messages.types import DeviceState, Force
 from nodes.base import realtime
 from nodes.base.setup import Scheduling, Setup
 from nodes.cli.main import RefusedError, answer
+from nodes.launcher.child import PYTHON
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
@@ -95,7 +95,7 @@ class _Loop:
             )
             path = folder / f"{kind}_{name}.json"
             path.write_bytes(msgspec.json.encode(setup))
-            node = subprocess.Popen([sys.executable, "-m", "nodes", str(path)], stdin=subprocess.DEVNULL)
+            node = subprocess.Popen([*PYTHON, "-m", "nodes", str(path)], stdin=subprocess.DEVNULL)
             stack.callback(node.wait)
             stack.callback(node.terminate)
         self._name, self._seq = name, 0

@@ -9,7 +9,6 @@ import os
 import signal
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from typing import Any
 
 from messages.topics import DEVICE_STATE
 from nodes.cli.main import answer
+from nodes.launcher.child import PYTHON
 from nodes.recording.reader import Recording
 from sim.measure.launches import MeasurementError, machine
 from sim.measure.stopwatch import Progress
@@ -51,7 +51,7 @@ def _await(condition: Callable[[], bool], what: str) -> None:
 def _listen(folder: Path, environment: dict[str, str], count: int, label: str) -> list[subprocess.Popen[bytes]]:
     """Attach loggers and wait until each one's file grows."""
     paths = [folder / f"{label}-{i}.mcap" for i in range(count)]
-    command = [sys.executable, "-m", "nodes.cli.main", "bag", "record", "--out"]
+    command = [*PYTHON, "-m", "nodes.cli.main", "bag", "record", "--out"]
     listeners = [
         subprocess.Popen(
             [*command, str(path)], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -88,7 +88,7 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
         environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(folder / "run")}
         words = ["launch", "floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500", "--json", "--no-plot"]
         launcher = subprocess.Popen(
-            [sys.executable, "-m", "nodes.cli.main", *words],
+            [*PYTHON, "-m", "nodes.cli.main", *words],
             cwd=folder,
             env=environment,
             stdout=subprocess.PIPE,

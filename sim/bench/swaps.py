@@ -12,7 +12,6 @@ import json
 import math
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -27,6 +26,7 @@ from messages.topics import DEVICE_STATE, FORCE, RECEIPT
 from messages.transport.requests import ControlError, call
 from messages.types import DeviceState, Receipt
 from nodes.cli.main import answer
+from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
 from nodes.recording.reader import Recording
 from sim.measure.launches import MeasurementError, machine
@@ -182,7 +182,7 @@ def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 5
         words = ["launch", "floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001", "--json", "--no-plot"]
         with open(folder / "errors.txt", "wb") as errors:
             launcher = subprocess.Popen(
-                [sys.executable, "-m", "nodes.cli.main", *words],
+                [*PYTHON, "-m", "nodes.cli.main", *words],
                 cwd=folder,
                 env={**os.environ, "HAPTIC_RUNTIME_DIR": str(folder / "run")},
                 stdout=subprocess.PIPE,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import subprocess
-import sys
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ import numpy as np
 
 from nodes.coupling.law_on_axis import UNROLLED_TAPS, unrolled
 from nodes.kernels import fir
+from nodes.launcher.child import PYTHON
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import realise
 from sim.measure.stopwatch import Timing, interleaved
@@ -176,7 +176,7 @@ def import_seconds(module: str) -> float:
     """
     code = f"import time; t = time.perf_counter(); import {module}; print(time.perf_counter() - t)"
     return min(
-        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+        float(subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True, check=True).stdout)
         for _ in range(3)
     )
 

@@ -12,7 +12,6 @@ import json
 import math
 import statistics
 import subprocess
-import sys
 import tempfile
 import time as clock
 from collections.abc import Callable
@@ -24,6 +23,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from nodes.launcher.child import PYTHON
 from nodes.launcher.launch_file import find
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
@@ -111,7 +111,7 @@ def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime") ->
     with tempfile.TemporaryDirectory(prefix="haptic-chart-") as folder:
         scenario = Path(folder) / "floor_drop.yaml"
         scenario.write_text(yaml.safe_dump(_with_one_law(), sort_keys=False))
-        command = [sys.executable, "-m", "nodes.cli.main", "launch", str(scenario), "--no-plot", "--json"]
+        command = [*PYTHON, "-m", "nodes.cli.main", "launch", str(scenario), "--no-plot", "--json"]
         done = subprocess.run(
             [*command, *(f"{name}:={value}" for name, value in values.items())],
             cwd=folder,

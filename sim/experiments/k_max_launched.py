@@ -8,7 +8,6 @@ the very criterion of the study (sim/experiments/drop.py). Both must end at the 
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ import numpy as np
 
 from messages.topics import DEVICE_STATE
 from nodes.launcher import launch_file
+from nodes.launcher.child import PYTHON
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import law_to_dict
 from nodes.recording.reader import Recording
@@ -161,7 +161,7 @@ def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Arra
         if read_back.scene != scene or read_back.ticks != ticks:
             raise ValueError(f"{SCENARIO} plays {read_back.scene} for {read_back.ticks} ticks, wanted was {scene}")
         words = [f"{name}:={value}" for name, value in _assignments(scene, ticks).items()]
-        command = [sys.executable, "-m", "nodes.cli.main", "launch", SCENARIO, *words, "--params", str(path)]
+        command = [*PYTHON, "-m", "nodes.cli.main", "launch", SCENARIO, *words, "--params", str(path)]
         figures = last_line([*command, "--json", "--no-plot"], Path(folder), 60.0 + 0.1 * ticks)
         states = Recording(Path(folder) / figures["recording"]).messages(DEVICE_STATE)
     if [state.seq for state in states] != list(range(ticks + 1)):

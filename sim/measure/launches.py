@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
+from nodes.launcher.child import PYTHON
 from sim.measure import stopwatch
 
 
@@ -67,7 +67,7 @@ def launch(scenario: str, *words: str, timeout: float = 300.0) -> dict[str, Any]
         What ``haptic launch --json`` answers.
     """
     with tempfile.TemporaryDirectory(prefix="haptic-bench-") as folder:
-        command = [sys.executable, "-m", "nodes.cli.main", "launch", scenario, "--json", "--no-plot", *words]
+        command = [*PYTHON, "-m", "nodes.cli.main", "launch", scenario, "--json", "--no-plot", *words]
         return last_line(command, Path(folder), timeout)
 
 
@@ -95,9 +95,7 @@ def bare_loop(ticks: int, core: str, fifo: int = 0, rate: float = 0.0) -> dict[s
     with tempfile.TemporaryDirectory(prefix="haptic-bare-") as folder:
         words = [folder, str(ticks), core, str(fifo), str(rate)]
         started = [
-            subprocess.Popen(
-                [sys.executable, "-m", "sim.measure.bare_loop", role, *words], stdout=subprocess.PIPE, text=True
-            )
+            subprocess.Popen([*PYTHON, "-m", "sim.measure.bare_loop", role, *words], stdout=subprocess.PIPE, text=True)
             for role in ROLES
         ]
         try:
@@ -136,4 +134,4 @@ def fifo_granted() -> bool:
         True when the kernel grants SCHED_FIFO.
     """
     code = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))"
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+    return subprocess.run([*PYTHON, "-c", code], capture_output=True, check=False).returncode == 0

@@ -12,7 +12,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -29,6 +28,7 @@ from messages.transport.requests import ControlError, call
 from messages.transport.sockets import Subscription, new_context
 from messages.types import DeviceState
 from nodes.base.realtime import die_with_parent
+from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive
 
 START = 30.0
@@ -84,7 +84,7 @@ class Rig:
         self._info: RunInfo | None = None
         with open(self.folder / "out", "wb") as out, open(self.folder / "err", "wb") as err:
             self.launcher = subprocess.Popen(
-                [sys.executable, "-m", "nodes.cli.main", "launch", str(launch), "--json", "--no-plot"],
+                [*PYTHON, "-m", "nodes.cli.main", "launch", str(launch), "--json", "--no-plot"],
                 cwd=self.folder,
                 env=self.environment,
                 stdin=subprocess.DEVNULL,
@@ -236,7 +236,7 @@ class Rig:
             The process; who started it ends it.
         """
         return subprocess.Popen(
-            [sys.executable, "-m", "nodes.cli.main", *words],
+            [*PYTHON, "-m", "nodes.cli.main", *words],
             cwd=self.folder,
             env=self.environment,
             stdin=subprocess.DEVNULL,

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from nodes.cli.main import UsageError
-from nodes.laws import Law, law_kinds
-from nodes.laws.parse import LawRefusedError, parse_law
-from nodes.laws.presets import PRESETS
+from nodes.laws import Law, law_names, load_law
+from nodes.laws.parse import parse_law
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.stability.k_max import Device
@@ -199,10 +198,10 @@ def law(arguments: argparse.Namespace, name: str, gain: float | None = None) -> 
     }
     if isinstance(data, dict):
         data |= {key: value for key, value in given.items() if value is not None}
-        kind = law_kinds().get(str(data.get("kind")))
-        if kind is not None and "stiffness" in kind.__struct_fields__ and data["kind"] not in PRESETS:
-            data.setdefault("stiffness", 1.0)
     try:
+        kind = data.get("kind") if isinstance(data, dict) else None
+        if kind in law_names() and "stiffness" in load_law(kind).__struct_fields__:
+            data.setdefault("stiffness", 1.0)
         return parse_law(data)
-    except LawRefusedError as error:
+    except (ParameterError, TypeError) as error:
         raise UsageError(str(error)) from error

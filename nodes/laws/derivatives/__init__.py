@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
-from importlib.metadata import entry_points
-from typing import cast
 
 from nodes.laws import CompiledLaw
+from nodes.registry import NotInstalledError, Registry
 
-GROUP = "haptic.derivatives"
+DERIVATIVES = Registry("haptic.derivatives", "realisation of D^α")
 MAX_ORDER = 4.0
 MAX_TAPS = 1_000_000
 
@@ -24,14 +22,14 @@ Realise = Callable[[float, int, float], CompiledLaw]
 
 
 def derivative_kinds() -> dict[str, Realise]:
-    """Find all installed realisations of D^α.
+    """Find all installed realisations of D^α that can be imported.
 
     Returns
     -------
     dict of str to function
         Registered name to ``f(order, taps, period) -> CompiledLaw``, sorted by name.
     """
-    return {name: _load(name) for name in sorted(entry_points(group=GROUP).names)}
+    return DERIVATIVES.all()[0]
 
 
 def realise(kind: str, order: float, taps: int, period: float) -> CompiledLaw:
@@ -66,7 +64,10 @@ def realise(kind: str, order: float, taps: int, period: float) -> CompiledLaw:
         raise ValueError(f"taps = {taps!r}: must lie in [2, {MAX_TAPS}]; a derivative needs at least two samples")
     if not (period > 0.0 and math.isfinite(period)):
         raise ValueError(f"period = {period!r} s: must be positive and finite; give 1/rate in seconds")
-    function = _load(kind)
+    try:
+        function: Realise = DERIVATIVES.load(kind)
+    except NotInstalledError as error:
+        raise ValueError(f"derivative = {error}") from error
     overflow = ValueError(
         f"period = {period!r} s at order = {order!r}: the coefficients of {kind!r} overflow (they grow as T^-α); take "
         "a longer period or a lower order"
@@ -82,12 +83,3 @@ def realise(kind: str, order: float, taps: int, period: float) -> CompiledLaw:
             f"taps = {taps!r} at order = {order!r}: {kind!r} has a pole on or outside the unit circle; take fewer taps"
         )
     return compiled
-
-
-@cache
-def _load(kind: str) -> Realise:
-    points = entry_points(group=GROUP, name=kind)
-    for point in points:
-        return cast(Realise, point.load())
-    known = ", ".join(sorted(entry_points(group=GROUP).names))
-    raise ValueError(f"derivative = {kind!r}: no such realisation is installed; choose one of {known}")

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,9 +15,10 @@ import pytest
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.driver.response_times import ResponseTimes
 from nodes.launcher import launch_file
+from nodes.launcher.wiring import wire
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
-from tests.support.launching import haptic, launch_json, running
+from tests.support.launching import DEADLINE, assert_nothing_left, haptic, launch_json, private_runtime_dir, running
 
 PROMISED = {
     "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot", "exit_reason", "final",
@@ -149,3 +153,43 @@ def test_percentiles_are_those_of_the_values() -> None:
     summary = times.summary_us()
     assert summary == {"p50": 500.0, "p99": 990.0, "p999": 999.0, "max": 999.5}
     assert math.isclose(times.longest, max(values))
+
+
+def test_a_publisher_waits_for_every_subscription_of_the_launch(tmp_path: Path) -> None:
+    """A logger of three topics must not be counted as three loggers: the first messages would go without the other one."""
+    setups = wire(launch_file.read("two_loggers", {}), "r", tmp_path, {})
+    # One by the next hop, one by the logger of everything, three by the logger of the loop's topics.
+    assert {name: setups[name].listeners for name in ("driver", "environment", "coupling")} == {
+        "driver": 5,
+        "environment": 5,
+        "coupling": 5,
+    }
+    assert setups["logger"].listeners == 3
+
+
+def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path) -> None:
+    """Names that a user's own scripts may well have: none of them may take the place of a module that a node imports."""
+    for name in ("sim", "messages", "nodes", "yaml", "zmq", "selectors"):
+        (tmp_path / f"{name}.py").write_text(
+            f"raise SystemExit('{name}.py of the user was imported')\n", encoding="utf-8"
+        )
+    with private_runtime_dir() as runtime_dir:
+        done = subprocess.run(
+            [
+                Path(sys.executable).parent / "haptic",
+                "launch",
+                "floor_drop",
+                "pace:=lockstep",
+                "duration:=0.2",
+                "--json",
+            ],
+            cwd=tmp_path,
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir)},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=DEADLINE,
+        )
+        assert_nothing_left(runtime_dir)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["exit_reason"] == "done"

@@ -7,16 +7,19 @@ within a tolerance, because both call the same functions on the same floats in t
 from __future__ import annotations
 
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from messages.topics import DEVICE_STATE, FORCE
+from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.launcher import launch_file
+from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
 from sim.scene.from_launch import from_launch
-from tests.support.launching import haptic, launch_json
+from tests.support.launching import haptic, launch_json, running, wait_for
 
 SHORT = "duration:=1.2"
 VARIANTS = (
@@ -101,3 +104,23 @@ def test_lockstep_twice_gives_the_same_recording(tmp_path: Path) -> None:
         states = Recording(folder / figures["recording"]).messages(DEVICE_STATE)
         found.append([(state.seq, state.stamp, state.position, state.force, state.energy) for state in states])
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("node", ["environment", "coupling"])
+def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> None:
+    """A machine under load stalls a node for longer than the driver waits; it asks again, and both questions are answered."""
+    with running(tmp_path, "two_loggers", "duration:=60", "pace:=lockstep") as launch:
+        stalled = launch.call(node, "status")["pid"]
+        os.kill(stalled, signal.SIGSTOP)
+        try:
+            wait_for(lambda: "asking again" in launch.errors, "the driver asks again")
+        finally:
+            os.kill(stalled, signal.SIGCONT)
+        figures = launch.finish()
+    for path in figures["recordings"]:
+        recording = Recording(tmp_path / path)
+        assert [state.seq for state in recording.messages(DEVICE_STATE)] == list(range(figures["ticks"] + 1))
+        for topic in (PROXY, FORCE):
+            assert [message.seq for message in recording.messages(topic)] == list(range(figures["ticks"] + 1))
+    kept = accounts(Recording(tmp_path / figures["recording"]))
+    assert {name: account.lost for name, account in kept.items()} == dict.fromkeys(kept, 0)

@@ -1,0 +1,107 @@
+"""What is installed beside us: laws, realisations of D^α, surfaces, kinds of node and verbs, found through entry points.
+
+Nothing is imported until it is asked for by name, and what cannot be imported costs its own name only.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from nodes.parameters.store import ParameterError, choices
+
+
+class NotInstalledError(ParameterError):
+    """Nothing of that name is installed, or it cannot be imported; the text says which package it comes from."""
+
+
+class Registry:
+    """One group of entry points.
+
+    Parameters
+    ----------
+    group : str
+        E.g. ``haptic.laws``.
+    noun : str
+        What one of them is, for errors.
+    """
+
+    def __init__(self, group: str, noun: str) -> None:
+        self.group = group
+        self._noun = noun
+
+    def names(self) -> list[str]:
+        """List what is installed, without importing any.
+
+        Returns
+        -------
+        list of str
+            Names, sorted.
+        """
+        return sorted(self.points())
+
+    def points(self) -> dict[str, EntryPoint]:
+        """Find the entry points.
+
+        Returns
+        -------
+        dict of str to EntryPoint
+            By name.
+        """
+        return _installed(self.group, tuple(sys.path))
+
+    def load(self, name: str) -> Any:
+        """Import one.
+
+        Parameters
+        ----------
+        name : str
+            As it is registered.
+
+        Returns
+        -------
+        object
+            What is registered under that name.
+
+        Raises
+        ------
+        NotInstalledError
+            When there is none of that name, or it cannot be imported.
+        """
+        point = self.points().get(name)
+        if point is None:
+            raise NotInstalledError(f"{name!r} is not an installed {self._noun}; {choices(name, self.names())}")
+        try:
+            return point.load()
+        except (Exception, SystemExit) as error:  # another package's module may raise anything while it is imported
+            package = point.dist.name if point.dist is not None else "?"
+            raise NotInstalledError(
+                f"{name!r}: the {self._noun} cannot be imported: {type(error).__name__}: {error} "
+                f"({point.value}, of the package {package})"
+            ) from error
+
+    def all(self) -> tuple[dict[str, Any], dict[str, str]]:
+        """Import all.
+
+        Returns
+        -------
+        tuple of dict and dict
+            What could be imported, by name and sorted; and why the rest could not.
+        """
+        found: dict[str, Any] = {}
+        broken: dict[str, str] = {}
+        for name in self.names():
+            try:
+                found[name] = self.load(name)
+            except NotInstalledError as error:
+                broken[name] = str(error)
+        return found, broken
+
+
+@cache
+def _installed(group: str, path: tuple[str, ...]) -> dict[str, EntryPoint]:
+    """Read a group once per search path: that takes milliseconds, and a running loop asks at every change."""
+    del path
+    return {point.name: point for point in entry_points(group=group)}
