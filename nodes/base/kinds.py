@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 
 from nodes.base.node import Node
+from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError
-from nodes.registry import Registry
 
 NODES = Registry("haptic.nodes", "kind of node")
 

@@ -14,8 +14,8 @@ import msgspec
 from messages.types import ZERO, Vector
 from nodes.base.setup import AXIS_INDEX, Axis
 from nodes.kernels import plane_distance
+from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError, convert
-from nodes.registry import NotInstalledError, Registry
 
 SURFACES = Registry("haptic.surfaces", "surface")
 

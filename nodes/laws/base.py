@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import msgspec
 
-from nodes.registry import Registry
+from nodes.parameters.registry import Registry
 
 LAWS = Registry("haptic.laws", "law")
 

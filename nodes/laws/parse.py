@@ -15,8 +15,8 @@ import msgspec
 
 from nodes.laws import CompiledLaw, Law, law_names, load_law
 from nodes.laws.presets import PRESETS, expand, preset_names
+from nodes.parameters.registry import NotInstalledError
 from nodes.parameters.store import ParameterError, choices
-from nodes.registry import NotInstalledError
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<where>.*)`)?$", re.DOTALL)
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 
 from nodes.laws import CompiledLaw
-from nodes.registry import NotInstalledError, Registry
+from nodes.parameters.registry import NotInstalledError, Registry
 
 DERIVATIVES = Registry("haptic.derivatives", "realisation of D^α")
 MAX_ORDER = 4.0

@@ -471,7 +471,7 @@ INSTALLED = FIXTURES / "installed"
 @pytest.mark.parametrize(
     ("law", "told"),
     [
-        ({"kind": "absent"}, "coupling.laws.pd.kind: absent cannot be imported: ModuleNotFoundError"),
+        ({"kind": "absent"}, "coupling.laws.pd.kind: 'absent': the law cannot be imported: ModuleNotFoundError"),
         ({"kind": "uncompilable"}, "coupling.laws.pd: cannot be compiled: KeyError: 0.002"),
         (
             {"kind": "stiffening", "stiffness": 1.0, "qubic": 1.0},

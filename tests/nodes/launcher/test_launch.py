@@ -118,7 +118,7 @@ def test_launch_files_are_checked_completely(tmp_path: Path) -> None:
     good = launch_file.find("floor_drop").read_text(encoding="utf-8")
     broken = {
         "kind: sim_driver": ("kind: robot", "nodes.driver.kind: 'robot' is not installed"),
-        "kind: plane": ("kind: cone", "environment.surface.kind: 'cone' is not a surface"),
+        "kind: plane": ("kind: cone", "environment.surface.kind: 'cone' is not an installed surface"),
         "rate: $(var rate)": ("rate: $(var speed)", "$(var speed) is not an argument"),
         "required: false": ("requird: false", "unknown field requird"),
         "gravity: 9.81": ("gravity: .nan", "not a finite number"),

@@ -607,7 +607,7 @@ def test_overflow_is_refused(kind: str) -> None:
 
 
 def test_unknown_realisation_names_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"derivative = 'crone': .*exponentials, gl, "):
+    with pytest.raises(ValueError, match=r"derivative = 'crone' is not .*exponentials, gl, "):
         realise("crone", 0.5, 10, T)
 
 

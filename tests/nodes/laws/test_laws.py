@@ -240,7 +240,7 @@ def test_preset_values_can_be_replaced() -> None:
         ("pd", r"^laws\.a: expected a mapping"),
         ({}, r"^laws\.a\.kind: None is not"),
         ({"kind": ["pd"]}, r"^laws\.a\.kind: \['pd'\] is not"),
-        ({"kind": "pdq", "stiffness": 1.0}, r"^laws\.a\.kind: 'pdq' is not .* known are .*fir, .*paper_optimum"),
+        ({"kind": "pdq", "stiffness": 1.0}, r"^laws\.a\.kind: 'pdq' is not .* there is: .*fir, .*paper_optimum"),
         ({"kind": "pd"}, r"^laws\.a: .*missing required field 'stiffness'"),
         ({"kind": "pd", "stiffness": 0.0}, r"^laws\.a\.stiffness: .*> 0\.0, not 0\.0"),
         ({"kind": "pd", "stiffness": 1.0, "damping": -1e-9}, r"^laws\.a\.damping: .*>= 0\.0, not -1e-09"),

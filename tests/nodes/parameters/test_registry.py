@@ -1,0 +1,67 @@
+"""A package of somebody else that cannot be imported costs its own names, and nothing else."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.support.launching import haptic, private_runtime_dir
+
+GROUPS = ("laws", "derivatives", "surfaces", "nodes", "verbs")
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> dict[str, str]:
+    """Install, by PYTHONPATH, a package with a name in every group and a module that raises; give the variables."""
+    folder = tmp_path / "site"
+    info = folder / "half_finished-0.1.dist-info"
+    info.mkdir(parents=True)
+    (folder / "half_finished.py").write_text("raise SystemExit('no licence server')\n", encoding="utf-8")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: half-finished\nVersion: 0.1\n", encoding="utf-8")
+    points = "".join(f"[haptic.{group}]\nhalf = half_finished:Half\n" for group in GROUPS)
+    (info / "entry_points.txt").write_text(points, encoding="utf-8")
+    return {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+
+
+def test_what_does_not_import_leaves_everything_else_alone(tmp_path: Path, broken: dict[str, str]) -> None:
+    with private_runtime_dir() as runtime_dir:
+        environment = {**broken, "HAPTIC_RUNTIME_DIR": str(runtime_dir)}
+        words = ("launch", "floor_drop", "pace:=lockstep", "duration:=0.2", "--no-plot")
+        haptic(tmp_path, *words, environment=environment)
+    haptic(tmp_path, "study", "kmax", "--law", "pd", "--gain", "3", environment=broken)
+    assert "half" in haptic(tmp_path, environment=broken, code=2).stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "noun"),
+    [
+        (("study", "kmax", "--law", "half"), "law"),
+        (
+            ("law", "show", "{kind: pd_alpha, stiffness: 1000, damping: 3, order: 0.5, taps: 4, derivative: half}"),
+            "realisation of D^α",
+        ),
+        (("launch", "half.yaml"), "surface"),
+        (("launch", "node.yaml"), "kind of node"),
+        (("half",), "verb"),
+    ],
+)
+def test_who_asks_for_it_is_told_what_is_wrong_and_whose_it_is(
+    words: tuple[str, ...], noun: str, tmp_path: Path, broken: dict[str, str]
+) -> None:
+    (tmp_path / "half.yaml").write_text(
+        "summary: s\nnodes:\n  environment: {kind: environment, parameters: {surface: {kind: half}}}\n"
+        "  driver: {kind: sim_driver, parameters: {device: {mass: 0.1}}}\n  coupling: {kind: coupling, parameters: {law: pd,"
+        " laws: {pd: {kind: pd, stiffness: 100.0, damping: 1.0}}}}\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "node.yaml").write_text("summary: s\nnodes: {odd: {kind: half}}\n", encoding="utf-8")
+    with private_runtime_dir() as runtime_dir:
+        told = haptic(tmp_path, *words, environment={**broken, "HAPTIC_RUNTIME_DIR": str(runtime_dir)}, code=2).stderr
+    assert "Traceback" not in told
+    assert "SystemExit: no licence server" in told
+    assert "half_finished:Half" in told
+    if noun != "kind of node":
+        assert f"'half': the {noun} cannot be imported" in told
+        assert "half-finished" in told
