@@ -9,6 +9,7 @@ import pytest
 
 from tests.support.launching import haptic, private_runtime_dir
 
+HALF_DERIVED = "{kind: pd_alpha, stiffness: 1000, damping: 3, order: 0.5, taps: 4, gains: physical, derivative: half}"
 GROUPS = ("laws", "derivatives", "surfaces", "nodes", "verbs")
 
 
