@@ -225,7 +225,7 @@ def targets() -> list[Target]:
     scenes = [path.read_bytes() for path in launch_file.scenarios().values()]
     laws = [
         b"{kind: pd, stiffness: 1000.0, damping: 3.0}",
-        b"{kind: pd_alpha, stiffness: 1000.0, damping: 3.0, order: 1.2, taps: 10, gains: normalised}",
+        b"{kind: pd_alpha, stiffness: 1000.0, damping: 3.0, order: 1.2, taps: 10, gains: paper}",
         b"{kind: multi_term, stiffness: 9.0, damping: 1.0, terms: [{gain: 1.0, order: 0.5}], taps: 4, gains: physical}",
         b"{kind: fir, taps: [1000.0, -3.0]}",
     ]

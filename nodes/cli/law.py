@@ -99,7 +99,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     show.add_argument("--gain", type=not_negative, help="damping gain of the law [N s/m, or N s^α/m]")
     show.add_argument("--order", type=positive, help="α of pd_alpha")
     show.add_argument("--taps", type=int, help="length of the derivative's tap vector, n + 1")
-    show.add_argument("--gains", choices=("physical", "normalised"), help="unit of the gains")
+    show.add_argument("--gains", choices=("physical", "paper", "unlimited"), help="unit of the gains")
     show.add_argument("--derivative", help="realisation of the derivative, e.g. gl")
 
 

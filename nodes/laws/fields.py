@@ -16,27 +16,55 @@ Stiffness: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
 Damping: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
 Order: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, lt=4.0)]
 Taps: TypeAlias = Annotated[int, msgspec.Meta(ge=2, le=MAX_TAPS)]
-Gains: TypeAlias = Literal["physical", "normalised"]
+Gains: TypeAlias = Literal["physical", "paper", "unlimited"]
 
 
-def term_gain(gain: float, order: float, gains: Gains, period: float) -> float:
+def term_gain(gain: float, order: float, gains: Gains, period: float, taps: int) -> float:
     """Gain of one fractional term in physical units.
 
     Parameters
     ----------
     gain : float
-        Gain as written: [N s^α/m] when physical, [N s/m] when normalised.
+        Gain as written: [N s^α/m] when physical, else [N s/m].
     order : float
         α of the term.
-    gains : {"physical", "normalised"}
-        ``normalised`` is the seed's convention (fig. 2): the gain is f(ω_N) of the infinite-memory term, which has
-        f(ω_N) = (2/T)^(α−1) per unit of physical gain (theory.md §2).
+    gains : {"physical", "paper", "unlimited"}
+        ``paper`` is the paper's convention (fig. 2): the gain is f(ω_N) of eq. (9), the sum to n that its FIR renders.
+        ``unlimited`` is the same with unlimited memory, f(ω_N) = (2/T)^(α−1) per unit of physical gain. A realisation other
+        than the paper's FIR gets the same physical gain, so that it renders the same derivative (THEORY.md §1, §2).
     period : float
         Sampling period T [s].
+    taps : int
+        n + 1.
 
     Returns
     -------
     float
         Gain [N s^α/m].
     """
-    return gain if gains == "physical" else gain * (0.5 * period) ** (order - 1.0)
+    if gains == "physical":
+        return gain
+    unlimited = gain * (0.5 * period) ** (order - 1.0)
+    return unlimited if gains == "unlimited" else unlimited * 2.0**order / alternating_sum(order, taps)
+
+
+def alternating_sum(order: float, taps: int) -> float:
+    """Σ (−1)^m c_m of the Grünwald–Letnikov coefficients: T^α D(−1), which tends to 2^α with the memory (THEORY.md §1).
+
+    Parameters
+    ----------
+    order : float
+        α.
+    taps : int
+        n + 1.
+
+    Returns
+    -------
+    float
+        The sum.
+    """
+    term = total = 1.0
+    for m in range(1, taps):
+        term *= (order + 1.0) / m - 1.0
+        total += term
+    return total

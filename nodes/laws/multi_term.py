@@ -18,7 +18,7 @@ class Term(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     Attributes
     ----------
     gain : float
-        A_i, of either sign: [s^(α−1)] with physical gains, dimensionless with normalised ones.
+        A_i, of either sign: [s^(α−1)] with physical gains, dimensionless with the others.
     order : float
         α_i, 0 < α_i < 4.
     """
@@ -40,8 +40,9 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Gains and orders, at least one term.
     taps : int
         Length of each derivative's tap vector; the seed's FIR order n is ``taps`` − 1.
-    gains : {"physical", "normalised"}
-        Unit of the terms' gains; there is no default because with T in seconds the two differ by (T/2)^(α−1) per term.
+    gains : {"physical", "paper", "unlimited"}
+        Unit of the terms' gains, see `nodes.laws.fields.term_gain`; there is no default because with T in seconds
+        they differ by (T/2)^(α−1) per term.
     derivative : str
         Registered realisation of D^α (entry points ``haptic.derivatives``).
     """
@@ -76,7 +77,7 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
             self.stiffness,
             [
                 (
-                    self.damping * term_gain(term.gain, term.order, self.gains, period),
+                    self.damping * term_gain(term.gain, term.order, self.gains, period, self.taps),
                     realise(self.derivative, term.order, self.taps, period),
                 )
                 for term in self.terms

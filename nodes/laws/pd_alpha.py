@@ -17,13 +17,13 @@ class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     stiffness : float
         Nominal K [N/m]. What is felt at rest is H(1) = K + B_α·D(1): a truncated derivative leaks (theory.md §1).
     damping : float
-        B_α: [N s^α/m] with physical gains, [N s/m] with normalised ones.
+        B_α: [N s^α/m] with physical gains, [N s/m] with the others.
     order : float
         α, 0 < α < 4.
     taps : int
         Length of the derivative's tap vector; the seed's FIR order n is ``taps`` − 1.
-    gains : {"physical", "normalised"}
-        Unit of `damping`; there is no default because the two differ by (T/2)^(α−1).
+    gains : {"physical", "paper", "unlimited"}
+        Unit of `damping`, see `nodes.laws.fields.term_gain`; there is no default because they differ by (T/2)^(α−1).
     derivative : str
         Registered realisation of D^α (entry points ``haptic.derivatives``).
     """
@@ -54,7 +54,7 @@ class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         ValueError
             When the derivative cannot be realised at this order and length.
         """
-        gain = term_gain(self.damping, self.order, self.gains, period)
+        gain = term_gain(self.damping, self.order, self.gains, period, self.taps)
         unit = realise(self.derivative, self.order, self.taps, period)
         return combine(self.stiffness, [(gain, unit)])
 

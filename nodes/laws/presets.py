@@ -20,7 +20,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             "damping": 3.0,
             "terms": [{"gain": 1.69, "order": 1.50}, {"gain": 1.32, "order": 3.47}],
             "taps": 4,
-            "gains": "normalised",
+            "gains": "paper",
         },
         # haptic study design --delay 0..0.5 --land: 50 to 200 g, b = 1 N s/m, 500 Hz, pole radius <= 0.99, |H(-1)| <= 1e4 N/m.
         # For apply: on_arrival, where a force arrives within half a tick. H(1) is 3570 N/m; the best PD there has 2757 N/m.

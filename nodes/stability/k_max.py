@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw, Law
+from nodes.occurring import Edge, edge_at
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.held_plant import HeldPlant, held_plant
 
@@ -211,6 +212,52 @@ def boundaries(derivative: CompiledLaw, period: float, device: Device) -> list[f
     list of float
         K, increasing [N/m].
     """
+    return [stiffness for stiffness, _ in crossings(derivative, period, device)]
+
+
+def edge_of(derivative: CompiledLaw, period: float, device: Device) -> Edge | None:
+    """Tell which frequency occurs at K_max, and what Colgate's condition says there (THEORY.md §9).
+
+    Parameters
+    ----------
+    derivative : CompiledLaw
+        Derivative part of the law.
+    period : float
+        Sampling period T [s].
+    device : Device
+        Mass, damping, delay and hand.
+
+    Returns
+    -------
+    Edge or None
+        None when there is no K_max, or when it is at ω = 0 or ω_N, where the loop drifts or alternates.
+    """
+    limit = k_max(derivative, period, device).k_max_n_per_m
+    if limit is None or not math.isfinite(limit):
+        return None
+    stiffness, theta = min(crossings(derivative, period, device), key=lambda c: abs(c[0] - limit))
+    if abs(stiffness - limit) > 1e-6 * limit or not 0.0 < theta < math.pi:
+        return None
+    return edge_at(derivative, period, theta / period, device.damping, device.mass, device.delay, device.stiffness)
+
+
+def crossings(derivative: CompiledLaw, period: float, device: Device) -> list[tuple[float, float]]:
+    """All nominal stiffnesses at which a pole is on the unit circle, and where on it.
+
+    Parameters
+    ----------
+    derivative : CompiledLaw
+        Derivative part of the law.
+    period : float
+        Sampling period T [s].
+    device : Device
+        Mass, damping, delay and hand.
+
+    Returns
+    -------
+    list of (float, float)
+        K [N/m] and ωT, by increasing K.
+    """
     from scipy.optimize import brentq
 
     plant = _plant(period, device)
@@ -229,14 +276,14 @@ def boundaries(derivative: CompiledLaw, period: float, device: Device) -> list[f
     count = 16 * (len(derivative.taps) + plant.whole + 8)
     grid = np.union1d(np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1])
     signs = np.sign(curve(grid).imag)
-    found = [float(curve(grid[i]).real) for i in np.flatnonzero(signs == 0.0)]
+    found = [(float(curve(grid[i]).real), float(grid[i])) for i in np.flatnonzero(signs == 0.0)]
     for i in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
         theta = brentq(imaginary, grid[i], grid[i + 1], xtol=1e-15, rtol=8.9e-16)
-        found.append(float(curve(theta).real))
+        found.append((float(curve(theta).real), float(theta)))
     # z = 1 and z = −1 are always on the curve; without friction the device does not answer at z = −1 at all.
-    found.append(-device.stiffness - derivative.h1)
+    found.append((-device.stiffness - derivative.h1, 0.0))
     if abs(np.polyval(numerator, -1.0)) > 1e-12 * np.abs(numerator).sum():
-        found.append(float(curve(math.pi).real))
+        found.append((float(curve(math.pi).real), math.pi))
     return sorted(found)
 
 

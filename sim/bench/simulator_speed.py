@@ -106,7 +106,7 @@ def laws() -> dict[int, CompiledLaw]:
     """
     seed = parse_law({"kind": "paper_optimum", "stiffness": 1000.0}).compile(PERIOD)
     long = parse_law(
-        {"kind": "pd_alpha", "stiffness": 1000.0, "damping": 2.0, "order": 0.9, "taps": 64, "gains": "normalised"}
+        {"kind": "pd_alpha", "stiffness": 1000.0, "damping": 2.0, "order": 0.9, "taps": 64, "gains": "paper"}
     ).compile(PERIOD)
     return {2: PD(stiffness=1000.0, damping=2.0).compile(PERIOD), 4: seed, 64: long}
 

@@ -124,7 +124,7 @@ def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = 
     """
 
     def at(order: float) -> Tuned:
-        shape = {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "normalised"}
+        shape = {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}
         return _best("pd_alpha", shape, demand)
 
     best = max((at(order) for order in (ORDERS if orders is None else orders)), key=_stiffness)

@@ -4,13 +4,12 @@ The cost asks for f = −1 at a few low and middle frequencies and f = +1 at ω_
 has three targets and four unknowns: a whole curve of optima with J ≈ 0, so where the descent ends depends on where it
 starts. And the slopes along gains and orders differ by orders of magnitude, so no one step size suits both. Both are
 shown here rather than repaired; `sim.paper.shaping` is the better way. The cost can even be cheated: f = −1 at all frequencies
-is a negative spring, which costs H(1) and damps nothing, and a truncated derivative leaks exactly that. Time is measured
-so that T = 2, the seed's normalisation.
+is a negative spring, which costs H(1) and damps nothing, and a truncated derivative leaks exactly that. Each term is
+normalised by its own f(ω_N), the sum to n of eq. (9), as in the seed.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +78,7 @@ def seed_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
 
 
 def term_damping(theta: Vector, order: float, taps: int, leak: bool = True) -> tuple[Vector, Vector]:
-    """Compute f of one Grünwald–Letnikov term of unit normalised gain, and its slope along the order.
+    """Compute f of one Grünwald–Letnikov term with f(ω_N) = 1, and its slope along the order.
 
     Parameters
     ----------
@@ -95,7 +94,7 @@ def term_damping(theta: Vector, order: float, taps: int, leak: bool = True) -> t
     Returns
     -------
     f : ndarray, shape (k,)
-        T·Re{D/(1−z)} at T = 2 (seed, eq. 9), or of D − D(1).
+        T·Re{D/(1−z)} (seed, eq. 9), or that of D − D(1); in units of f(ω_N) with the leak.
     slope : ndarray, shape (k,)
         df/dα.
     """
@@ -106,8 +105,10 @@ def term_damping(theta: Vector, order: float, taps: int, leak: bool = True) -> t
     # Re{z^−m/(1−z)} = ½ + Σ_{j=1..m} cos jθ, free of the singularity at θ = 0.
     sums = np.cumsum(np.cos(np.outer(np.arange(1, taps), theta)), axis=0)
     kernel = (0.5 if leak else 0.0) + np.concatenate([np.zeros((1, theta.size)), sums])
-    scale = 2.0 ** (1.0 - order)
-    return scale * (c @ kernel), scale * ((dc - math.log(2.0) * c) @ kernel)
+    # f(ω_N) is half the alternating sum, which moves with the order too.
+    signs = np.where(np.arange(taps) % 2, -1.0, 1.0)
+    total = float(signs @ c)
+    return 2.0 / total * (c @ kernel), 2.0 / total * ((dc - float(signs @ dc) / total * c) @ kernel)
 
 
 def damping_curve(theta: Vector, gains: Vector, orders: Vector, taps: int, leak: bool = True) -> Vector:

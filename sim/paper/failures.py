@@ -79,10 +79,10 @@ def edges() -> Iterator[Edge]:
     """
     spring = CompiledLaw((0.0,))
     recursive = without_spring(
-        PDAlpha(stiffness=1.0, damping=2.0, order=0.8, taps=6, gains="normalised", derivative="oustaloup_matched"),
+        PDAlpha(stiffness=1.0, damping=2.0, order=0.8, taps=6, gains="paper", derivative="oustaloup_matched"),
         PERIOD,
     )
-    short = without_spring(PDAlpha(stiffness=1.0, damping=2.0, order=1.5, taps=8, gains="normalised"), PERIOD)
+    short = without_spring(PDAlpha(stiffness=1.0, damping=2.0, order=1.5, taps=8, gains="paper"), PERIOD)
     cases = [
         ("spring", spring, Device(0.1, 1.0)),
         ("PD B 2", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0)),

@@ -193,7 +193,7 @@ def leak_law(damping: float, stiffness: float = 1000.0) -> CompiledLaw:
     CompiledLaw
         The law.
     """
-    return PDAlpha(stiffness=stiffness, damping=damping, order=1.5, taps=4, gains="normalised").compile(PERIOD)
+    return PDAlpha(stiffness=stiffness, damping=damping, order=1.5, taps=4, gains="paper").compile(PERIOD)
 
 
 def leak_boundary(stiffness: float = 1000.0) -> float:

@@ -128,7 +128,7 @@ def add_law(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--stiffness", type=positive, help="nominal K [N/m]")
     parser.add_argument("--order", type=positive, help="α of pd_alpha")
     parser.add_argument("--taps", type=int, help="length of the derivative's tap vector, n + 1")
-    parser.add_argument("--gains", choices=("physical", "normalised"), help="unit of the gain")
+    parser.add_argument("--gains", choices=("physical", "paper", "unlimited"), help="unit of the gain")
     parser.add_argument("--derivative", help="realisation of the derivative, e.g. gl")
 
 

@@ -1,4 +1,4 @@
-"""The seed's figure 2: f(ω) of single fractional terms, normalised so that f(ω_N) = 1, and what is claimed about it."""
+"""The seed's figure 2: f(ω) of single fractional terms with f(ω_N) = 1, and the paper's claims about it, judged."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of the study.
     """
-    parser.add_argument("--taps", type=int, default=4, help="taps of the short filters, n + 1 (default: %(default)s)")
+    parser.add_argument(
+        "--taps", type=int, default=4, help="taps of each term, n + 1; the paper prints none (default: %(default)s)"
+    )
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -46,21 +48,25 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.taps < 2:
         raise UsageError(f"--taps {arguments.taps}: a derivative needs at least 2")
-    theta, terms = figure_2(arguments.taps)
+    theta, low, high = figure_2(arguments.taps)
     claims = claims_2(arguments.taps)
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-    axes = figure.add_subplot(xlabel="ω/ω_N", ylabel="f(ω), normalised", ylim=(-2.5, 1.6))
-    for i, term in enumerate(terms):
-        axes.plot(theta / theta[-1], term.curve, f"C{i}", label=f"α = {term.order:g}")
-        axes.plot(theta / theta[-1], term.short, f"C{i}", linestyle=":", linewidth=1.0)
-        axes.plot(term.order / (term.order + 1.0), 0.0, f"C{i}", marker="o", markersize=4)
-    axes.axhline(0.0, color="0.6", linewidth=0.8)
-    axes.set_title(
-        f"f of one term: unlimited memory (full), {arguments.taps} taps (dotted), zero at α/(α+1)", fontsize=9
-    )
-    axes.legend(fontsize=8, ncols=2)
-    curves = [{"order": t.order, "zero": t.zero, "f": t.curve.tolist(), "f_short": t.short.tolist()} for t in terms]
-    figures = {"taps": arguments.taps, "frequency_nyquist": (theta / theta[-1]).tolist(), "curves": curves}
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    share = theta / theta[-1]
+    for axes, name, terms in zip(figure.subplots(1, 2), "ab", (low, high), strict=True):
+        axes.set(xlabel="ω/ω_N", ylabel="f(ω), 1 at ω_N", ylim=(-2.5, 1.2))
+        for i, term in enumerate(terms):
+            axes.plot(share, term.curve, f"C{i}", label=f"α = {term.order:g}")
+            axes.plot(share, term.unlimited, f"C{i}", linestyle=":", linewidth=1.0)
+            axes.plot(term.zero, 0.0, f"C{i}", marker="o", markersize=4)
+        axes.axhline(0.0, color="0.6", linewidth=0.8)
+        axes.set_title(f"({name}) f of one term, {arguments.taps} taps (full), unlimited memory (dotted)", fontsize=9)
+        axes.legend(fontsize=8)
+    curves = [
+        {"figure": name, "order": t.order, "zero": t.zero, "f": t.curve.tolist(), "f_unlimited": t.unlimited.tolist()}
+        for name, terms in (("a", low), ("b", high))
+        for t in terms
+    ]
+    figures = {"taps": arguments.taps, "frequency_nyquist": share.tolist(), "curves": curves}
     saved = save("fig2", figures, claims, figure, arguments.out)
     answer(arguments.json, saved, f"{table(claims)}\n{saved['plot']}")
     return 0

@@ -115,7 +115,7 @@ def _row(name: str, bound: float | None, shape: Shape, arguments: argparse.Names
         damping=arguments.gain,
         terms=tuple(Term(gain=a, order=o) for a, o in zip(shape.gains.tolist(), shape.orders.tolist(), strict=True)),
         taps=4 if name == "paper_optimum" else arguments.taps,
-        gains="normalised",
+        gains="paper",
     )
     return {
         "law": name,

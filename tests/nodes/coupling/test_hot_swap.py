@@ -127,7 +127,7 @@ nodes:
       law: pd
       laws:
         pd: {kind: pd, stiffness: 500.0, damping: 3.0}
-        pd_alpha: {kind: pd_alpha, stiffness: 500.0, damping: 3.0, order: 1.2, taps: 10, gains: normalised}
+        pd_alpha: {kind: pd_alpha, stiffness: 500.0, damping: 3.0, order: 1.2, taps: 10, gains: paper}
       fallback: {damping: 5.0}
       stability: refuse
       plant: {mass: 0.1, damping: 1.0, delay: 2.0}

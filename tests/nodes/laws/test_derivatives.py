@@ -637,7 +637,7 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
             "damping": 1.0,
             "order": order,
             "taps": LENGTH[kind],
-            "gains": "normalised",
+            "gains": "paper",
             "derivative": kind,
         }
     )

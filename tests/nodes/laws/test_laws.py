@@ -27,13 +27,13 @@ T = 0.002
 
 EXAMPLES: dict[str, dict[str, Any]] = {
     "pd": {"stiffness": 1200.0, "damping": 3.0},
-    "pd_alpha": {"stiffness": 1200.0, "damping": 0.7, "order": 1.3, "taps": 12, "gains": "normalised"},
+    "pd_alpha": {"stiffness": 1200.0, "damping": 0.7, "order": 1.3, "taps": 12, "gains": "paper"},
     "multi_term": {
         "stiffness": 1200.0,
         "damping": 2.0,
         "terms": [{"gain": 1.1, "order": 0.4}, {"gain": -0.2, "order": 2.5}, {"gain": 0.3, "order": 1.0}],
         "taps": 9,
-        "gains": "normalised",
+        "gains": "paper",
     },
     "fir": {"taps": [2500.0, -1700.0, 400.0, 0.125]},
     "excitation": {"amplitude": 0.5, "stiffness": 30.0, "damping": 0.2},
@@ -194,26 +194,63 @@ def test_leak_of_the_truncated_derivative(order: float, taps: int) -> None:
         assert (law.h1 > 1.0) == (order < 1.0 or 2.0 < order < 3.0)
 
 
+@pytest.mark.parametrize("order", [0.25, 0.75, 1.0, 1.5, 2.5, 3.75])
+@pytest.mark.parametrize("period", [0.00025, 0.002, 0.004])
+@pytest.mark.parametrize("taps", [2, 4, 10, 500])
+def test_paper_gain_is_f_at_nyquist_of_the_sum_that_renders(order: float, period: float, taps: int) -> None:
+    """H(−1) = K + (2/T)·f(ω_N), and f(ω_N) = B whatever n (paper, fig. 2 and eq. 9; THEORY.md §1)."""
+    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": order, "taps": taps, "gains": "paper"}
+    law = parse_law(data).compile(period)
+    # taps roundings of the largest tap, in units of f.
+    rounding = taps * 2.0**-52 * period * sum(map(abs, law.taps))
+    assert 0.5 * period * (law.h_nyquist - 1.0) == pytest.approx(3.0, abs=rounding)
+
+
+@pytest.mark.parametrize("damping", [1.0, 3.0])
+def test_paper_optimum_has_the_sum_of_its_gains_at_nyquist(damping: float) -> None:
+    law = parse_law({"kind": "paper_optimum", "damping": damping, "stiffness": 700.0}).compile(T)
+    # A few roundings of H(−1), some 1e4 N/m.
+    assert 0.5 * T * (law.h_nyquist - 700.0) == pytest.approx(damping * (1.69 + 1.32), rel=1e-13)
+
+
 @pytest.mark.parametrize("order", [0.25, 0.75, 1.5, 2.5, 3.75])
 @pytest.mark.parametrize("period", [0.00025, 0.002, 0.004])
-def test_normalised_gain_is_f_at_nyquist(order: float, period: float) -> None:
-    """H(−1) = K + (2/T)·f(ω_N); normalised means f(ω_N) = 1 per unit of gain, memory infinite (theory.md §1, §2)."""
-    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": order, "taps": 4001, "gains": "normalised"}
+def test_unlimited_gain_is_f_at_nyquist_of_unlimited_memory(order: float, period: float) -> None:
+    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": order, "taps": 4001, "gains": "unlimited"}
     law = parse_law(data).compile(period)
     f = 0.5 * period * (law.h_nyquist - 1.0)
     # At z = −1 the series Σ|c_m| settles like an alternating or a positive one, tail below n^−α/|Γ(1−α)|.
     assert f == pytest.approx(3.0, rel=2.0 * 4000.0**-order + 1e-12)
 
 
-def test_normalised_is_the_same_as_measuring_time_so_that_the_period_is_two() -> None:
-    """The seed's T is 2 ms; in milliseconds T = 2, and its gains mean what ours mean (theory.md §2)."""
-    preset = {**PRESETS["paper_optimum"], "stiffness": 1.0, "damping": 1.0}
+def test_unlimited_is_the_same_as_measuring_time_so_that_the_period_is_two() -> None:
+    """The paper's T is 2 ms; in milliseconds T = 2 (THEORY.md §2)."""
+    preset = {**PRESETS["paper_optimum"], "stiffness": 1.0, "damping": 1.0, "gains": "unlimited"}
     ours = np.array(parse_law(preset).compile(T).taps)
     milliseconds = np.array(parse_law({**preset, "gains": "physical"}).compile(2.0).taps)
     ours[0] -= 1.0
     milliseconds[0] -= 1.0
     # A few roundings of T^-α and of the power of T/2.
     assert ours == pytest.approx(milliseconds * 2.0 / T, rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("order", "taps", "low", "high"),
+    [(0.3, 4, 1.0, 1.05), (1.7, 4, 0.98, 1.01), (3.47, 4, 0.97, 1.0), (3.47, 2, 0.3, 0.5)],
+)
+def test_paper_and_unlimited_differ_by_what_the_memory_lacks(order: float, taps: int, low: float, high: float) -> None:
+    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": order, "taps": taps}
+    paper, unlimited = (
+        parse_law({**data, "gains": unit}).compile(T).h_nyquist - 1.0 for unit in ("paper", "unlimited")
+    )
+    assert low < unlimited / paper < high
+
+
+def test_normalised_of_before_is_refused_with_what_to_write() -> None:
+    with pytest.raises(LawRefusedError, match=r"^law\.gains: 'normalised' .* write 'unlimited' .* or 'paper'"):
+        parse_law(
+            {"kind": "pd_alpha", "stiffness": 1.0, "damping": 1.0, "order": 0.5, "taps": 4, "gains": "normalised"}
+        )
 
 
 def test_gains_must_be_said() -> None:
@@ -225,7 +262,7 @@ def test_paper_optimum_is_what_the_seed_prints() -> None:
     law = law_to_dict(parse_law("paper_optimum"))
     assert [term["gain"] for term in law["terms"]] == [1.69, 1.32]
     assert [term["order"] for term in law["terms"]] == [1.50, 3.47]
-    assert (law["taps"], law["gains"]) == (4, "normalised")
+    assert (law["taps"], law["gains"]) == (4, "paper")
 
 
 def test_preset_values_can_be_replaced() -> None:
@@ -313,7 +350,7 @@ def test_orders_and_lengths_up_to_their_limits(order: float, taps: int) -> None:
 
 def test_any_number_of_terms() -> None:
     terms = [{"gain": 0.01, "order": 0.05 + 0.019 * i} for i in range(200)]
-    data = {"kind": "multi_term", "stiffness": 1e4, "damping": 1.0, "terms": terms, "taps": 30, "gains": "normalised"}
+    data = {"kind": "multi_term", "stiffness": 1e4, "damping": 1.0, "terms": terms, "taps": 30, "gains": "paper"}
     whole = parse_law(data).compile(T)
     parts = [parse_law({**data, "terms": [term]}).compile(T) for term in terms]
     total = np.sum([part.taps for part in parts], axis=0)
@@ -361,7 +398,7 @@ laws = st.one_of(
             "damping": finite,
             "terms": terms,
             "taps": st.integers(2, 40),
-            "gains": st.sampled_from(["physical", "normalised"]),
+            "gains": st.sampled_from(["physical", "paper", "unlimited"]),
         }
     ),
     st.fixed_dictionaries({"kind": st.just("fir"), "taps": st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40)}),

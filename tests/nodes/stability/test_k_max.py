@@ -23,8 +23,8 @@ def derivative(kind: str, **values: object) -> CompiledLaw:
 
 
 PD = derivative("pd", damping=3.0)
-HALF = derivative("pd_alpha", damping=3.0, order=0.5, taps=20, gains="normalised")
-THREE_HALVES = derivative("pd_alpha", damping=3.0, order=1.5, taps=4, gains="normalised")
+HALF = derivative("pd_alpha", damping=3.0, order=0.5, taps=20, gains="paper")
+THREE_HALVES = derivative("pd_alpha", damping=3.0, order=1.5, taps=4, gains="paper")
 OPTIMUM = derivative("paper_optimum", damping=3.0)
 
 
@@ -89,7 +89,7 @@ def test_every_boundary_has_a_pole_on_the_circle() -> None:
 
 
 def test_long_laws_have_a_boundary_too() -> None:
-    law = derivative("pd_alpha", damping=3.0, order=0.5, taps=1500, gains="normalised")
+    law = derivative("pd_alpha", damping=3.0, order=0.5, taps=1500, gains="paper")
     device = Device(0.1, 1.0, 1.0)
     limit = k_max(law, T, device).k_max_n_per_m
     assert limit is not None

@@ -245,7 +245,7 @@ def test_impossible_devices_are_refused_by_name(name: str, value: float) -> None
 
 def long_law(order: float, taps: int, stiffness: float = 1500.0, damping: float = 2.0) -> CompiledLaw:
     data = {"kind": "pd_alpha", "stiffness": stiffness, "damping": damping, "order": order, "taps": taps,
-            "gains": "normalised"}  # fmt: skip
+            "gains": "paper"}  # fmt: skip
     return parse_law(data).compile(T)
 
 

@@ -34,11 +34,11 @@ PERIOD = 0.002
 def optimum(damping: float) -> MultiTerm:
     """Build the seed's optimum, A = [1.69, 1.32], α = [1.50, 3.47], as read by theory.md §2."""
     terms = (Term(gain=1.69, order=1.50), Term(gain=1.32, order=3.47))
-    return MultiTerm(stiffness=1.0, damping=damping, terms=terms, taps=4, gains="normalised")
+    return MultiTerm(stiffness=1.0, damping=damping, terms=terms, taps=4, gains="paper")
 
 
 def pd_alpha(damping: float) -> PDAlpha:
-    return PDAlpha(stiffness=1.0, damping=damping, order=1.5, taps=8, gains="normalised")
+    return PDAlpha(stiffness=1.0, damping=damping, order=1.5, taps=8, gains="paper")
 
 
 def largest_pole_angle(law: CompiledLaw, model: DeviceModel) -> float:

@@ -104,7 +104,7 @@ def test_long_memory_that_nothing_depends_on_is_superfluous(tmp_path: Path) -> N
                 "damping": 3.0,
                 "order": 1.2,
                 "taps": length,
-                "gains": "normalised",
+                "gains": "paper",
                 "derivative": "gl_leak_corrected",
             }
         }

@@ -25,7 +25,7 @@ from sim.paper.fig4_claims import claims_4
 def test_term_is_the_f_of_the_law_that_the_loop_renders(order: float) -> None:
     # Figure 2's closed form against f of the compiled law, in its own units, with a memory of 4096 ticks.
     period = 0.002
-    law = PDAlpha(stiffness=1.0, damping=1.0, order=order, taps=4096, gains="normalised")
+    law = PDAlpha(stiffness=1.0, damping=1.0, order=order, taps=4096, gains="paper")
     theta = np.pi * np.array([0.2, 0.5, 0.8, 1.0])
     derivative = without_spring(law, period)
     ours = effective_damping(derivative, period, theta / period) + 0.5 * period * derivative.h1

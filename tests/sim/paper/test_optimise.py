@@ -23,7 +23,7 @@ BAND = (0.02, 0.55)
 @pytest.mark.parametrize("leak", [True, False])
 def test_f_of_a_term_is_that_of_the_compiled_law(order: float, taps: int, leak: bool) -> None:
     """Normalised at T = 2 here, in SI at T = 2 ms there: the same numbers, by another sum."""
-    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 1.0, "order": order, "taps": taps, "gains": "normalised"}
+    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 1.0, "order": order, "taps": taps, "gains": "paper"}
     law = parse_law(data).compile(0.002)
     theta = np.linspace(0.05, np.pi, 40)
     offset = 0.001 * (law.h1 - 1.0) if leak else 0.0
