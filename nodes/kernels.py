@@ -42,7 +42,7 @@ def deflection(position: float, proxy: float, distance: float, normal: float, co
     contact : bool
         Whether the surface is touched.
     raw : bool
-        What feeds the derivative's history outside contact: the raw distance (True) or zero (False). The seed does not
+        What feeds the derivative's history outside contact: the raw distance (True) or zero (False). The paper does not
         say; the choice moves the K_max of the drop test by up to 17 %.
 
     Returns

@@ -31,7 +31,7 @@ OFFLINE = (
 """Options of ``law show`` that describe a loop which need not run."""
 
 DEFAULTS = {"rate": 500.0, "mass": 0.1, "damping": 1.0, "delay": 0.0, "hand": 0.0}
-"""The seed's experiment, as in the studies: [Hz], [kg], [N s/m], [ticks], [N/m]."""
+"""The paper's experiment, as in the studies: [Hz], [kg], [N s/m], [ticks], [N/m]."""
 
 ROWS = (
     ("h1_n_per_m", "H(1), stiffness felt at rest", "N/m"),

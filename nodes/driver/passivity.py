@@ -62,7 +62,7 @@ def observe(energy: float, acting: float, step: float) -> float:
     Returns
     -------
     float
-        Energy given out up to now [J] (theory.md §6).
+        Energy given out up to now [J] (THEORY.md §6).
     """
     return energy + acting * step
 

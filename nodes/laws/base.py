@@ -1,7 +1,7 @@
 """The coupling laws: parameters in, taps out. One law per file; other packages add laws through entry points ``haptic.laws``.
 
 A law is a frozen msgspec struct whose fields are its parameters, with one method, ``compile``. What it compiles to is the
-same for all: a vector of taps over the shared deflection history (every law of the seed is just that, eq. 1, 6, 10) and, for
+same for all: a vector of taps over the shared deflection history (every law of the paper is just that, eq. 1, 6, 10) and, for
 recursive realisations of D^α, parallel second-order sections beside them. So a swap of laws is a swap of numbers.
 """
 

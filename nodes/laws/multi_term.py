@@ -1,4 +1,4 @@
-"""Multi-term: spring and a sum of fractional derivatives (seed, eq. 10)."""
+"""Multi-term: spring and a sum of fractional derivatives (paper, eq. 10)."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     stiffness : float
-        Nominal K [N/m]; what is felt at rest is H(1) (theory.md §1).
+        Nominal K [N/m]; what is felt at rest is H(1) (THEORY.md §1).
     damping : float
         B, common to all terms [N s/m].
     terms : tuple of Term
         Gains and orders, at least one term.
     taps : int
-        Length of each derivative's tap vector; the seed's FIR order n is ``taps`` − 1.
+        Length of each derivative's tap vector; the paper's FIR order n is ``taps`` − 1.
     gains : {"physical", "paper", "unlimited"}
         Unit of the terms' gains, see `nodes.laws.fields.term_gain`; there is no default because with T in seconds
         they differ by (T/2)^(α−1) per term.

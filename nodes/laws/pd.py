@@ -1,4 +1,4 @@
-"""PD: spring and damper (seed, eq. 1)."""
+"""PD: spring and damper (paper, eq. 1)."""
 
 from __future__ import annotations
 

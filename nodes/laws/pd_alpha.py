@@ -1,4 +1,4 @@
-"""PDα: spring and one fractional derivative (seed, eq. 6)."""
+"""PDα: spring and one fractional derivative (paper, eq. 6)."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     stiffness : float
-        Nominal K [N/m]. What is felt at rest is H(1) = K + B_α·D(1): a truncated derivative leaks (theory.md §1).
+        Nominal K [N/m]. What is felt at rest is H(1) = K + B_α·D(1): a truncated derivative leaks (THEORY.md §1).
     damping : float
         B_α: [N s^α/m] with physical gains, [N s/m] with the others.
     order : float
         α, 0 < α < 4.
     taps : int
-        Length of the derivative's tap vector; the seed's FIR order n is ``taps`` − 1.
+        Length of the derivative's tap vector; the paper's FIR order n is ``taps`` − 1.
     gains : {"physical", "paper", "unlimited"}
         Unit of `damping`, see `nodes.laws.fields.term_gain`; there is no default because they differ by (T/2)^(α−1).
     derivative : str

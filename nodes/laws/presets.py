@@ -1,7 +1,7 @@
 """Named presets: laws that can be used wherever the kind of a law is named, published ones and designed ones.
 
 A preset is a kind with most of its parameters filled in; what is written beside its name replaces the preset's values,
-so ``{kind: paper_optimum, stiffness: 800}`` is the seed's optimum on another spring.
+so ``{kind: paper_optimum, stiffness: 800}`` is the paper's optimum on another spring.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        # Seed, end of its section on the optimum: A = [1.69, 1.32], α = [1.50, 3.47]. The normalisation (f(ω_N) = 1 per
-        # term) and n = 3 are inferred from the flatness of f (theory.md §2); the seed prints neither. K and B are ours.
+        # Paper, end of its section on the optimum: A = [1.69, 1.32], α = [1.50, 3.47]. The normalisation (f(ω_N) = 1 per
+        # term) and n = 3 are inferred from the flatness of f (THEORY.md §2); the paper prints neither. K and B are ours.
         "paper_optimum": {
             "kind": "multi_term",
             "stiffness": 1000.0,

@@ -1,7 +1,7 @@
 """What a law really renders, and whether the loop with a known device is stable: exact, whatever the law or the delay.
 
 Between two ticks the force is held, so device, delay and taps close to a polynomial in z without any approximation
-(theory.md §3): stable iff its largest root lies inside the unit circle. Nothing here is on the hot path: a law is
+(THEORY.md §3): stable iff its largest root lies inside the unit circle. Nothing here is on the hot path: a law is
 judged when it is parsed, shown, switched or designed. numpy is imported inside.
 """
 
@@ -30,13 +30,13 @@ class Rendered:
     h_nyquist_n_per_m : float
         H(−1): what encoder noise is multiplied with [N/m].
     f_min_n_s_per_m : float
-        Least f(ω) over 0 < ω ≤ ω_N, of the law without delay [N s/m]; the lower, the more damping (seed, eq. 9).
+        Least f(ω) over 0 < ω ≤ ω_N, of the law without delay [N s/m]; the lower, the more damping (paper, eq. 9).
     f_min_rad_per_s : float
         Where that is [rad/s].
     f_nyquist_n_s_per_m : float
         f(ω_N) [N s/m].
     f_mean_n_s_per_m : float
-        Mean of f over (0, ω_N): T·D(1)/2, the waterbed (theory.md §2) [N s/m].
+        Mean of f over (0, ω_N): T·D(1)/2, the waterbed (THEORY.md §2) [N s/m].
     damping_needed_n_s_per_m : float
         Least damping of the device with which the law is passive at this delay (Colgate) [N s/m].
     passive_scale : float or None
@@ -228,7 +228,7 @@ def rendered(
         Hand's stiffness [N/m].
     nominal : float or None
         K that f(ω) takes as the spring [N/m]. The default is H(1), the spring that is really there; with the law's
-        nominal K, f is the seed's and its mean tells the leak.
+        nominal K, f is the paper's and its mean tells the leak.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """f(ω), what a law takes from or adds to the damping of the device, and the damping with which it is passive (Colgate).
 
-H(z) − H(1) is divisible by 1 − z; what is left of f(ω) = T·Re{D(z)/(1−z)} (seed, eq. 9) is then a cosine sum without a
+H(z) − H(1) is divisible by 1 − z; what is left of f(ω) = T·Re{D(z)/(1−z)} (paper, eq. 9) is then a cosine sum without a
 singularity at ω = 0, T·Σ t_j cos((j+1)ωT) with t_j = Σ_{m>j} h_m, whose mean is zero by construction: the waterbed
-(theory.md §2) cannot get lost in rounding. Delay is whole zeros in front of the taps; a fraction of a tick is
+(THEORY.md §2) cannot get lost in rounding. Delay is whole zeros in front of the taps; a fraction of a tick is
 exact too.
 """
 
@@ -28,7 +28,7 @@ def effective_damping(
 ) -> NDArray[np.float64]:
     """f(ω) = T·Re{(z^{−d} H(z) − H(1))/(1 − z)}: negative where the law damps.
 
-    The strict passivity condition is b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (theory.md §2).
+    The strict passivity condition is b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (THEORY.md §2).
 
     Parameters
     ----------

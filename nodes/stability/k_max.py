@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw, Law
-from nodes.occurring import Edge, edge_at
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.held_plant import HeldPlant, held_plant
+from nodes.stability.occurring import Edge, edge_at
 
 
 @dataclass(frozen=True)

@@ -102,13 +102,13 @@ def laws() -> dict[int, CompiledLaw]:
     Returns
     -------
     dict of int to CompiledLaw
-        By number of taps: PD, the seed's optimum, and one with a memory of 64 ticks.
+        By number of taps: PD, the paper's optimum, and one with a memory of 64 ticks.
     """
-    seed = parse_law({"kind": "paper_optimum", "stiffness": 1000.0}).compile(PERIOD)
+    paper = parse_law({"kind": "paper_optimum", "stiffness": 1000.0}).compile(PERIOD)
     long = parse_law(
         {"kind": "pd_alpha", "stiffness": 1000.0, "damping": 2.0, "order": 0.9, "taps": 64, "gains": "paper"}
     ).compile(PERIOD)
-    return {2: PD(stiffness=1000.0, damping=2.0).compile(PERIOD), 4: seed, 64: long}
+    return {2: PD(stiffness=1000.0, damping=2.0).compile(PERIOD), 4: paper, 64: long}
 
 
 def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:

@@ -54,7 +54,7 @@ def poles(delay: float, precision: float) -> float:
 
 
 def light(_delay: float) -> float:
-    """Find K_max from the closed form for an undamped device without delay, κ = 2β(2−β)/(2+β) (theory.md §3).
+    """Find K_max from the closed form for an undamped device without delay, κ = 2β(2−β)/(2+β) (THEORY.md §3).
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def light(_delay: float) -> float:
 
 
 def heavy(delay: float) -> float:
-    """Find K_max from the closed form for a heavy device, (b + B)/(T(½ + d)) (theory.md §3).
+    """Find K_max from the closed form for a heavy device, (b + B)/(T(½ + d)) (THEORY.md §3).
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ _FRONT, _REST, _SEED = "#1f5fa8", "#b9bec5", "#d9822b"
 
 
 def draw(group: Group, folder: Path) -> list[Path]:
-    """Draw one group: every choice as a dot, the front joined and named, the seed's Grünwald–Letnikov marked.
+    """Draw one group: every choice as a dot, the front joined and named, the paper's Grünwald–Letnikov marked.
 
     Parameters
     ----------
@@ -55,16 +55,16 @@ def draw(group: Group, folder: Path) -> list[Path]:
         axes.scatter(
             [p.cost for p in points], [max(p.error, floor) for p in points], s=size, c=colour, label=label, zorder=3
         )
-    seed = [p for p in shown if p.family == "gl"]
-    if seed:
+    classic = [p for p in shown if p.family == "gl"]
+    if classic:
         axes.plot(
-            [p.cost for p in seed],
-            [max(p.error, floor) for p in seed],
+            [p.cost for p in classic],
+            [max(p.error, floor) for p in classic],
             "o--",
             color=_SEED,
             ms=5,
             lw=1,
-            label="GL (seed)",
+            label="GL (paper)",
             zorder=4,
         )
     best = [p for p in shown if p.on_front]
@@ -181,14 +181,14 @@ def _number(point: Point, key: str) -> float:
 
 
 def _derivatives(time: Group, stiffness: Group | None, order: str) -> str:
-    seed = [p for p in time.points if p.family == "gl"]
-    long = max(seed, key=lambda p: p.cost)
+    classic = [p for p in time.points if p.family == "gl"]
+    long = max(paper, key=lambda p: p.cost)
     best = _best(time.points)
-    matching = [p for p in time.points if p.error <= 1.05 * min(s.error for s in seed)]
+    matching = [p for p in time.points if p.error <= 1.05 * min(s.error for s in classic)]
     cheapest = min(matching, key=lambda p: p.cost)
     text = (
         f"D^{order}: {best.name} is the most accurate ({100 * best.error:.2g} %, {best.cost:.2g} µs); what GL needs "
-        f"{long.name.split()[-1]} taps and {long.cost:.2g} µs for ({100 * min(s.error for s in seed):.2g} %), "
+        f"{long.name.split()[-1]} taps and {long.cost:.2g} µs for ({100 * min(s.error for s in classic):.2g} %), "
         f"{cheapest.name} does in {cheapest.cost:.2g} µs with {cheapest.detail['multiplies']} multiplies"
     )
     if stiffness is not None:

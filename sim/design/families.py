@@ -1,7 +1,7 @@
 """Laws designed for the device and the loop one really has, and what they gain over the best-tuned known ones.
 
 The comparison is at equal demand: same range of mass, same delay, same pole radius, same bound on H(−1), same search. PD,
-every PDα and the seed's optimum are then just narrower families than free taps of the same length.
+every PDα and the paper's optimum are then just narrower families than free taps of the same length.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = 
 
 
 def best_paper_optimum(demand: Demand) -> Tuned:
-    """Tune stiffness and damping of the seed's optimum; its gains and orders stay.
+    """Tune stiffness and damping of the paper's optimum; its gains and orders stay.
 
     Parameters
     ----------
@@ -170,12 +170,12 @@ def compare(demand: Demand, taps: int, say: Callable[[str], None], land: bool = 
     Yields
     ------
     Tuned
-        PD, PDα, the seed's optimum, and the designed law.
+        PD, PDα, the paper's optimum, and the designed law.
     """
     families: dict[str, Callable[[Demand], Tuned]] = {
         "PD": best_pd,
         f"PDα, {len(ORDERS)} orders": lambda wanted: best_pd_alpha(wanted, taps),
-        "the seed's optimum": best_paper_optimum,
+        "the paper's optimum": best_paper_optimum,
         f"{taps} free taps": lambda wanted: designed(wanted, taps),
     }
     for name, tune in families.items():
@@ -229,7 +229,7 @@ def drops(taps: Vector, demand: Demand) -> dict[str, bool]:
     """Drop the lightest, the middle and the heaviest device of a demand on a floor, under every contact convention.
 
     The demand is about the loop in contact, which is linear. Landing is not: contact comes and goes, the history outside it
-    and the clamping of forces into the floor are conventions (theory.md §4), and no pole radius covers them.
+    and the clamping of forces into the floor are conventions (THEORY.md §4), and no pole radius covers them.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ Colgate's condition at a whole delay is linear in the taps at each frequency, an
 of a matrix that is linear in them: convex and homogeneous either way. So the stiffest law is found by cutting planes: a
 linear programme over the cuts so far, new cuts at the frequencies where its solution needs most damping. What comes out is
 scaled by the damping that it really needs, bounded between the sampled frequencies too, so that it is passive for
-certain and not only at sampled frequencies. For d = 1 it must find 2/(1 + 1/cos(π/(n+3))) (theory.md §2).
+certain and not only at sampled frequencies. For d = 1 it must find 2/(1 + 1/cos(π/(n+3))) (THEORY.md §2).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Passive:
     damping_needed_n_s_per_m : float
         Certain upper bound of the damping it needs, not above the device's [N s/m].
     ratio : float
-        H(1)·T/b: 2/(1+2d) for the spring, 2/(1+d) at best (theory.md §2).
+        H(1)·T/b: 2/(1+2d) for the spring, 2/(1+d) at best (THEORY.md §2).
     bound_n_per_m : float
         What the last programme, which knows fewer frequencies, would have allowed: no passive law of this length and bound
         on H(−1) is stiffer [N/m].

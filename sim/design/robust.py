@@ -1,6 +1,6 @@
 """The stiffest law of a family whose pole radius stays below a bound over ranges of mass, delay and hand.
 
-A family is linear in its parameters: all taps free, or spring and one derivative part (PD, one PDα, the seed's optimum at
+A family is linear in its parameters: all taps free, or spring and one derivative part (PD, one PDα, the paper's optimum at
 free gain). So all of them go through the same search and can be compared. The search is global first (differential
 evolution with a fixed seed), then a sequence of linear programmes: every pole near the bound is linearised in the taps, the
 programme raises H(1) within a trust region, and what came out is accepted only if its true poles keep the bound. Cases

@@ -1,6 +1,6 @@
-"""The drop test, the seed's experiment, and two others: what is played, and when it counts as settled.
+"""The drop test, the paper's experiment, and two others: what is played, and when it counts as settled.
 
-Three experiments: *drop* (a mass falls on a virtual floor, the seed's), *press* (a hand pushes the device into a wall) and
+Three experiments: *drop* (a mass falls on a virtual floor, the paper's), *press* (a hand pushes the device into a wall) and
 *free* (the device swings about a two-sided anchor, which is the linear loop itself). A run settles when, over the last
 quarter of a stated horizon, it moves less than a stated tolerance about the point where the forces balance, without
 leaving the wall or touching a limit of the force; and when it has at no time risen above where it started. So

@@ -1,6 +1,6 @@
 """The largest stiffness that still settles: K raised until a run no longer does, then bisected, for many laws at once.
 
-That is how the seed finds its K_max. The lowest interval of K that settles counts, so that an island of stability beyond the
+That is how the paper finds its K_max. The lowest interval of K that settles counts, so that an island of stability beyond the
 limit does not; and the swing of the last run that settled tells the frequency that really occurs there.
 """
 

@@ -19,7 +19,7 @@ from sim.scene.loop import Surface
 
 Switch = Callable[[LaunchedScene], LaunchedScene]
 
-# Touch X: resolution and peak force from the data sheet, friction from memory (theory.md §4); the response time is the
+# Touch X: resolution and peak force from the data sheet, friction from memory (THEORY.md §4); the response time is the
 # median of four processes on one ordinary machine.
 RESOLUTION, FRICTION, PEAK_FORCE, GRAVITY, RESPONSE = 2.3e-5, 0.06, 7.9, 9.81, 250e-6
 _VERTICAL = 2
@@ -128,7 +128,7 @@ CONVENTIONS: dict[str, Switch] = {
 """What must be one way or the other: never superfluous and never missing, but worth knowing."""
 
 TOGETHER: tuple[tuple[str, str], ...] = (("friction", "resolution"),)
-"""Terms that may only matter together (buzz at rest, theory.md §5)."""
+"""Terms that may only matter together (buzz at rest, THEORY.md §5)."""
 
 BROUGHT = frozenset({"delay"})
 """What the running processes bring by themselves, whether or not the scene has it."""

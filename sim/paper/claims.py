@@ -21,7 +21,7 @@ class Claim:
     Attributes
     ----------
     source : str
-        Where it stands: a section of the theory, an equation or figure of the seed.
+        Where it stands: a section of the theory, an equation or figure of the paper.
     claim : str
         What is claimed.
     verdict : str

@@ -1,11 +1,11 @@
-"""The seed's way to its optimum, reproduced: steepest descent on the cost (13) with the steps (14) and (15).
+"""The paper's way to its optimum, reproduced: steepest descent on the cost (13) with the steps (14) and (15).
 
 The cost asks for f = −1 at a few low and middle frequencies and f = +1 at ω_N. With two terms and two such frequencies it
 has three targets and four unknowns: a whole curve of optima with J ≈ 0, so where the descent ends depends on where it
 starts. And the slopes along gains and orders differ by orders of magnitude, so no one step size suits both. Both are
 shown here rather than repaired; `sim.paper.shaping` is the better way. The cost can even be cheated: f = −1 at all frequencies
 is a negative spring, which costs H(1) and damps nothing, and a truncated derivative leaks exactly that. Each term is
-normalised by its own f(ω_N), the sum to n of eq. (9), as in the seed.
+normalised by its own f(ω_N), the sum to n of eq. (9), as in the paper.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ class Descent:
     outcome: str
 
 
-def seed_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
-    """Targets of the seed: −1 at low and middle frequencies, +1 at ω_N.
+def paper_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
+    """Targets of the paper: −1 at low and middle frequencies, +1 at ω_N.
 
     Parameters
     ----------
     fractions : tuple of float
-        The low and middle frequencies in units of ω_N; the seed does not print its own.
+        The low and middle frequencies in units of ω_N; the paper does not print its own.
 
     Returns
     -------
@@ -89,12 +89,12 @@ def term_damping(theta: Vector, order: float, taps: int, leak: bool = True) -> t
     taps : int
         n + 1.
     leak : bool
-        Whether the stiffness D(1) that truncation leaves counts as damping, as it does in the seed.
+        Whether the stiffness D(1) that truncation leaves counts as damping, as it does in the paper.
 
     Returns
     -------
     f : ndarray, shape (k,)
-        T·Re{D/(1−z)} (seed, eq. 9), or that of D − D(1); in units of f(ω_N) with the leak.
+        T·Re{D/(1−z)} (paper, eq. 9), or that of D − D(1); in units of f(ω_N) with the leak.
     slope : ndarray, shape (k,)
         df/dα.
     """

@@ -1,7 +1,7 @@
 """Where methods fail: each boundary from just inside and just outside, by pole radius and by simulation, and known traps.
 
 A boundary is only believed when two independent methods change their mind at the same place. The traps are those that
-theory.md names: methods that look right and are not, each made to fail here.
+THEORY.md names: methods that look right and are not, each made to fail here.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def edges() -> Iterator[Edge]:
     Yields
     ------
     Edge
-        One after the other: PD, PDα (FIR and recursive), the seed's optimum, at whole and fractional delays.
+        One after the other: PD, PDα (FIR and recursive), the paper's optimum, at whole and fractional delays.
     """
     spring = CompiledLaw((0.0,))
     recursive = without_spring(
@@ -91,10 +91,10 @@ def edges() -> Iterator[Edge]:
         ("PD B 40", without_spring(PD(stiffness=1.0, damping=40.0), PERIOD), Device(0.1, 1.0)),
         ("PDα 1.5, 8 taps", short, Device(0.05, 1.0)),
         ("PDα 0.8, Oustaloup", recursive, Device(0.1, 1.0, 1.0)),
-        ("seed's optimum B 3", optimum(3.0), Device(0.1, 1.0)),
-        ("seed's optimum B 3", optimum(3.0), Device(0.1, 1.0, 1.0)),
-        ("seed's optimum B 30", optimum(30.0), Device(0.1, 1.0)),
-        ("seed's optimum B 3, hand 300 N/m", optimum(3.0), Device(0.1, 1.0, 0.0, 300.0)),
+        ("paper's optimum B 3", optimum(3.0), Device(0.1, 1.0)),
+        ("paper's optimum B 3", optimum(3.0), Device(0.1, 1.0, 1.0)),
+        ("paper's optimum B 30", optimum(30.0), Device(0.1, 1.0)),
+        ("paper's optimum B 3, hand 300 N/m", optimum(3.0), Device(0.1, 1.0, 0.0, 300.0)),
     ]
     for name, derivative, device in cases:
         limit = k_max(derivative, PERIOD, device).k_max_n_per_m
@@ -112,7 +112,7 @@ def traps() -> list[Claim]:
     Returns
     -------
     list of Claim
-        What theory.md says goes wrong, and by how much it does.
+        What THEORY.md says goes wrong, and by how much it does.
     """
     biases = {n: euler_bias(n) for n in (2, 4, 10, 50)}
     worst = max(abs(found / predicted - 1.0) for found, predicted in biases.values())
@@ -132,47 +132,47 @@ def traps() -> list[Claim]:
     slow, fast = descent_outcomes(0.03), descent_outcomes(3.0)
     return [
         Claim(
-            "theory.md §3",
+            "THEORY.md §3",
             "semi-implicit Euler with n_sub sub-steps overstates K_max by 1/(1 − 1/n_sub)",
             verdict(worst < 0.01, worst < 0.1),
             "heavy device (10 kg), found/predicted: "
             + ", ".join(f"n={n} {found:.3f}/{predicted:.3f}" for n, (found, predicted) in biases.items()),
         ),
         Claim(
-            "theory.md §1",
+            "THEORY.md §1",
             "the printed Gamma ratio gives 0 from m = 171 on",
             verdict(first == 171),
             f"first zero at m = {first}; the recursion gives {recursive_coefficient(0.5, first):.3e} there (α = 0.5)",
         ),
         Claim(
-            "theory.md §1",
+            "THEORY.md §1",
             "truncation leaks until H(1) ≤ 0",
             verdict(inside.h1 > 0.0 > outside.h1 and radii[0] < 1.0 < radii[1]),
             f"PDα 1.5, 4 taps, K = 1000: at B = {limit:.1f} N s/m nothing is felt; pole radius − 1 at B ∓ 0.1 %: "
             f"{radii[0] - 1.0:+.1e}, {radii[1] - 1.0:+.1e}",
         ),
         Claim(
-            "theory.md §7",
+            "THEORY.md §7",
             "Tustin-CFE of the whole α > 1 is unstable; split off the integer part",
             verdict(not whole.stable_sections() and split.stable_sections() and bad > 1.0 > good),
             f"α = 1.5, degree 2, in the loop: pole radius {bad:.3f} whole, {good:.5f} split",
         ),
         _fragile_claim(fragile),
         Claim(
-            "theory.md §5",
+            "THEORY.md §5",
             "encoder noise is multiplied with H(−1): chatter iff f_c < Δ·H(−1)/2",
             verdict(False, all(ratio <= 1.0 for _, _, ratio in noisy.values())),
             "only if read as a bound: friction that stops a mass of 0.1 kg at rest on the floor, over Δ·H(−1)/2: "
             + ", ".join(f"{n} {ratio:.2f} (H(−1) = {h:.0f} N/m)" for n, (h, _, ratio) in noisy.items()),
         ),
         Claim(
-            "theory.md §2",
+            "THEORY.md §2",
             "the passivity limit is far below what really is stable on a known device",
             verdict(really > 2.0 / PERIOD),
             f"PD, B = 2 N s/m, b = 1: passive for K < 2(b − B)/T = {passive:.0f} N/m, so never; stable up to {really:.0f}",
         ),
         Claim(
-            "theory.md §2; seed, eq. (13)–(15)",
+            "THEORY.md §2; paper, eq. (13)–(15)",
             "steepest descent on the cost (13) ends in many places, or runs away",
             verdict("diverged" in fast or "out_of_range" in fast),
             f"starts by outcome: rate 0.03 {slow}, rate 3 {fast}",
@@ -186,7 +186,7 @@ def _fragile_claim(fragile: dict[str, dict[str, tuple[float, bool]]]) -> Claim:
 
     optimum_fails = fragile["optimum"]["one tick of delay"][0] > 1.0 and fragile["optimum"]["half the mass"][0] > 1.0
     return Claim(
-        "theory.md §2, §3",
+        "THEORY.md §2, §3",
         "what multi-term gains at d = 0 does not survive one tick of delay, or half the mass",
         verdict(optimum_fails),
         f"B = 30, 0.9 K_max, pole radius: optimum {told('optimum')}; nor does PD tuned as tightly: {told('pd')}",

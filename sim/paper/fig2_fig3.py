@@ -1,4 +1,4 @@
-"""The seed's figures 2 and 3: f(ω) of Grünwald–Letnikov terms and of their optimised sum, in the seed's normalisation.
+"""The paper's figures 2 and 3: f(ω) of Grünwald–Letnikov terms and of their optimised sum, in the paper's normalisation.
 
 Frequencies are in units of ω_N, f in units of a term's f(ω_N): the sum to n that renders, as in eq. (9) (THEORY.md §1).
 """
@@ -296,7 +296,7 @@ def _leak_sign(order: float, leak: float) -> bool:
 
 
 def optimum_terms() -> tuple[Vector, Vector]:
-    """Gains and orders of the seed's optimum, normalised.
+    """Gains and orders of the paper's optimum, normalised.
 
     Returns
     -------
@@ -308,12 +308,12 @@ def optimum_terms() -> tuple[Vector, Vector]:
 
 
 def figure_3(taps: int, points: int = 400) -> dict[str, Vector]:
-    """Compute f(ω) of the seed's optimum and of PD.
+    """Compute f(ω) of the paper's optimum and of PD.
 
     Parameters
     ----------
     taps : int
-        n + 1; the seed prints no n, flatness of f says 4.
+        n + 1; the paper prints no n, flatness of f says 4.
     points : int
         Frequencies.
 
@@ -329,7 +329,7 @@ def figure_3(taps: int, points: int = 400) -> dict[str, Vector]:
 
 
 def ripple(taps: int, upper: float) -> float:
-    """Largest |f + 1| of the seed's optimum over the low and middle range.
+    """Largest |f + 1| of the paper's optimum over the low and middle range.
 
     Parameters
     ----------

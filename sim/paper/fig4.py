@@ -1,6 +1,6 @@
-"""The seed's figure 4: the largest stiffness that survives the drop, over the damping gain B, law by law.
+"""The paper's figure 4: the largest stiffness that survives the drop, over the damping gain B, law by law.
 
-The same drop for PD, the seed's optimum and a law designed for the same device and delay: at no delay and at one tick, with a
+The same drop for PD, the paper's optimum and a law designed for the same device and delay: at no delay and at one tick, with a
 perfect sensor and with the Touch X's (resolution and friction, which only matter together). Stiffness is told twice,
 nominal K and H(1), what is felt; and the frequency at which the device really swings at the limit is measured.
 """
@@ -42,7 +42,7 @@ class Setting:
     gains : tuple of float
         Damping gains B of the horizontal axis [N s/m].
     resolution, friction : float
-        Of the Touch X [m], [N]; the friction is a data-sheet figure quoted from memory (theory.md §4).
+        Of the Touch X [m], [N]; the friction is a data-sheet figure quoted from memory (THEORY.md §4).
     criterion : Criterion
         Horizon and tolerance, the same for every law.
     """
@@ -115,7 +115,7 @@ class Curve:
 
 
 def published(setting: Setting) -> dict[str, Family]:
-    """Give the derivative part of PD and of the seed's optimum as functions of B.
+    """Give the derivative part of PD and of the paper's optimum as functions of B.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def spread_of_conventions(setting: Setting, curves: list[Curve], step: Step) -> 
     Returns
     -------
     list of tuple of float, str and float
-        (max − min)/max of K_max over the conventions, law and gain [N s/m], for PD and the seed's optimum.
+        (max − min)/max of K_max over the conventions, law and gain [N s/m], for PD and the paper's optimum.
     """
     spreads = []
     for name in ("pd", "paper_optimum"):

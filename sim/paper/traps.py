@@ -1,4 +1,4 @@
-"""Methods that look right and are not: what theory.md warns of, built so that it can be measured.
+"""Methods that look right and are not: what THEORY.md warns of, built so that it can be measured.
 
 `sim.paper.failures` makes each of them fail, and says by how much.
 """
@@ -19,15 +19,15 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import Device, k_max, with_spring, without_spring
 from sim.device.model import DeviceModel, Hand
 from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
-from sim.paper.descent import seed_targets, survey
+from sim.paper.descent import paper_targets, survey
 from sim.scene.loop import run
 
 PERIOD = 0.002
-"""T of everything below [s]: the seed's."""
+"""T of everything below [s]: the paper's."""
 
 
 def optimum(damping: float) -> CompiledLaw:
-    """Give the derivative part of the seed's optimum.
+    """Give the derivative part of the paper's optimum.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def euler_bias(substeps: int) -> tuple[float, float]:
     Returns
     -------
     tuple of float, shape (2,)
-        Found: Euler's K_max over the exact one; predicted: 1/(1 − 1/n_sub) (theory.md §3).
+        Found: Euler's K_max over the exact one; predicted: 1/(1 − 1/n_sub) (THEORY.md §3).
     """
     mass, damping = 10.0, 1.0
     exact = k_max(CompiledLaw((0.0,)), PERIOD, Device(mass, damping)).k_max_n_per_m
@@ -137,7 +137,7 @@ def euler_bias(substeps: int) -> tuple[float, float]:
 
 
 def gamma_coefficient(order: float, m: int) -> float:
-    """Grünwald–Letnikov coefficient by the Gamma ratio that the seed prints, in floating point.
+    """Grünwald–Letnikov coefficient by the Gamma ratio that the paper prints, in floating point.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def tustin_split(stiffness: float, gain: float, order: float = 1.5) -> CompiledL
 
 
 def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, tuple[float, bool]]]:
-    """Tune PD and the seed's optimum to a share of their K_max at 0.1 kg and no delay, then change the loop.
+    """Tune PD and the paper's optimum to a share of their K_max at 0.1 kg and no delay, then change the loop.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ def chatter(law: CompiledLaw, friction: float, resolution: float = 2.3e-5, ticks
 
 
 def descent_outcomes(rate: float) -> dict[str, int]:
-    """Count how the seed's steepest descent ends, from a grid of starts.
+    """Count how the paper's steepest descent ends, from a grid of starts.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def descent_outcomes(rate: float) -> dict[str, int]:
     dict of str to int
         Outcome to number of starts.
     """
-    found = survey(seed_targets(), 4, rate, 1000, 5)
+    found = survey(paper_targets(), 4, rate, 1000, 5)
     outcomes = sorted({descent.outcome for descent in found})
     return {outcome: sum(descent.outcome == outcome for descent in found) for outcome in outcomes}
 

@@ -51,7 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--land", action="store_true", help="tune for lighter devices until every drop of the demanded ones settles"
     )
-    parser.add_argument("--compare", action="store_true", help="against best PD, every PDα and the seed's optimum")
+    parser.add_argument("--compare", action="store_true", help="against best PD, every PDα and the paper's optimum")
     parser.add_argument(
         "--delays", type=shared.not_negative, nargs="+", default=[0.0, 1.0, 2.0], help="of --compare [ticks]"
     )

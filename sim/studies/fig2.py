@@ -1,4 +1,4 @@
-"""The seed's figure 2: f(ω) of single fractional terms with f(ω_N) = 1, and the paper's claims about it, judged."""
+"""The paper's figure 2: f(ω) of single fractional terms with f(ω_N) = 1, and the paper's claims about it, judged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The seed's figure 3: f(ω) of its optimised two-term law beside PD, and what is claimed about it."""
+"""The paper's figure 3: f(ω) of its optimised two-term law beside PD, and what is claimed about it."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ def run(arguments: argparse.Namespace) -> int:
     share = curves["theta"] / curves["theta"][-1]
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     axes = figure.add_subplot(xlabel="ω/ω_N", ylabel="f(ω), each term 1 at ω_N")
-    axes.plot(share, curves["optimum"], "C0", label="seed's optimum")
+    axes.plot(share, curves["optimum"], "C0", label="paper's optimum")
     axes.plot(share, curves["pd"], "C1", label="PD")
     for i, label in enumerate(("1.69 D^1.50", "1.32 D^3.47")):
         axes.plot(share, curves["terms"][i], "C0", linestyle=("--", ":")[i], linewidth=0.9, label=label)
     axes.axhline(-1.0, color="0.6", linewidth=0.8)
     axes.axhline(0.0, color="0.6", linewidth=0.8)
-    axes.set_title(f"f of the seed's optimum, {arguments.taps} taps per term", fontsize=9)
+    axes.set_title(f"f of the paper's optimum, {arguments.taps} taps per term", fontsize=9)
     axes.legend(fontsize=8)
     figures = {
         "taps": arguments.taps,

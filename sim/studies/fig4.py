@@ -1,4 +1,4 @@
-"""The seed's figure 4: largest stiffness that settles in a drop over B, for PD, the seed's optimum and a designed law."""
+"""The paper's figure 4: largest stiffness that settles in a drop over B, for PD, the paper's optimum and a designed law."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Optimise a multi-term law: the seed's steepest descent and where it fails, then linear programmes over all orders."""
+"""Optimise a multi-term law: the paper's steepest descent and where it fails, then linear programmes over all orders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.multi_term import MultiTerm, Term
 from nodes.laws.presets import PRESETS
 from nodes.stability.k_max import Device, k_max, without_spring
-from sim.paper.descent import Descent, Targets, cost, damping_curve, seed_targets, survey
+from sim.paper.descent import Descent, Targets, cost, damping_curve, paper_targets, survey
 from sim.paper.shaping import Shape, best_orders, free_taps, measured
 from sim.studies import arguments as shared
 
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--taps must be at least 2, --terms at least 1 and --starts at least --terms")
     if not all(0.0 < at < 1.0 for at in arguments.at) or arguments.band[1] >= 1.0:
         raise UsageError("--at and --band are fractions of ω_N: above 0 and below 1")
-    targets = seed_targets(tuple(arguments.at))
+    targets = paper_targets(tuple(arguments.at))
     descents = {rate: _survey(arguments, targets, rate) for rate in arguments.rates}
     rows = [_row("paper_optimum", None, _paper(arguments.band), arguments)] if arguments.terms == 2 else []
     for bound in arguments.nyquist:
@@ -170,7 +170,7 @@ def _text(figures: dict[str, Any]) -> str:
             f"{row['rate']:9.4g}  {row['starts']:6d}  {row['converged']:9d}  {row['slow']:4d}  {row['out_of_range']:10d}"
             f"  {row['diverged']:8d}  {'-' if best is None else f'{best:.2e}':9}  {'-' if median is None else f'{median:.2e}'}"
         )
-    lines.append(f"the seed's own optimum has J = {figures['paper_cost']:.3g} by its eq. (13)")
+    lines.append(f"the paper's own optimum has J = {figures['paper_cost']:.3g} by its eq. (13)")
     lines.append("\nlaw            bound   ripple  f(ω_N)  H(1)_max  gains; orders")
     for row in figures["shapes"]:
         bound, h1 = row["nyquist_bound"], row["h1_max_n_per_m"]

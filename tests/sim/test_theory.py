@@ -50,11 +50,11 @@ def test_sections_are_numbered_without_a_gap() -> None:
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("(theory.md §3)", {3}),
+        ("(THEORY.md §3)", {3}),
         ("THEORY.md §2, §3", {2, 3}),
-        ("theory.md §1-3", {1, 2, 3}),
+        ("THEORY.md §1-3", {1, 2, 3}),
         ("see THEORY.md §1 and §14", {1, 14}),
-        ("theory.md\n    §5", {5}),
+        ("THEORY.md\n    §5", {5}),
         ("§9 of another page", set()),
     ],
 )

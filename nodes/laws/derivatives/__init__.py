@@ -1,6 +1,6 @@
 """Ways to realise D^α tick by tick; a law names the one it wants.
 
-The derivative of a law is a choice of its own: the seed takes the Grünwald–Letnikov sum, but a dozen others are
+The derivative of a law is a choice of its own: the paper takes the Grünwald–Letnikov sum, but a dozen others are
 known, each with its own cost, phase, leak and gain at Nyquist. They all come down to a `CompiledLaw` (taps and
 parallel sections, unit gain), so the loop renders any of them with the same kernels. One realisation per file; other
 packages add theirs through the entry points ``haptic.derivatives``.

@@ -1,6 +1,6 @@
-"""Grünwald–Letnikov: the binomial series of (1 − z⁻¹)^α, cut after n + 1 taps (seed, eq. 5).
+"""Grünwald–Letnikov: the binomial series of (1 − z⁻¹)^α, cut after n + 1 taps (paper, eq. 5).
 
-The Gamma-ratio form printed in the seed overflows from m = 171 on; the recursion has no such limit. What the cut
+The Gamma-ratio form printed in the paper overflows from m = 171 on; the recursion has no such limit. What the cut
 leaves is a leak, D(1) ≈ (nT)^−α/Γ(1−α): positive for α < 1, negative for 1 < α < 2. It holds at all orders and
 lengths; its phase is that of a pure delay αT/2.
 """
@@ -32,7 +32,7 @@ def coefficients(order: float, taps: int) -> list[float]:
 
 
 def gl(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α as the Grünwald–Letnikov sum T^−α Σ c_m x[k−m] (seed, eq. 5).
+    """D^α as the Grünwald–Letnikov sum T^−α Σ c_m x[k−m] (paper, eq. 5).
 
     Parameters
     ----------

@@ -522,7 +522,7 @@ def test_laws_are_shown_without_a_running_loop(
             return haptic.answered("law", "show", *words)
 
         by_flags = shown("pd", "--rate", "500", "--stiffness", "1000", "--gain", "3")
-        # Seed, eq. 1 at T = 2 ms: K + B/T and −B/T.
+        # Paper, eq. 1 at T = 2 ms: K + B/T and −B/T.
         assert by_flags["taps_n_per_m"] == [2500.0, -1500.0]
         assert (by_flags["h1_n_per_m"], by_flags["h_nyquist_n_per_m"]) == (1000.0, 4000.0)
         assert 0.9 < by_flags["pole_radius"] < 1.0

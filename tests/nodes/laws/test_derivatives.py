@@ -297,7 +297,7 @@ def test_full_memory_gl_on_a_parabola(order: float, count: int) -> None:
     step = 1.0 / count
     output = apply(realise("gl", order, count + 1, step), ticks(count + 1, step) ** 2)[-1]
     relative = output / power(order, 1.0) - 1.0
-    # Leading order (theory.md §7); the next term is T² times a polynomial in α that stays below 1 for α < 2.
+    # Leading order (THEORY.md §7); the next term is T² times a polynomial in α that stays below 1 for α < 2.
     assert relative == pytest.approx(-0.5 * order * (2.0 - order) * step, abs=step**2)
 
 

@@ -344,7 +344,7 @@ def test_orders_and_lengths_up_to_their_limits(order: float, taps: int) -> None:
     law = compile_law(parse_law({"kind": "pd_alpha", "stiffness": 1e13, "damping": 1.0, "order": order, "taps": taps,
                                  "gains": "physical"}), T)  # fmt: skip
     assert len(law.taps) == taps
-    # Beyond m = 171 the seed's Gamma-ratio form gives 0; the recursion must not.
+    # Beyond m = 171 the paper's Gamma-ratio form gives 0; the recursion must not.
     assert law.taps[-1] != 0.0
 
 

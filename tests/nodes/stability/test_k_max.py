@@ -34,7 +34,7 @@ def radius(law: CompiledLaw, device: Device) -> float:
 
 @pytest.mark.parametrize("beta", [0.05, 0.3, 2.0 * math.sqrt(2.0) - 2.0, 1.5, 1.9])
 def test_closed_form_is_theorys_without_friction(beta: float) -> None:
-    """κ_max = 2β(2−β)/(2+β) (theory.md §3)."""
+    """κ_max = 2β(2−β)/(2+β) (THEORY.md §3)."""
     law = derivative("pd", damping=beta * 0.1 / T)
     expected = 2.0 * beta * (2.0 - beta) / (2.0 + beta) * 0.1 / T**2
     found = k_max(law, T, Device(0.1, 0.0))
@@ -111,7 +111,7 @@ def test_closed_form_is_not_claimed_where_there_is_none() -> None:
 
 @pytest.mark.parametrize("steps", [2, 5, 10])
 def test_semi_implicit_euler_overstates_k_max(steps: int) -> None:
-    """By 1/(1 − 1/n_sub) for light damping (theory.md §3): the coarser map hides part of the sample-and-hold delay."""
+    """By 1/(1 − 1/n_sub) for light damping (THEORY.md §3): the coarser map hides part of the sample-and-hold delay."""
     mass, gain = 0.1, 0.5
     h = T / steps
     position = np.linalg.matrix_power(np.array([[1.0, h], [0.0, 1.0]]), steps)
@@ -214,7 +214,7 @@ def test_analyse_agrees_with_what_it_is_made_of(tmp_path: Path, capsys: pytest.C
 
 
 def test_simulated_drop_reads_below_the_linear_limit(capsys: pytest.CaptureFixture[str]) -> None:
-    """70 to 99 % of it (theory.md §4): near the limit the decay is too slow for any horizon."""
+    """70 to 99 % of it (THEORY.md §4): near the limit the decay is too slow for any horizon."""
     words = "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --method simulation --json"
     assert main(words.split()) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])

@@ -1,4 +1,4 @@
-"""Stability and passivity against closed forms (theory.md §1-3), time-domain one-tick maps and the lifted loop."""
+"""Stability and passivity against closed forms (THEORY.md §1-3), time-domain one-tick maps and the lifted loop."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def one_tick_map(
 
 @pytest.mark.parametrize("beta", [0.05, 0.4, 2.0 * math.sqrt(2.0) - 2.0, 1.3, 1.95])
 def test_pd_boundary_of_a_device_without_friction(beta: float) -> None:
-    """κ_max = 2β(2−β)/(2+β) for b = 0, d = 0 (theory.md §3); just inside and just outside."""
+    """κ_max = 2β(2−β)/(2+β) for b = 0, d = 0 (THEORY.md §3); just inside and just outside."""
     mass = 0.1
     limit = 2.0 * beta * (2.0 - beta) / (2.0 + beta) * mass / T**2
     damping = beta * mass / T
@@ -66,7 +66,7 @@ def test_pd_boundary_of_a_device_without_friction(beta: float) -> None:
 def test_pd_boundary_peaks_where_theory_says() -> None:
     beta = np.linspace(0.01, 1.99, 100001)
     kappa = 2.0 * beta * (2.0 - beta) / (2.0 + beta)
-    # Seed's peak, 12 − 8√2; a flat top seen on a grid of 2e-5.
+    # The paper's peak, 12 − 8√2; a flat top seen on a grid of 2e-5.
     assert kappa.max() == pytest.approx(0.6863, abs=5e-5)
     assert beta[kappa.argmax()] == pytest.approx(2.0 * math.sqrt(2.0) - 2.0, abs=2e-5)
 
@@ -74,7 +74,7 @@ def test_pd_boundary_peaks_where_theory_says() -> None:
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.25])
 @pytest.mark.parametrize("taps", [(1.0,), (1.8, -0.8), (2.4, -2.0, 0.6), (2.0, -1.5, 0.7, -0.2)])
 def test_heavy_device(delay: float, taps: tuple[float, ...]) -> None:
-    """H(1)_max → (b − T Σ m h_m)/(T(½ + d)) for a heavy device (theory.md §3), any taps, whole or fractional delay."""
+    """H(1)_max → (b − T Σ m h_m)/(T(½ + d)) for a heavy device (THEORY.md §3), any taps, whole or fractional delay."""
     damping = 4.0
     derivative = np.array(taps) - np.eye(len(taps))[0] * sum(taps)
     derivative *= 300.0
@@ -93,13 +93,13 @@ def test_heavy_device(delay: float, taps: tuple[float, ...]) -> None:
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 5])
 def test_passive_spring_with_delay(delay: int) -> None:
-    """KT/b < 2/(1+2d) (theory.md §2)."""
+    """KT/b < 2/(1+2d) (THEORY.md §2)."""
     spring = CompiledLaw((1000.0,))
     assert damping_needed(spring, T, delay) == pytest.approx(1000.0 * T * (1.0 + 2.0 * delay) / 2.0, rel=1e-12)
 
 
 def test_passive_pd_without_delay_is_colgates() -> None:
-    """Damping needed is KT/2 + B (seed, eq. 4)."""
+    """Damping needed is KT/2 + B (paper, eq. 4)."""
     assert damping_needed(pd(1000.0, 3.0), T) == pytest.approx(1000.0 * T / 2.0 + 3.0, rel=1e-12)
 
 
@@ -149,7 +149,7 @@ def test_a_passive_law_is_stable_with_any_mass_and_any_hand(
 
 @pytest.mark.parametrize("order", [0.3, 0.5, 1.5, 2.5])
 def test_f_of_one_term_with_long_memory(order: float) -> None:
-    """Closed form f = T^(1−α) (2 sin(ωT/2))^(α−1) cos((α+1)(π−ωT)/2) for infinite memory (theory.md §2)."""
+    """Closed form f = T^(1−α) (2 sin(ωT/2))^(α−1) cos((α+1)(π−ωT)/2) for infinite memory (THEORY.md §2)."""
     unit = realise("gl", order, 4001, T)
     law = CompiledLaw(unit.taps)
     theta = np.linspace(0.1, np.pi, 200)
@@ -164,7 +164,7 @@ def test_f_of_one_term_with_long_memory(order: float) -> None:
 @pytest.mark.parametrize("order", [0.4, 1.0, 1.6, 3.2])
 @pytest.mark.parametrize("taps", [2, 5, 40])
 def test_waterbed(order: float, taps: int) -> None:
-    """The mean of f over (0, ω_N) is T·D(1)/2 (theory.md §2), by quadrature of Re{D/(1−z)} itself."""
+    """The mean of f over (0, ω_N) is T·D(1)/2 (THEORY.md §2), by quadrature of Re{D/(1−z)} itself."""
     unit = CompiledLaw(realise("gl", order, taps, T).taps)
     nodes, weights = np.polynomial.legendre.leggauss(2 * taps + 60)
     theta = 0.5 * np.pi * (nodes + 1.0)
@@ -178,7 +178,7 @@ def test_waterbed(order: float, taps: int) -> None:
 
 
 def test_no_linear_law_beats_the_strict_limit_without_delay() -> None:
-    """H(1) T/2 ≤ damping needed, for any law: max f ≥ mean f = 0 (theory.md §2)."""
+    """H(1) T/2 ≤ damping needed, for any law: max f ≥ mean f = 0 (THEORY.md §2)."""
     rng = np.random.default_rng(7)
     for _ in range(30):
         law = CompiledLaw(tuple(rng.normal(size=rng.integers(1, 9))))
@@ -186,11 +186,11 @@ def test_no_linear_law_beats_the_strict_limit_without_delay() -> None:
 
 
 def test_figures_of_the_papers_optimum() -> None:
-    """Reads f ≈ −1 over the low and middle range, f(ω_N) ≈ +3 and not the +1 that eq. (13) asks for (theory.md §2)."""
+    """Reads f ≈ −1 over the low and middle range, f(ω_N) ≈ +3 and not the +1 that eq. (13) asks for (THEORY.md §2)."""
     law = parse_law({"kind": "paper_optimum", "stiffness": 1000.0, "damping": 1.0}).compile(T)
     omega = np.linspace(0.02, 0.55, 50) * np.pi / T
     f = effective_damping(law, T, omega) + 0.5 * T * (law.h1 - 1000.0)
-    # "Flat" is the seed's figure, not its text: the ripple is an eighth of the level.
+    # "Flat" is the paper's figure, not its text: the ripple is an eighth of the level.
     assert np.abs(f + 1.0).max() < 0.13
     assert rendered(law, T, nominal=1000.0).f_nyquist_n_s_per_m == pytest.approx(3.0, abs=0.05)
 

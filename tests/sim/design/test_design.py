@@ -78,7 +78,7 @@ def test_best_pd_is_the_best_of_a_grid(delay: float) -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.0])
 def test_free_taps_beat_what_they_contain(delay: float) -> None:
-    """Four free taps contain PD and the seed's optimum: never softer, and at these delays much stiffer."""
+    """Four free taps contain PD and the paper's optimum: never softer, and at these delays much stiffer."""
     wanted = demand(delay)
     mine = check(free(wanted, 4).found, wanted)
     for tuned in (pd(wanted), best_paper_optimum(wanted)):
@@ -123,7 +123,7 @@ def test_the_impossible_is_not_found() -> None:
 
 @pytest.mark.parametrize(("taps", "published"), [(1, 0.667), (2, 0.828), (3, 0.894), (4, 0.928), (8, None)])
 def test_passive_designs_reach_the_bound_at_one_tick(taps: int, published: float | None) -> None:
-    """K T/b = 2/(1 + 1/cos(π/(n+3))) at d = 1 (theory.md §2)."""
+    """K T/b = 2/(1 + 1/cos(π/(n+3))) at d = 1 (THEORY.md §2)."""
     passive = stiffest_passive(taps, T, 1.0, (1.0, 1.0))
     expected = 2.0 / (1.0 + 1.0 / math.cos(math.pi / (taps + 2)))
     # The programme stops at 1e-7 or after its last cut; the certain margin takes 3e-7 of the largest |Re|.

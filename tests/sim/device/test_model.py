@@ -72,7 +72,7 @@ def test_near_critical_damping() -> None:
 
 @pytest.mark.parametrize("damping", [1e-3, 0.5, 3.0, 400.0])
 def test_free_device_is_the_plant_of_the_theory(damping: float) -> None:
-    # theory.md §3: e = exp(−bT/m), q = (1−e)m/b; x⁺ = x + q v − (T − q) F/b, v⁺ = e v − (1−e) F/b.
+    # THEORY.md §3: e = exp(−bT/m), q = (1−e)m/b; x⁺ = x + q v − (T − q) F/b, v⁺ = e v − (1−e) F/b.
     mass, period = 0.1, 0.002
     decay = math.exp(-damping * period / mass)
     q = (1.0 - decay) * mass / damping

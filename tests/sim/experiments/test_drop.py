@@ -32,7 +32,7 @@ PERIOD = 0.002
 
 
 def optimum(damping: float) -> MultiTerm:
-    """Build the seed's optimum, A = [1.69, 1.32], α = [1.50, 3.47], as read by theory.md §2."""
+    """Build the paper's optimum, A = [1.69, 1.32], α = [1.50, 3.47], as read by THEORY.md §2."""
     terms = (Term(gain=1.69, order=1.50), Term(gain=1.32, order=3.47))
     return MultiTerm(stiffness=1.0, damping=damping, terms=terms, taps=4, gains="paper")
 
@@ -101,7 +101,7 @@ def test_drop_reads_most_of_the_linear_limit(raw: bool, clamp: bool) -> None:
         found = simulated_k_max(lambda K, d=derivative: with_spring(d, K), scene)  # type: ignore[misc]
         assert exact is not None
         assert found.k_max_n_per_m is not None
-        # theory.md §4: the drop test reads 70–99 % of the linear limit.
+        # THEORY.md §4: the drop test reads 70–99 % of the linear limit.
         assert 0.7 < found.k_max_n_per_m / exact < 0.99
 
 

@@ -51,7 +51,7 @@ def test_settles_just_inside_and_not_just_outside() -> None:
 
 
 def test_both_bisect_to_the_same_stiffness() -> None:
-    """The seed's optimum, half a tick late: four taps of history, and two forces in one tick."""
+    """The paper's optimum, half a tick late: four taps of history, and two forces in one tick."""
     law, scene = parse_law({"kind": "paper_optimum", "stiffness": 1.0}), dropped(delay=0.5)
     guess = simulated_k_max(lambda K: compiled(scene, with_stiffness(law, K)), scene, SHORT, low=500.0).k_max_n_per_m
     assert guess is not None

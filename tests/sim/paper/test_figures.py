@@ -1,4 +1,4 @@
-"""The seed's figures: curves against closed forms, claims against the numbers of theory.md, and the verbs that print them."""
+"""The paper's figures: curves against closed forms, claims against the numbers of THEORY.md, and the verbs that print them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_zeros_lie_at_alpha_over_alpha_plus_one() -> None:
 
 
 def test_optimum_is_flattest_at_n_3_and_misses_its_target_at_nyquist() -> None:
-    # theory.md §2: f ≈ −1 over the low and middle range, f(ω_N) ≈ +3.
+    # THEORY.md §2: f ≈ −1 over the low and middle range, f(ω_N) ≈ +3.
     assert min(range(2, 20), key=lambda taps: ripple(taps, 0.5)) == 4
     assert ripple(4, 0.5) < 0.15
     assert figure_3(4)["optimum"][-1] == pytest.approx(3.0, abs=0.05)
@@ -119,8 +119,8 @@ def test_claims_of_figure_4(setting: Setting, curves: list[Curve]) -> None:
     assert len(claims) == 14
     assert by["PD, b → 0, d = 0: κ_max peaks at 0.6863 at β = 2√2 − 2"] == HOLDS
     assert by["on a known device the loop bears more than the passive limit 2b/T: conditional stability"] == HOLDS
-    # Stiffer than PD at B = 20, not at B = 2: the seed's figure depends on where one looks.
-    assert by["the seed's optimum bears more stiffness than PD at the same B, d = 0, perfect sensor"] == ONLY_IF
+    # Stiffer than PD at B = 20, not at B = 2: the paper's figure depends on where one looks.
+    assert by["the paper's optimum bears more stiffness than PD at the same B, d = 0, perfect sensor"] == ONLY_IF
 
 
 def test_interruption_leaves_a_shorter_figure(setting: Setting) -> None:

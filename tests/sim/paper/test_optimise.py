@@ -1,4 +1,4 @@
-"""The seed's descent reproduced with its failures, and the programmes that replace it."""
+"""The paper's descent reproduced with its failures, and the programmes that replace it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from nodes.cli.main import main
 from nodes.laws.parse import parse_law
 from nodes.stability.effective_damping import effective_damping
-from sim.paper.descent import Targets, cost, damping_curve, seed_targets, steepest_descent, term_damping
+from sim.paper.descent import Targets, cost, damping_curve, paper_targets, steepest_descent, term_damping
 from sim.paper.shaping import best_orders, free_taps, least_squares, measured, minimax
 
 A, ALPHA = np.array([1.69, 1.32]), np.array([1.50, 3.47])
@@ -42,15 +42,15 @@ def test_slope_along_the_order_is_the_difference_quotient() -> None:
 
 
 def test_the_seeds_optimum_misses_its_own_target_at_nyquist() -> None:
-    """f(ω_N) ≈ +3 where eq. (13) asks for +1 (theory.md §2): almost all of J = 3.9 is that."""
-    targets = seed_targets()
+    """f(ω_N) ≈ +3 where eq. (13) asks for +1 (THEORY.md §2): almost all of J = 3.9 is that."""
+    targets = paper_targets()
     at_nyquist = float(damping_curve(np.array([np.pi]), A, ALPHA, 4)[0])
     assert at_nyquist == pytest.approx(3.0, abs=0.05)
     assert cost(A, ALPHA, targets, 4) == pytest.approx((at_nyquist - 1.0) ** 2, rel=0.02)
 
 
 def test_descent_goes_down_when_its_steps_are_small() -> None:
-    run = steepest_descent(np.ones(2), np.array([0.75, 2.25]), seed_targets(), rate=1e-3, steps=300)
+    run = steepest_descent(np.ones(2), np.array([0.75, 2.25]), paper_targets(), rate=1e-3, steps=300)
     assert (np.diff(run.cost) < 0.0).all()
 
 
@@ -68,7 +68,7 @@ def test_descent_from_the_same_cost_ends_elsewhere_from_elsewhere() -> None:
 
 
 def test_descent_fails_in_every_way_it_can() -> None:
-    targets = seed_targets()
+    targets = paper_targets()
     assert steepest_descent(np.ones(2), np.array([1.5, 3.47]), targets, rate=0.01, steps=2000).outcome == "out_of_range"
     assert steepest_descent(np.ones(2), np.array([1.2, 3.0]), targets, rate=0.01, steps=500).outcome == "slow"
     assert steepest_descent(np.ones(2), np.array([1.2, 1.3]), targets, rate=0.5, steps=500).outcome in (
@@ -82,12 +82,12 @@ def test_gains_alone_diverge_above_the_rate_that_theory_gives() -> None:
     theta = np.pi * np.array([0.1, 0.5, 1.0])
     basis = np.array([term_damping(theta, order, 4)[0] for order in (1.5, 3.47)])
     limit = 1.0 / float(np.linalg.eigvalsh(basis @ basis.T).max())
-    best = least_squares(ALPHA, seed_targets(), 4)
+    best = least_squares(ALPHA, paper_targets(), 4)
     for factor, shrinks in ((0.99, True), (1.01, False)):
         gains = best + np.linalg.eigh(basis @ basis.T)[1][:, -1]
         before = float(np.linalg.norm(gains - best))
         for _ in range(50):
-            miss = gains @ basis - seed_targets().value
+            miss = gains @ basis - paper_targets().value
             gains = gains - factor * limit * 2.0 * (basis @ miss)
         assert (float(np.linalg.norm(gains - best)) < before) == shrinks
 
@@ -104,7 +104,7 @@ def test_the_cost_is_cheated_by_a_negative_spring() -> None:
 
 @pytest.mark.parametrize("orders", [[1.5, 3.47], [0.3, 2.2], [1.0, 2.0]])
 def test_least_squares_is_stationary(orders: list[float]) -> None:
-    targets = seed_targets((0.05, 0.3, 0.5))
+    targets = paper_targets((0.05, 0.3, 0.5))
     best = least_squares(np.array(orders), targets, 4)
     least = cost(best, np.array(orders), targets, 4)
     for step in np.random.default_rng(4).normal(size=(20, 2)) * 1e-3:
@@ -122,7 +122,7 @@ def test_minimax_is_best_for_its_orders_and_its_bound_holds() -> None:
 
 
 def test_what_the_search_over_orders_reaches() -> None:
-    """Better than the seed's at the same f(ω_N), and as good as any four taps can be: the orders buy nothing more."""
+    """Better than the paper's at the same f(ω_N), and as good as any four taps can be: the orders buy nothing more."""
     paper = measured(A, ALPHA, BAND, 4)
     shape, programmes = best_orders(2, BAND, paper.nyquist, 4, grid=8)
     _, bound = free_taps(4, BAND, paper.nyquist)
