@@ -44,8 +44,10 @@ def term_gain(gain: float, order: float, gains: Gains, period: float, taps: int)
     """
     if gains == "physical":
         return gain
-    unlimited = gain * (0.5 * period) ** (order - 1.0)
-    return unlimited if gains == "unlimited" else unlimited * 2.0**order / alternating_sum(order, taps)
+    unlimited: float = gain * (0.5 * period) ** (order - 1.0)
+    if gains == "unlimited":
+        return unlimited
+    return float(unlimited * 2.0**order / alternating_sum(order, taps))
 
 
 def alternating_sum(order: float, taps: int) -> float:

@@ -182,7 +182,7 @@ def _number(point: Point, key: str) -> float:
 
 def _derivatives(time: Group, stiffness: Group | None, order: str) -> str:
     classic = [p for p in time.points if p.family == "gl"]
-    long = max(paper, key=lambda p: p.cost)
+    long = max(classic, key=lambda p: p.cost)
     best = _best(time.points)
     matching = [p for p in time.points if p.error <= 1.05 * min(s.error for s in classic)]
     cheapest = min(matching, key=lambda p: p.cost)

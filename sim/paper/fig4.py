@@ -23,7 +23,7 @@ from sim.experiments.k_max_simulated import SearchInterrupted, SimulatedKMax, si
 Step = Callable[[str, int], None]
 Family = Callable[[float], CompiledLaw]
 
-LAWS = ("pd", "paper_optimum", "designed", "designed_drop")
+LAWS = ("pd", "paper_optimum", "designed")
 DELAYS = (0.0, 1.0)
 CONVENTIONS = ((False, True), (False, False), (True, True), (True, False))
 """(raw, clamp): which history, and whether forces into the floor are set to zero."""
@@ -154,43 +154,18 @@ def families(setting: Setting, delay: float) -> dict[str, Family]:
     from sim.design.robust import Demand
 
     built = published(setting)
-    # Half to twice the mass, an allowance for the hand that holds it, and what `study design` takes by default; and the drop
-    # itself: this mass alone, up to the edge of stability, a pole radius that settles within the horizon.
-    ranges = {
-        "designed": ((0.5 * setting.mass, 2.0 * setting.mass), 0.99),
-        "designed_drop": ((setting.mass, setting.mass), settling_radius(setting)),
-    }
-    for name, (mass, radius) in ranges.items():
-        demand = Demand(mass, setting.damping, (delay, delay), setting.period, radius, 1e4)
-        tuned = designed(demand, 4).found
-        if tuned is None:
-            continue
+    # Half to twice the mass, an allowance for the hand that holds it, and what `study design` takes by default.
+    demand = Demand(
+        (0.5 * setting.mass, 2.0 * setting.mass), setting.damping, (delay, delay), setting.period, 0.99, 1e4
+    )
+    tuned = designed(demand, 4).found
+    if tuned is not None:
         taps = tuned.taps.tolist()
         damping = -setting.period * sum(m * tap for m, tap in enumerate(taps))
         derivative = with_spring(CompiledLaw(tuple(taps)), -tuned.h1_n_per_m)
         if damping > 0.0:
-            built[name] = _scaled(derivative, damping)
+            built["designed"] = lambda gain: CompiledLaw(tuple(tap * gain / damping for tap in derivative.taps))
     return built
-
-
-def settling_radius(setting: Setting) -> float:
-    """Pole radius with which a swing of 10 mm is within the drop's tolerance when its last quarter begins.
-
-    Parameters
-    ----------
-    setting : Setting
-        For its horizon and tolerance.
-
-    Returns
-    -------
-    float
-        Radius below 1.
-    """
-    return float((setting.criterion.tolerance / 0.01) ** (1.0 / (0.75 * setting.criterion.ticks)))
-
-
-def _scaled(derivative: CompiledLaw, damping: float) -> Family:
-    return lambda gain: CompiledLaw(tuple(tap * gain / damping for tap in derivative.taps))
 
 
 def _spring_on(derivative: CompiledLaw) -> Family:

@@ -155,7 +155,6 @@ def _ranges(gains: tuple[float, ...], good: set[float]) -> str:
 _NAMES = {
     "paper_optimum": "the paper's optimum",
     "designed": "a law designed for this delay",
-    "designed_drop": "a law designed for this drop",
 }
 
 

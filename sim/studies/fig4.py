@@ -118,14 +118,14 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
             if curve.touch:
                 stiffness.plot(gains, felt, color, marker="x", linestyle="none", markersize=4)
                 continue
-            stiffness.plot(gains, felt, color, label=f"{curve.law}, H(1)")
             nominal = [f.k_max_n_per_m or float("nan") for f in curve.found]
-            stiffness.plot(gains, nominal, color, linestyle="--", linewidth=0.9)
+            stiffness.plot(gains, nominal, color, label=f"{curve.law}, nominal K")
+            stiffness.plot(gains, felt, color, linestyle="--", linewidth=0.9)
             swings = [f.frequency_hz or float("nan") for f in curve.found]
             frequency.plot(gains, swings, color, label=curve.law)
         stiffness.axhline(2.0 * setting.damping / setting.period, color="0.5", linestyle=":", label="2b/T")
         stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles [N/m]")
-        stiffness.set_title(f"d = {delay:g}: H(1) full, nominal K dashed, Touch X sensor ×", fontsize=9)
+        stiffness.set_title(f"d = {delay:g}: nominal K full, felt H(1) dashed, Touch X sensor × (H(1))", fontsize=9)
         stiffness.legend(fontsize=8)
         frequency.set(xlabel="B [N s/m]", ylabel="measured swing at the limit [Hz]")
         if frequency.lines:

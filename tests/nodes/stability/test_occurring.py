@@ -1,0 +1,95 @@
+"""The frequency that occurs (THEORY.md §9): Colgate's condition at ω_c alone is K_max, by closed form, poles and simulation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nodes.laws import CompiledLaw
+from nodes.laws.parse import parse_law
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.k_max import Device, edge_of, k_max, with_spring, without_spring
+from nodes.stability.occurring import damping_shown, edge_at
+
+T = 0.002
+
+KINDS: dict[str, dict[str, object]] = {
+    "pd": {"kind": "pd", "stiffness": 1.0},
+    "half": {"kind": "pd_alpha", "stiffness": 1.0, "order": 0.5, "taps": 20, "gains": "paper"},
+    "three_halves": {"kind": "pd_alpha", "stiffness": 1.0, "order": 1.5, "taps": 4, "gains": "paper"},
+    "paper_optimum": {"kind": "paper_optimum"},
+}
+DEVICES = (Device(0.1, 1.0), Device(0.045, 0.3), Device(0.3, 2.0))
+
+
+def derivative(name: str, gain: float) -> CompiledLaw:
+    return without_spring(parse_law({**KINDS[name], "damping": gain}), T)
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("body", DEVICES)
+@pytest.mark.parametrize("gain", [3.0, 8.0, 25.0])
+@pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.0])
+def test_colgate_at_the_frequency_that_occurs_is_k_max(name: str, body: Device, gain: float, delay: float) -> None:
+    device = Device(body.mass, body.damping, delay)
+    law = derivative(name, gain)
+    limit = k_max(law, T, device).k_max_n_per_m
+    edge = edge_of(law, T, device)
+    if limit is None or edge is None:
+        pytest.skip("no K is stable, or the loop does not ring at its limit")
+    # The boundary is solved to 1e-15 in angle; K moves by its slope along it, some 1e3 of itself.
+    assert edge.k_exact_n_per_m == pytest.approx(limit, rel=1e-9)
+    # Always low without R, and by what R says.
+    assert edge.k_simple_n_per_m < limit
+    if delay == 0.0:
+        assert edge.k_simple_n_per_m / limit > 0.98
+        assert edge.k_exact_n_per_m == pytest.approx(
+            2.0 * (device.damping * edge.damping_factor - edge.f_n_s_per_m) / T, rel=1e-12
+        )
+    if delay in (0.0, 1.0, 2.0):
+        # Without the mass: R of a light device is wrong by (bT/m)² and less.
+        seen = edge_at(law, T, edge.omega_rad_per_s, device.damping, None, delay)
+        assert seen.k_exact_n_per_m == pytest.approx(limit, rel=1e-5)
+
+
+def test_damping_shown_is_the_series_for_light_damping() -> None:
+    for theta in np.linspace(0.05, 3.0, 40).tolist():
+        mu = 1e-3
+        shown = damping_shown(theta, T, 0.1, mu * 0.1 / T) / (mu * 0.1 / T)
+        # The next term is of order (bT/m)², times the square of the tangent's growth near ω_N.
+        assert shown == pytest.approx(
+            1.0 + math.tan(0.5 * theta) ** 2 / 3.0, rel=1e-5 * (1.0 + math.tan(0.5 * theta) ** 2)
+        )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    taps=st.lists(st.floats(-3000.0, 3000.0), min_size=1, max_size=5),
+    mass=st.floats(0.02, 1.0),
+    damping=st.floats(0.05, 5.0),
+    delay=st.sampled_from([0.0, 0.25, 1.0, 1.5]),
+)
+def test_any_taps(taps: list[float], mass: float, damping: float, delay: float) -> None:
+    device, law = Device(mass, damping, delay), CompiledLaw(tuple(taps))
+    limit, edge = k_max(law, T, device, "pole_radius").k_max_n_per_m, edge_of(law, T, device)
+    if edge is not None and limit is not None and 1e-3 < edge.omega_rad_per_s * T < 3.1:
+        assert edge.k_exact_n_per_m == pytest.approx(limit, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_just_inside_is_stable_and_just_outside_is_not(name: str) -> None:
+    law, device = derivative(name, 8.0), Device(0.1, 1.0)
+    edge = edge_of(law, T, device)
+    assert edge is not None
+    for share, stable in ((0.999, True), (1.001, False)):
+        radius = pole_radius(with_spring(law, share * edge.k_exact_n_per_m), T, device.mass, device.damping)
+        assert (radius < 1.0) == stable
+
+
+def test_frequency_must_be_below_nyquist() -> None:
+    with pytest.raises(ValueError, match=r"^omega = 2000 rad/s: must be between 0 and 1570"):
+        edge_at(CompiledLaw((0.0,)), T, 2000.0, 1.0)
