@@ -206,7 +206,7 @@ class LawBook:
         Returns
         -------
         list of str
-            Why, one sentence per law; e.g. the paper's optimum above 2.4 kHz, where its H(1) is negative.
+            Why, one sentence per law; e.g. the paper's optimum above 2.3 kHz, where its H(1) is negative.
         """
         reasons = []
         for name in parameters.laws:

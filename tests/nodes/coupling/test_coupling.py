@@ -446,7 +446,7 @@ def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
 
 
 def test_laws_that_cannot_be_rendered_are_listed_and_do_not_stop_the_others() -> None:
-    # At 4 kHz the paper's optimum has H(1) = 1000 − 0.14245·3·4000 < 0 (its leak grows with 1/T).
+    # At 4 kHz the paper's optimum has H(1) = 1000 − 0.14428·3·4000 < 0 (its leak grows with 1/T).
     book = LawBook("coupling", 1.0 / 4000.0)
     fast = parameters()
     book.check(fast, 0.0)
