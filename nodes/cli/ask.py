@@ -79,6 +79,34 @@ def node_name(run: RunInfo, name: str) -> str:
     raise UsageError(f"{run.run}: no node is named {name!r}; {hint}")
 
 
+def known_topic(run: RunInfo, topic: str) -> str:
+    """Check that a topic is published in a run; names are whole names.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The run.
+    topic : str
+        As typed.
+
+    Returns
+    -------
+    str
+        The topic.
+
+    Raises
+    ------
+    UsageError
+        When there is none of that name; the text suggests one.
+    """
+    known = list(run.endpoints())
+    if topic not in known:
+        close = difflib.get_close_matches(topic, known, 1)
+        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+        raise UsageError(f"{run.run}: no topic {topic!r}; {hint}")
+    return topic
+
+
 def ask(run: RunInfo, node: str, op: str, **args: object) -> Any:
     """Ask one node.
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from nodes.cli.main import UsageError, answer
 
 if TYPE_CHECKING:
-    from nodes.recording.accounts import Account, Clock
+    from nodes.recording.accounts import Clock, Completeness
     from nodes.recording.reader import Recording
 
 PLAY_ENDPOINT = "tcp://127.0.0.1:9872"
@@ -27,6 +27,13 @@ def _positive(text: str) -> float:
     value = float(text)
     if not value > 0.0:
         raise argparse.ArgumentTypeError(f"{text} must be above 0")
+    return value
+
+
+def _time(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} must be a time from 0 on")
     return value
 
 
@@ -47,9 +54,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         return own
 
     record = declare("record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C.")
-    record.add_argument("topics", nargs="*", metavar="TOPIC", help="topics to record; all when left out")
+    record.add_argument("topics", nargs="*", metavar="TOPIC", help="whole names of topics; all when left out")
+    record.add_argument("--all", "-a", action="store_true", help="record all topics, as without any")
+    record.add_argument("--out", "-o", type=Path, metavar="FILE", help="file to write (default: OUT_DIR/RUN-PID.mcap)")
     record.add_argument(
-        "--out", "-o", type=Path, metavar="FILE", help="file to write (default: recordings/RUN-PID.mcap)"
+        "--out-dir", type=Path, default=Path("recordings"), metavar="DIR", help="its directory (default: %(default)s)"
     )
     record.add_argument("--force", action="store_true", help="replace a file that is there already")
     record.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
@@ -61,24 +70,37 @@ def add(parser: argparse.ArgumentParser) -> None:
     play = declare("play", _play, "Publish a recording at its original pace, for PlotJuggler or a node to listen to.")
     play.add_argument("file", type=Path)
     play.add_argument("--endpoint", default=PLAY_ENDPOINT, help="where to publish (default: %(default)s)")
-    play.add_argument("--rate", type=_positive, default=1.0, help="speed, 1 is the original pace, inf does not wait")
+    play.add_argument(
+        "--rate", "-r", type=_positive, default=1.0, help="speed, 1 is the original pace, inf does not wait"
+    )
+    play.add_argument("--loop", "-l", action="store_true", help="begin again at the end, until Ctrl-C")
     play.add_argument("--topics", nargs="+", metavar="TOPIC", help="topics to publish; all when left out")
     play.add_argument("--wait", action="store_true", help="wait for a listener before the first message")
 
     recover = declare("recover", _recover, "Copy all that is sound in a cut or damaged recording into a complete one.")
     recover.add_argument("file", type=Path)
 
-    export = declare("export", _export, "Write a recording as CSV (one file per topic) or as NPZ (arrays).")
+    export = declare(
+        "export", _export, "Write a recording as tables: one row per tick, and the parameters beside them."
+    )
     export.add_argument("file", type=Path)
-    export.add_argument("--format", choices=("csv", "npz"), default="csv", help="default: %(default)s")
+    export.add_argument(
+        "--format",
+        choices=("csv", "npz", "mat", "parquet"),
+        help="csv: a directory, with a file per topic too (default); npz: numpy; mat: MATLAB; parquet: ticks only. "
+        "Taken from the ending of --out when left out",
+    )
 
-    plot = declare("plot", _plot, "Draw a recording: position, force, response time (PNG).")
-    plot.add_argument("file", type=Path)
+    plot = declare("plot", _plot, "Draw recordings: position, force, energy, response time; several as an overlay.")
+    plot.add_argument("files", type=Path, nargs="+", metavar="file")
+    plot.add_argument("--from", type=_time, dest="start", metavar="S", help="from this time of the run on [s]")
+    plot.add_argument("--to", type=_time, dest="stop", metavar="S", help="up to this time [s]")
+    plot.add_argument("--xy", action="store_true", help="draw force over position instead of both over time")
 
     for own, default in (
         (recover, "FILE.recovered.mcap"),
-        (export, "the directory FILE_csv, or FILE.npz"),
-        (plot, "FILE.png"),
+        (export, "the directory FILE_csv, or FILE.npz, .mat, .parquet"),
+        (plot, "FILE.png, FILE_xy.png, FILE_overlay.png; .svg and .pdf are what they are called"),
     ):
         own.add_argument(
             "--out", "-o", type=Path, metavar="PATH", help=f"what to write (default: {default}, beside it)"
@@ -90,8 +112,9 @@ def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespac
     """Run a sub-verb; a bad file is told in one line, exit code 1."""
     from nodes.recording.writer import RecordError
 
-    if "file" in arguments and not arguments.file.is_file():
-        raise UsageError(f"{arguments.file}: no such file")
+    for file in [arguments.file] if "file" in arguments else getattr(arguments, "files", []):
+        if not file.is_file():
+            raise UsageError(f"{file}: no such file")
     try:
         return run(arguments)
     except RecordError as error:
@@ -108,22 +131,23 @@ def _free(out: Path, force: bool) -> Path:
 def _record(arguments: argparse.Namespace) -> int:
     import os
 
-    from nodes.launcher.runs import RunError, find_run
+    from nodes.cli.ask import chosen_run, known_topic
     from nodes.recording.logger import record
 
-    try:
-        run = find_run(arguments.run_name)
-    except RunError as error:
-        raise UsageError(str(error)) from error
+    run = chosen_run(arguments)
+    if arguments.all and arguments.topics:
+        raise UsageError(f"bag record: --all and topics ({' '.join(arguments.topics)}) at once; choose one")
+    for topic in arguments.topics:
+        known_topic(run, topic)
     # Several recorders beside one launch each get a file of their own.
-    out = _free(arguments.out or Path("recordings") / f"{run.run}-{os.getpid()}.mcap", arguments.force)
+    out = _free(arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force)
     print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
     count = record(run, str(out), arguments.topics, arguments.duration, arguments.force)
     answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
     return 0
 
 
-def _info_text(recording: Recording, nodes: Mapping[str, Account], left_out: int, remote: Mapping[str, Clock]) -> str:
+def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str, Clock]) -> str:
     lines = [str(recording.path)]
     facts = dict(recording.manifest)
     with contextlib.suppress(KeyError, ValueError, OverflowError):
@@ -133,14 +157,18 @@ def _info_text(recording: Recording, nodes: Mapping[str, Account], left_out: int
         if name in facts:
             lines.append(f"  {name:9} {facts[name]}")
     lines.append(f"  {'duration':9} {recording.duration:.6g} s (recorded in {recording.wall_duration:.6g} s)")
-    lines.append(f"  {'state':9} {'complete' if recording.complete else recording.cut}")
+    lines.append(f"  {'state':9} {verdict.text}")
+    if recording.cut:
+        lines.append(f"  {'':9} {recording.cut}")
     width = max(map(len, recording.topics), default=5)
     lines.append(f"  {'topic':{width}} {'messages':>9} {'rate [Hz]':>10} {'gaps':>6} {'repeats':>8}")
     for topic, figures in recording.topics.items():
         lines.append(f"  {topic:{width}} {figures.messages:9} {figures.rate:10.6g} {figures.gaps:6} {figures.back:8}")
-    if left_out:
-        lines.append(f"  ticks left out by the driver, late by a whole period: {left_out} (gaps everywhere, no losses)")
-    for node, account in nodes.items():
+    if verdict.left_out:
+        lines.append(
+            f"  ticks left out by the driver, late by a whole period: {verdict.left_out} (gaps everywhere, no losses)"
+        )
+    for node, account in verdict.nodes.items():
         told = "all there" if not account.lost else f"{account.lost} lost"
         late = f", recorded from seq {account.since} on" if account.since else ""
         lines.append(f"  {node}: sent {account.sent}, recorded {account.recorded}: {told}{late}")
@@ -152,11 +180,11 @@ def _info_text(recording: Recording, nodes: Mapping[str, Account], left_out: int
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    from nodes.recording.accounts import accounts, clocks, overruns
+    from nodes.recording.accounts import clocks, completeness
     from nodes.recording.reader import Recording
 
     recording = Recording(arguments.file)
-    nodes, left_out = accounts(recording), overruns(recording)
+    verdict = completeness(recording)
     times = clocks(recording)
     remote = {node: clock for node, clock in times.items() if clock.error}
     figures = {
@@ -176,16 +204,17 @@ def _info(arguments: argparse.Namespace) -> int:
         },
         "nodes": {
             node: {"sent": account.sent, "recorded": account.recorded, "lost": account.lost}
-            for node, account in nodes.items()
+            for node, account in verdict.nodes.items()
         },
         "clocks": {node: {"offset_s": clock.offset, "error_s": clock.error} for node, clock in times.items()},
-        "overruns": left_out,
+        "lost": verdict.lost,
+        "overruns": verdict.left_out,
         "recovered": recording.recovered,
         "complete": recording.complete,
         "cut": recording.cut,
         "manifest": recording.manifest,
     }
-    answer(arguments.json, figures, _info_text(recording, nodes, left_out, remote))
+    answer(arguments.json, figures, _info_text(recording, verdict, remote))
     return 0
 
 
@@ -214,8 +243,11 @@ def _play(arguments: argparse.Namespace) -> int:
         print(f"publishing on {arguments.endpoint}; Ctrl-C ends", file=sys.stderr, flush=True)
         while arguments.wait and not publisher.listeners():
             time.sleep(0.01)
-        for entry in play(recording, publisher, rate=arguments.rate, topics=arguments.topics):
-            counts[entry.topic] = counts.get(entry.topic, 0) + 1
+        while True:
+            for entry in play(recording, publisher, rate=arguments.rate, topics=arguments.topics):
+                counts[entry.topic] = counts.get(entry.topic, 0) + 1
+            if not (arguments.loop and counts):
+                break
     except KeyboardInterrupt:
         print(file=sys.stderr)
     finally:
@@ -246,26 +278,35 @@ def _recover(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from nodes.recording.export import export_csv, export_npz
+    from nodes.recording.export import FORMATS
     from nodes.recording.reader import Recording
 
     source: Path = arguments.file
-    recording = Recording(source)
-    if arguments.format == "csv":
-        out = _free(arguments.out or source.with_name(f"{source.stem}_csv"), arguments.force)
-        files = export_csv(recording, out, overwrite=arguments.force)
-    else:
-        out = _free(arguments.out or source.with_suffix(".npz"), arguments.force)
-        files = [export_npz(recording, out, overwrite=arguments.force)]
+    ending = arguments.out.suffix.removeprefix(".") if arguments.out else ""
+    form = arguments.format or (ending if ending in FORMATS else "csv")
+    beside = source.with_name(f"{source.stem}_csv") if form == "csv" else source.with_suffix(f".{form}")
+    out = _free(arguments.out or beside, arguments.force)
+    files = FORMATS[form](Recording(source), out, overwrite=arguments.force)
     answer(arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files)))
     return 0
 
 
 def _plot(arguments: argparse.Namespace) -> int:
+    from nodes.recording.overlay import plot_several
     from nodes.recording.plot import plot
     from nodes.recording.reader import Recording
 
-    out = _free(arguments.out or arguments.file.with_suffix(".png"), arguments.force)
-    plot(Recording(arguments.file), out, overwrite=arguments.force)
+    files: list[Path] = arguments.files
+    start, stop = arguments.start, arguments.stop
+    if start is not None and stop is not None and start >= stop:
+        raise UsageError(f"--from {start:g} --to {stop:g}: the end comes after the beginning")
+    alone = len(files) == 1 and not arguments.xy
+    ending = "" if alone else "_xy" if arguments.xy else "_overlay"
+    out = _free(arguments.out or files[0].with_name(f"{files[0].stem}{ending}.png"), arguments.force)
+    recordings = [Recording(file) for file in files]
+    if alone:
+        plot(recordings[0], out, start=start, stop=stop, overwrite=arguments.force)
+    else:
+        plot_several(recordings, out, over_position=arguments.xy, start=start, stop=stop, overwrite=arguments.force)
     answer(arguments.json, {"plot": str(out)}, str(out))
     return 0

@@ -1,12 +1,12 @@
-"""List, show and measure the topics of a running launch."""
+"""List, show and measure the topics of a running launch, with the sub-verbs and options of ``ros2 topic``."""
 
 from __future__ import annotations
 
 import argparse
-import difflib
 import json
 import signal
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ import msgspec
 
 from messages.schema import schema
 from messages.topics import LOOP, message_type
+from nodes.cli.ask import add_run, chosen_run, known_topic
 from nodes.cli.main import UsageError, answer
 
 if TYPE_CHECKING:
@@ -38,20 +39,25 @@ def add(parser: argparse.ArgumentParser) -> None:
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
         own.set_defaults(run=run)
-        own.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
-        own.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+        add_run(own)
         return own
 
-    declare("list", _list, "List the topics with their types and publishers.")
+    listing = declare("list", _list, "List the topics with their types and publishers.")
+    listing.add_argument("--show-types", "-t", action="store_true", help="as ROS 2 does: name and [type] only")
     declare("info", _info, "Tell a topic's type, fields with units, and publisher.").add_argument("topic")
     echo = declare("echo", _echo, "Print the messages of a topic (with --json: one JSON object per line).")
+    echo.add_argument("--once", action="store_true", help="print one message and end, as -n 1")
     echo.add_argument("--field", metavar="NAME", help="print only this field, e.g. position or position[2]")
-    measuring = [
-        echo,
+    figures = [
         declare("hz", _hz, "Measure rate and intervals of a topic, as received."),
         declare("bw", _bw, "Measure the bandwidth of a topic."),
         declare("delay", _delay, "Measure the time from a message's stamp to its receipt (realtime runs)."),
     ]
+    for own in figures:
+        own.add_argument(
+            "--window", "-w", type=_count, default=0, metavar="N", help="measure the last N messages; all when left out"
+        )
+    measuring = [echo, *figures]
     for own in measuring:
         own.add_argument("topic")
         own.add_argument("--count", "-n", type=_count, default=0, metavar="N", help="end after so many messages")
@@ -72,27 +78,10 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _find(arguments: argparse.Namespace) -> RunInfo:
-    from nodes.launcher.runs import RunError, find_run
-
-    try:
-        return find_run(arguments.run_name)
-    except RunError as error:
-        raise UsageError(str(error)) from error
-
-
 def _published(run: RunInfo) -> dict[str, str]:
     """Topic to the name of the node that publishes it."""
     nodes = {endpoint: name for name, endpoint in run.publishers().items()}
     return {topic: nodes[endpoint] for topic, endpoint in run.endpoints().items()}
-
-
-def _check(run: RunInfo, topic: str) -> None:
-    known = list(run.endpoints())
-    if topic not in known:
-        close = difflib.get_close_matches(topic, known, 1)
-        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
-        raise UsageError(f"{run.run}: no topic {topic!r}; {hint}")
 
 
 def _type_name(topic: str) -> str:
@@ -101,17 +90,20 @@ def _type_name(topic: str) -> str:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    run = _find(arguments)
+    run = chosen_run(arguments)
     found = {topic: {"type": _type_name(topic), "node": node} for topic, node in _published(run).items()}
     width = max(map(len, found))
-    lines = [f"{topic:{width}}  {told['type']:12} {told['node']}" for topic, told in found.items()]
+    if arguments.show_types:
+        lines = [f"{topic} [haptic.{told['type']}]" for topic, told in found.items()]
+    else:
+        lines = [f"{topic:{width}}  {told['type']:12} {told['node']}" for topic, told in found.items()]
     answer(arguments.json, {"run": run.run, "topics": found}, "\n".join(lines))
     return 0
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    run, topic = _find(arguments), arguments.topic
-    _check(run, topic)
+    run, topic = chosen_run(arguments), arguments.topic
+    known_topic(run, topic)
     kind = message_type(topic)
     told: dict[str, Any] = schema(kind) if kind is not None else {"properties": {}}
     figures = {
@@ -152,7 +144,7 @@ def _heard(arguments: argparse.Namespace, run: RunInfo) -> Iterator[Heard | None
     from nodes.cli.listen import listen
 
     interrupt = _Interrupt()
-    left = arguments.count or -1
+    left = 1 if getattr(arguments, "once", False) else arguments.count or -1
     for heard in listen(run, [arguments.topic], arguments.duration):
         yield heard
         left -= heard is not None
@@ -171,8 +163,8 @@ def _field(value: Any, path: str) -> Any:
 
 
 def _echo(arguments: argparse.Namespace) -> int:
-    run = _find(arguments)
-    _check(run, arguments.topic)
+    run = chosen_run(arguments)
+    known_topic(run, arguments.topic)
     count = 0
     for heard in _heard(arguments, run):
         if heard is None or heard.message is None:
@@ -303,31 +295,43 @@ class _Delay(_Measure):
         )
 
 
-def _measure(arguments: argparse.Namespace, run: RunInfo, measure: _Measure) -> int:
-    _check(run, arguments.topic)
+def _measure(arguments: argparse.Namespace, run: RunInfo, kind: Callable[[], _Measure]) -> int:
+    known_topic(run, arguments.topic)
+    measure = kind()
+    window: deque[Heard] = deque(maxlen=arguments.window)
+
+    def now() -> _Measure:
+        if not arguments.window:
+            return measure
+        newest = kind()
+        for heard in window:
+            newest.take(heard)
+        return newest
+
     following = time.monotonic() + REPORT_PERIOD
     told = -1
     for heard in _heard(arguments, run):
         if heard is not None:
             measure.take(heard)
+            window.append(heard)
         if not arguments.json and time.monotonic() >= following:
             following += REPORT_PERIOD
-            print(measure.line() if measure.count != told else "no new messages", flush=True)
+            print(now().line() if measure.count != told else "no new messages", flush=True)
             told = measure.count
-    answer(arguments.json, {"topic": arguments.topic, **measure.figures()}, measure.line())
+    answer(arguments.json, {"topic": arguments.topic, **now().figures()}, now().line())
     return 0 if measure.count else 1
 
 
 def _hz(arguments: argparse.Namespace) -> int:
-    return _measure(arguments, _find(arguments), _Rate())
+    return _measure(arguments, chosen_run(arguments), _Rate)
 
 
 def _bw(arguments: argparse.Namespace) -> int:
-    return _measure(arguments, _find(arguments), _Bandwidth())
+    return _measure(arguments, chosen_run(arguments), _Bandwidth)
 
 
 def _delay(arguments: argparse.Namespace) -> int:
-    run = _find(arguments)
+    run = chosen_run(arguments)
     if any(setup.pace == "lockstep" for setup in run.nodes.values()):
         raise UsageError(f"{run.run}: stamps are simulated time in lockstep, so they have no delay; pace:=realtime has")
-    return _measure(arguments, run, _Delay())
+    return _measure(arguments, run, _Delay)

@@ -35,6 +35,58 @@ class Account(msgspec.Struct):
     finished: bool
 
 
+class Completeness(msgspec.Struct):
+    """Whether a recording holds everything: the one verdict that ``bag info``, plots and summaries tell.
+
+    Attributes
+    ----------
+    complete : bool
+        Whether the file was finished by its writer.
+    nodes : dict of str to Account
+        What each node sent against what was recorded.
+    left_out : int
+        Ticks that the driver left out: gaps in ``seq`` everywhere, but no losses.
+    """
+
+    complete: bool
+    nodes: dict[str, Account]
+    left_out: int
+
+    @property
+    def lost(self) -> int | None:
+        """Messages that were sent and not recorded; None when no node's count was recorded, so that nobody can tell."""
+        return sum(account.lost for account in self.nodes.values()) if self.nodes else None
+
+    @property
+    def text(self) -> str:
+        """The verdict in words."""
+        file = "complete" if self.complete else "cut"
+        if self.lost is None:
+            return f"{file}, losses unknown: no status recorded"
+        return f"{file}, {f'{self.lost} messages' if self.lost else 'nothing'} lost"
+
+
+def completeness(recording: Recording) -> Completeness:
+    """Judge whether a recording holds everything.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    Completeness
+        The verdict, and what it rests on.
+
+    Raises
+    ------
+    RecordError
+        When a message does not fit its type.
+    """
+    return Completeness(recording.complete, accounts(recording), overruns(recording))
+
+
 class Clock(msgspec.Struct):
     """How far the clock of a node's host was from the launcher's; its stamps are corrected by that already.
 

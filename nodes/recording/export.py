@@ -1,27 +1,42 @@
-"""A recording for other programs: one CSV file per topic, or one NPZ of arrays."""
+"""A recording for other programs: one table per tick, a table per topic, and the parameters of the run beside them.
+
+CSV for everything, NPZ for numpy, MAT for MATLAB and Octave, Parquet for pandas, polars and databases.
+"""
 
 from __future__ import annotations
 
 import csv
+import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from messages.schema import schema
+from messages.topics import DEVICE_STATE
 from messages.types import Message
 from nodes.recording.reader import Recording
-from nodes.recording.writer import RecordError, save
+from nodes.recording.table import COLUMNS, Row, read, rows
+from nodes.recording.writer import LAUNCH_FILE, MANIFEST, PARAMETERS, VERSIONS, RecordError, discard, save
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    Arrays = dict[str, np.ndarray[Any, Any]]
+
+TICKS = "ticks"
+"""Name of the table with one row per tick."""
 
 _UNIT = re.compile(r"\[([^\]]+)\]")
+_ROWS = 65536
 
 
 def plain_names(topics: Iterable[str]) -> dict[str, str]:
-    """Turn topics into names that are safe as file names.
+    """Turn topics into names that are safe as file names and as names of variables.
 
     Parameters
     ----------
@@ -31,13 +46,15 @@ def plain_names(topics: Iterable[str]) -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        Each topic's name in letters, digits and underscores only, no two alike: ``/device/state`` is ``device_state``.
+        Each topic's name in letters, digits and underscores only, beginning with a letter, at most 60 characters long, no
+        two alike and none `TICKS`: ``/device/state`` is ``device_state``.
     """
     found: dict[str, str] = {}
     for topic in topics:
-        plain = re.sub(r"[^A-Za-z0-9_]", "_", topic.strip("/"))[:100] or "topic"
+        plain = re.sub(r"[^A-Za-z0-9_]", "_", topic.strip("/"))[:55] or "topic"
+        plain = plain if plain[0].isalpha() else f"t{plain}"
         name, number = plain, 1
-        while name in found.values():
+        while name in (TICKS, "parameters", *found.values()):
             number += 1
             name = f"{plain}_{number}"
         found[topic] = name
@@ -55,10 +72,10 @@ def columns(message_type: type[Message]) -> list[str]:
     Returns
     -------
     list of str
-        ``log_time [s]`` and one name per field or component, e.g. ``seq``, ``stamp [s]``, ``position_x [m]``; the units
-        are those of the field's documentation.
+        ``time [s]`` from the first tick on, ``log_time [s]`` and one name per field or component, e.g. ``seq``, ``stamp [s]``,
+        ``position_x [m]``; the units are those of the field's documentation.
     """
-    found = ["log_time [s]"]
+    found = ["time [s]", "log_time [s]"]
     for name, told in schema(message_type)["properties"].items():
         unit = _UNIT.search(told.get("description", ""))
         suffix = f" [{unit[1]}]" if unit else ""
@@ -67,17 +84,71 @@ def columns(message_type: type[Message]) -> list[str]:
     return found
 
 
-def _row(log_time: float, message: Message) -> Iterator[Any]:
-    yield log_time
-    for value in msgspec.structs.astuple(message):
+def parameters(recording: Recording) -> dict[str, Any]:
+    """Collect what belongs to the tables: the run, its parameters, the launch file, and what the columns mean.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    dict
+        ``recording``, ``manifest``, ``parameters`` by node, ``launch_file``, ``versions`` and ``columns`` (unit and meaning).
+    """
+
+    def told(text: str) -> Any:
+        try:
+            return json.loads(text)
+        except ValueError:
+            return text
+
+    metadata = recording.metadata
+    return {
+        "recording": recording.path.name,
+        "manifest": metadata.get(MANIFEST, {}),
+        "parameters": {node: told(text) for node, text in metadata.get(PARAMETERS, {}).items()},
+        "launch_file": metadata.get(LAUNCH_FILE, {}).get("yaml", ""),
+        "versions": metadata.get(VERSIONS, {}),
+        "columns": {name: {"unit": unit, "meaning": meaning} for name, (unit, meaning, _) in COLUMNS.items()},
+    }
+
+
+def _flat(values: Iterable[Any]) -> Iterator[Any]:
+    for value in values:
         if isinstance(value, tuple):
             yield from value
         else:
             yield int(value) if isinstance(value, bool) else value
 
 
+def _begin(recording: Recording) -> float:
+    """Stamp of the first tick [s], or of whatever came first where there are no ticks."""
+    topics = recording.topics
+    if DEVICE_STATE in topics:
+        return topics[DEVICE_STATE].first_stamp
+    return min((figures.first_stamp for figures in topics.values()), default=0.0)
+
+
+def _tick_names() -> list[str]:
+    """Names of the columns of the table of ticks, one per number."""
+    vectors = ("position", "force", "force_asked", "proxy", "normal")
+    return [
+        f"{part}{f' [{unit}]' if unit else ''}"
+        for name, (unit, _, _) in COLUMNS.items()
+        for part in ([f"{name}_{axis}" for axis in "xyz"] if name in vectors else [name])
+    ]
+
+
+def _tick(row: Row, begin: float) -> list[Any]:
+    values = list(_flat(value(row) for _, _, value in COLUMNS.values()))
+    values[0] -= begin
+    return values
+
+
 def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write one CSV file per topic.
+    """Write one CSV file with a row per tick, one per topic, and the parameters as JSON.
 
     Parameters
     ----------
@@ -91,8 +162,8 @@ def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False
     Returns
     -------
     list of Path
-        The files: comma-separated, first row the names of the columns with their units (`columns`), numbers to the last
-        bit, flags as 0 and 1.
+        ``ticks.csv`` where there are ticks, a file per topic, ``parameters.json``. Comma-separated, first row the names of the
+        columns with their units (`columns`), numbers to the last bit, flags as 0 and 1.
 
     Raises
     ------
@@ -101,6 +172,8 @@ def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False
     """
     folder = Path(out)
     files = {topic: folder / f"{name}.csv" for topic, name in plain_names(recording.topics).items()}
+    made = list(files.values())
+    mode, begin = "w" if overwrite else "x", _begin(recording)
     writers: dict[str, Any] = {}
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -108,19 +181,50 @@ def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False
             for entry in recording.entries():
                 writer = writers.get(entry.topic)
                 if writer is None:
-                    stream = stack.enter_context(
-                        files[entry.topic].open("w" if overwrite else "x", newline="", encoding="utf-8")
-                    )
+                    stream = stack.enter_context(files[entry.topic].open(mode, newline="", encoding="utf-8"))
                     writer = writers[entry.topic] = csv.writer(stream)
                     writer.writerow(columns(type(entry.message)))
-                writer.writerow(_row(entry.log_time, entry.message))
+                values = _flat(msgspec.structs.astuple(entry.message))
+                writer.writerow((entry.message.stamp - begin, entry.log_time, *values))
+        if DEVICE_STATE in recording.topics:
+            made.insert(0, folder / f"{TICKS}.csv")
+            with made[0].open(mode, newline="", encoding="utf-8") as stream:
+                writer = csv.writer(stream)
+                writer.writerow(_tick_names())
+                writer.writerows(_tick(row, begin) for row in rows(recording))
     except OSError as error:
         raise RecordError(f"{error.filename or folder}: {error.strerror}") from error
-    return list(files.values())
+    return [*made, _save_parameters(recording, folder / "parameters.json", overwrite)]
 
 
-def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False) -> Path:
-    """Write one NPZ file with the arrays of all topics.
+def _save_parameters(recording: Recording, path: Path, overwrite: bool) -> Path:
+    save(path, json.dumps(parameters(recording), indent=2, ensure_ascii=False).encode() + b"\n", overwrite)
+    return path
+
+
+def _beside(out: Path) -> Path:
+    return out.with_name(f"{out.stem}.parameters.json")
+
+
+def _tables(recording: Recording) -> dict[str, Arrays]:
+    """All tables as arrays, by name; time of each from the first tick on."""
+    found: dict[str, Arrays] = {}
+    if DEVICE_STATE in recording.topics:
+        found[TICKS] = read(recording.path)
+    for topic, name in plain_names(recording.topics).items():
+        arrays = recording.arrays(topic)
+        found[name] = {"time": arrays["stamp"] - _begin(recording), **arrays}
+    for table, arrays in found.items():
+        for field, array in arrays.items():
+            if array.dtype.hasobject:
+                raise RecordError(
+                    f"{recording.path}: {table}.{field} holds numbers beyond 64 bits, which arrays cannot; export CSV"
+                )
+    return found
+
+
+def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+    """Write one NPZ file with the arrays of the ticks and of all topics, and the parameters as JSON.
 
     Parameters
     ----------
@@ -129,29 +233,144 @@ def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False
     out : str or Path
         The file.
     overwrite : bool, optional
-        Whether an existing file may be replaced.
+        Whether existing files may be replaced.
 
     Returns
     -------
-    Path
-        The file; its arrays are named ``topic.field``, e.g. ``device_state.position`` of shape (N, 3), in SI units.
+    list of Path
+        The file, its arrays named ``ticks.COLUMN`` and ``topic.field``, e.g. ``ticks.position`` of shape (N, 3), in SI units;
+        and ``NAME.parameters.json`` beside it.
 
     Raises
     ------
     RecordError
-        When a message does not fit its type, the file exists already, or the disk is full.
+        When a message does not fit its type, a file exists already, or the disk is full.
     """
     import numpy as np
 
-    arrays = {
-        f"{name}.{field}": array
-        for topic, name in plain_names(recording.topics).items()
-        for field, array in recording.arrays(topic).items()
-    }
-    for name, array in arrays.items():
-        if array.dtype.hasobject:
-            raise RecordError(f"{recording.path}: {name} holds numbers beyond 64 bits, which NPZ cannot; export CSV")
+    arrays = {f"{name}.{field}": array for name, table in _tables(recording).items() for field, array in table.items()}
     buffer = BytesIO()
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # the stub takes a keyword of numpy's for any name
-    save(Path(out), buffer.getvalue(), overwrite)
-    return Path(out)
+    return _save_with_parameters(recording, Path(out), buffer.getvalue(), overwrite)
+
+
+def _save_with_parameters(recording: Recording, out: Path, data: bytes, overwrite: bool) -> list[Path]:
+    if not overwrite and _beside(out).exists():
+        raise RecordError(f"{_beside(out)}: exists already; give another name or ask for it to be overwritten")
+    save(out, data, overwrite)
+    return [out, _save_parameters(recording, _beside(out), overwrite)]
+
+
+def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+    """Write one MAT file (version 5) for MATLAB and Octave: ``run = load('…')``, ``plot(run.ticks.time, run.ticks.position)``.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    out : str or Path
+        The file.
+    overwrite : bool, optional
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    list of Path
+        The file, with the structs ``ticks`` and one per topic (columns, texts as cell arrays) and the text ``parameters``
+        (JSON, for ``jsondecode``); and ``NAME.parameters.json`` beside it.
+
+    Raises
+    ------
+    RecordError
+        When a message does not fit its type, an array is beyond the 2 GB of the format, a file exists already, or the disk is
+        full.
+    """
+    from scipy.io import savemat
+    from scipy.io.matlab import MatWriteError
+
+    tables: dict[str, Any] = {
+        name: {field: array.astype(object) if array.dtype.kind == "U" else array for field, array in table.items()}
+        for name, table in _tables(recording).items()
+    }
+    tables["parameters"] = json.dumps(parameters(recording), ensure_ascii=False)
+    buffer = BytesIO()
+    # The stub knows paths only.
+    stream: Any = buffer
+    try:
+        savemat(stream, tables, oned_as="column", long_field_names=True, do_compression=True)
+    except (MatWriteError, ValueError) as error:
+        raise RecordError(f"{out}: cannot be written as MAT: {error}") from error
+    return _save_with_parameters(recording, Path(out), buffer.getvalue(), overwrite)
+
+
+def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+    """Write the table of ticks as Parquet, in blocks of bounded memory; needs pyarrow: pip install 'haptic-nodes[parquet]'.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    out : str or Path
+        The file.
+    overwrite : bool, optional
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    list of Path
+        The file, columns named as in the CSV file without units (``position_x``), units as metadata of the fields; and
+        ``NAME.parameters.json`` beside it.
+
+    Raises
+    ------
+    RecordError
+        When pyarrow is not installed, a message does not fit its type, a file exists already, or the disk is full.
+    """
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise RecordError("Parquet needs pyarrow: pip install 'haptic-nodes[parquet]', or export CSV") from error
+    out = Path(out)
+    for path in (out, _beside(out)):
+        if path.exists() and not overwrite:
+            raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten")
+    begin = _begin(recording)
+    types = {"law": pa.string(), "safety": pa.string(), "contact": pa.int8()}
+    types |= dict.fromkeys(("seq", "revision", "age", "missed", "overruns"), pa.int64())
+    fields = []
+    for told in _tick_names():
+        name, _, unit = told.partition(" ")
+        fields.append(pa.field(name, types.get(name, pa.float64()), metadata={"unit": unit.strip("[]")}))
+    layout = pa.schema(fields, metadata={"parameters": json.dumps(parameters(recording))})
+
+    def write(writer: Any, block: list[list[Any]]) -> None:
+        arrays = [pa.array(values, field.type) for values, field in zip(zip(*block, strict=True), layout, strict=True)]
+        writer.write_table(pa.table(arrays, schema=layout))
+
+    try:
+        with parquet.ParquetWriter(out, layout, compression="zstd") as writer:
+            block: list[list[Any]] = []
+            for row in rows(recording):
+                block.append(_tick(row, begin))
+                if len(block) == _ROWS:
+                    write(writer, block)
+                    block.clear()
+            if block:
+                write(writer, block)
+    except OSError as error:
+        discard(out)
+        raise RecordError(f"{out}: {error}") from error
+    except RecordError:
+        discard(out)
+        raise
+    return [out, _save_parameters(recording, _beside(out), overwrite)]
+
+
+FORMATS: dict[str, Callable[..., list[Path]]] = {
+    "csv": export_csv,
+    "npz": export_npz,
+    "mat": export_mat,
+    "parquet": export_parquet,
+}
+"""How to write each format."""

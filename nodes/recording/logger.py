@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, NoReturn
@@ -17,12 +17,14 @@ from typing import Any, ClassVar, NoReturn
 import msgspec
 
 from messages.codec import Decoder, MessageRefusedError
-from messages.topics import message_type
+from messages.topics import FIXED, message_type
 from messages.transport.sockets import Subscription, new_context
 from messages.types import Message
 from nodes.base import realtime
 from nodes.base.node import Node
+from nodes.base.setup import Setup
 from nodes.launcher.runs import RunInfo
+from nodes.parameters.store import ParameterError
 from nodes.recording.writer import RecordError, RecordWriter
 
 FLUSH_PERIOD = 0.5
@@ -62,6 +64,8 @@ class Recorder:
         Connected to all publishers.
     writer : RecordWriter
         The file.
+    topics : collection of str
+        Whole names of the topics to record; empty for all.
 
     Attributes
     ----------
@@ -71,8 +75,9 @@ class Recorder:
         What to add to this host's monotonic clock to get the time of the run, in which receipt is recorded [s].
     """
 
-    def __init__(self, inbox: Subscription, writer: RecordWriter) -> None:
+    def __init__(self, inbox: Subscription, writer: RecordWriter, topics: Collection[str] = ()) -> None:
         self._inbox = inbox
+        self._topics = frozenset(topic.encode() for topic in topics)
         self._writer = writer
         self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
         self._next_flush = time.monotonic() + FLUSH_PERIOD
@@ -109,6 +114,9 @@ class Recorder:
 
     def _record(self, frames: tuple[bytes, bytes], now: float) -> None:
         topic, payload = frames
+        # A subscription is a prefix: what merely begins like a topic is not meant.
+        if self._topics and topic not in self._topics:
+            return
         known = self._decoders.get(topic)
         if known is None:
             name = topic.decode("utf-8", errors="replace")
@@ -191,6 +199,29 @@ class Logger(Node):
         """
         return tuple(dict.fromkeys(parameters.topics)) or ("",)
 
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Check that the topics to record can exist.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            When one is no topic of the protocol, or that of a node which is not there.
+        """
+        nodes = {setup.name, *setup.sources}
+        for number, topic in enumerate(setup.parameters.get("topics", [])):
+            kind = message_type(topic)
+            if kind is None or (topic not in FIXED and topic.split("/")[1] not in nodes):
+                known = [*FIXED, *(f"/{node}/{{status,event}}" for node in sorted(nodes))]
+                raise ParameterError(
+                    f"{setup.name}.topics[{number}]: nothing publishes {topic!r}; there are {', '.join(known)}"
+                )
+
     def configure(self) -> None:
         """Create the file, so that a bad path fails the start and not the run."""
         parameters: LoggerParameters = self.store.current
@@ -209,8 +240,9 @@ class Logger(Node):
         subscribe : callable
             Makes a subscription from endpoints, topics and queue length.
         """
-        self._listening = subscribe(set(self.setup.sources.values()), self.subscribes(self.store.current), QUEUE)
-        self._recorder = Recorder(self._listening, self._writer)
+        parameters: LoggerParameters = self.store.current
+        self._listening = subscribe(set(self.setup.sources.values()), self.subscribes(parameters), QUEUE)
+        self._recorder = Recorder(self._listening, self._writer, parameters.topics)
 
     def report(self) -> dict[str, Any]:
         """Tell what was recorded.
@@ -308,7 +340,7 @@ def _record(run: RunInfo, path: str, topics: list[str], duration: float, overwri
     inbox = Subscription(context, set(run.publishers().values()), topics or [""], QUEUE)
     try:
         with open_writer(path, run.manifest, overwrite) as writer:
-            recorder = Recorder(inbox, writer)
+            recorder = Recorder(inbox, writer, topics)
             until = time.monotonic() + duration if duration else float("inf")
             while not ended and time.monotonic() < until and alive(run.launcher):
                 recorder.take(100)

@@ -18,6 +18,7 @@ from messages.topics import LOOP, message_type
 from messages.types import Message
 from nodes.recording import mcap_walk
 from nodes.recording.mcap_walk import Channel, CutError, RawMessage, Record, Schema
+from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import MANIFEST, RecordError
 
 if TYPE_CHECKING:
@@ -123,6 +124,8 @@ class Recording:
         self.wall_duration = 0.0
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
+        # Recordings of earlier versions hold the times of the run as they are.
+        self._log_offset = self._publish_offset = 0
         self._scan()
 
     @property
@@ -180,13 +183,21 @@ class Recording:
                 elif record.opcode == mcap_walk.METADATA:
                     name, values = mcap_walk.parse_metadata(self.path, record)
                     self.metadata[name] = values
+                    if name == CLOCK:
+                        self._set_clock(values, record.offset)
                 elif record.opcode == mcap_walk.FOOTER:
                     self.complete = True
         except CutError as error:
             self.cut = str(error)
         if self.topics:
-            self.first_log = first_log / _NANO
+            self.first_log = (first_log - self._log_offset) / _NANO
             self.wall_duration = (last_log - first_log) / _NANO
+
+    def _set_clock(self, values: dict[str, str], offset: int) -> None:
+        try:
+            self._log_offset, self._publish_offset = read_offsets(values)
+        except ValueError as error:
+            raise RecordError(f"{self.path}: damaged at byte {offset}: {error}") from error
 
     def _count(self, raw: RawMessage, offset: int) -> None:
         channel = self._channels.get(raw.channel)
@@ -194,7 +205,7 @@ class Recording:
             raise RecordError(
                 f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which is unknown"
             )
-        stamp = raw.publish_time / _NANO
+        stamp = (raw.publish_time - self._publish_offset) / _NANO
         figures = self.topics.get(channel.topic)
         if figures is None:
             self.topics[channel.topic] = TopicFigures(1, 0, 0, raw.sequence, raw.sequence, stamp, stamp)
@@ -308,7 +319,8 @@ class Recording:
                 decoders[number] = msgspec.json.Decoder(types[number])
         for topic, raw, offset in self.raw():
             if raw.channel in decoders:
-                yield Entry(topic, raw.log_time / _NANO, self.decode(decoders[raw.channel], raw, offset))
+                log_time = (raw.log_time - self._log_offset) / _NANO
+                yield Entry(topic, log_time, self.decode(decoders[raw.channel], raw, offset))
 
     def messages(self, topic: str) -> list[Any]:
         """Read all messages of one topic.

@@ -19,6 +19,7 @@ import msgspec
 from nodes.recording import mcap_walk
 from nodes.recording.mcap_walk import FRAME, Channel, RawMessage, Record, Schema
 from nodes.recording.reader import RECOVERY
+from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import Output, RecordError, discard, mcap_writer, versions
 
 T = TypeVar("T")
@@ -146,6 +147,15 @@ class _Copy:
         self.writer.add_message(self._new_channels[raw.channel], raw.log_time, raw.data, raw.publish_time, raw.sequence)
         self.counts[channel.topic] = self.counts.get(channel.topic, 0) + 1
 
+    def metadata(self, name: str, values: dict[str, str], problems: list[str]) -> None:
+        if name == CLOCK:
+            try:
+                read_offsets(values)
+            except ValueError as error:
+                problems.append(f"{error}; times are those of the wall clock now")
+                return
+        self.writer.add_metadata(name, values)
+
 
 def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Recovered:
     """Copy everything sound in a recording into a new, complete file.
@@ -200,7 +210,7 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
             elif record.opcode == mcap_walk.METADATA and (
                 metadata := _sound(mcap_walk.parse_metadata, path, record, problems)
             ):
-                copy.writer.add_metadata(*metadata)
+                copy.metadata(*metadata, problems)
         if copy.orphans:
             problems.append(f"{path}: {copy.orphans} messages on channels whose topic is not known any more")
         if problems:

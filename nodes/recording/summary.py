@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
-from typing import Any
+from typing import cast
 
 import msgspec
 
 from messages.topics import DEVICE_STATE
+from messages.types import DeviceState
 from nodes.recording.reader import Recording
 
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
@@ -85,21 +87,30 @@ def summarise(recording: Recording) -> Summary:
     RecordError
         When a message does not fit its type.
     """
-    states: list[Any] = recording.messages(DEVICE_STATE)
-    if not states:
+    if DEVICE_STATE not in recording.topics:
         return Summary(0, 0.0, 0.0, 0, 0, {}, 0, [], [])
-    first, last = states[0], states[-1]
+    first: DeviceState | None = None
+    last: DeviceState | None = None
+    ticks, oldest, told = -1, 0, array("d")
+    for entry in recording.entries([DEVICE_STATE]):
+        last = cast("DeviceState", entry.message)
+        first = first or last
+        ticks += 1
+        oldest = max(oldest, last.age)
+        # A response is told by the tick after it; 0 says that there was none in time.
+        if last.response > 0.0:
+            told.append(last.response * 1e6)
+    assert first is not None and last is not None  # noqa: PT018, S101  # a topic of the recording has a message
     span = last.stamp - first.stamp
-    # A response is told by the tick after it; 0 says that there was none in time.
-    responses = sorted(state.response * 1e6 for state in states if state.response > 0.0)
+    responses = sorted(told)
     return Summary(
-        ticks=len(states) - 1,
+        ticks=ticks,
         duration_s=span,
         rate_hz=(last.seq - first.seq) / span if span > 0.0 else 0.0,
         missed=last.missed - first.missed,
         overruns=last.overruns - first.overruns,
         response_us={name: quantile(responses, f) for name, f in QUANTILES.items()} if responses else {},
-        age_ticks_max=max(state.age for state in states),
+        age_ticks_max=oldest,
         position_m=list(last.position),
         force_n=list(last.force),
     )

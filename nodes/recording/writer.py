@@ -20,15 +20,13 @@ from mcap.writer import CompressionType, Writer
 
 from messages.schema import schema_json
 from messages.types import Message
+from nodes.recording import wall_clock
 
 CHUNK_SIZE = 65536
 """Uncompressed size at which a chunk is finished [bytes]."""
 
 MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = "manifest", "launch_file", "parameters", "versions"
 """Names of the metadata records."""
-
-_LATEST = 1.8e10
-"""Latest time that 64 bits of nanoseconds hold [s], rounded down."""
 
 _PACKAGES = ("haptic-nodes", "mcap", "msgspec", "pyzmq", "zstandard")
 
@@ -262,10 +260,12 @@ class RecordWriter:
         self._channels: dict[str, tuple[int, type[Message]]] = {}
         self._schemas: dict[type[Message], int] = {}
         self._failed = False
+        self._log_offset, self._publish_offset = wall_clock.offsets_of(manifest)
         self._output = Output(self.path, overwrite)
         try:
             self._writer = mcap_writer(self._output, f"haptic-nodes {versions()['haptic-nodes']}")
             self.add_metadata(MANIFEST, manifest)
+            self.add_metadata(wall_clock.CLOCK, wall_clock.record(self._log_offset, self._publish_offset))
             if launch_file is not None:
                 self.add_metadata(LAUNCH_FILE, {"yaml": launch_file})
             if parameters is not None:
@@ -306,10 +306,10 @@ class RecordWriter:
         topic : str
             Topic it came on.
         message : Message
-            The message; its ``stamp`` becomes the publish time. Times before 0 are recorded as 0 (MCAP counts unsigned
-            nanoseconds); the message itself keeps its stamp.
+            The message; its ``stamp`` becomes the publish time, by the wall clock. Times before 0 are recorded as 0 (MCAP
+            counts unsigned nanoseconds); the message itself keeps its stamp.
         log_time_s : float
-            When it was received, on the host's monotonic clock [s].
+            When it was received, on the host's monotonic clock [s]; recorded by the wall clock.
 
         Raises
         ------
@@ -324,9 +324,9 @@ class RecordWriter:
         try:
             self._writer.add_message(
                 channel,
-                round(min(max(log_time_s, 0.0), _LATEST) * 1e9),
+                wall_clock.nanoseconds(log_time_s, self._log_offset),
                 self._encode(message),
-                round(min(max(message.stamp, 0.0), _LATEST) * 1e9),
+                wall_clock.nanoseconds(message.stamp, self._publish_offset),
                 message.seq & 0xFFFFFFFF,
             )
         except RecordError as error:

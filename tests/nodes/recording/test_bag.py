@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import threading
@@ -10,23 +9,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import msgspec
-import numpy as np
 import pytest
-from matplotlib import colors, image
 
 from messages import topics
 from messages.codec import Decoder
 from messages.transport.sockets import Publisher, Subscription, new_context
-from messages.types import DeviceState, Event, Message
+from messages.types import Event, Message
 from nodes.cli import main
-from nodes.recording import plot
-from nodes.recording.export import columns, export_csv, export_npz, plain_names
+from nodes.recording.export import export_csv, export_npz, plain_names
 from nodes.recording.play import play
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError, RecordWriter
 from tests.support.recorded import drop
-from tests.support.strategies import TYPES
 
 MISSED = (40, 41, 150)
 
@@ -135,56 +129,7 @@ def test_record_without_a_launch(
     assert "nothing is running; start something with: haptic launch" in err
 
 
-# -- export ----------------------------------------------------------------------------------------------------------
-
-
-def parse(text: str, like: object) -> object:
-    if isinstance(like, bool):
-        return bool(int(text))
-    return type(like)(text)  # type: ignore[call-arg]
-
-
-def test_csv_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = answered(capsys, "export", bag)["files"]
-    folder = bag.with_name("drop_csv")
-    assert sorted(map(Path, files)) == sorted(folder.iterdir())
-    recording = Recording(bag)
-    for topic, name in plain_names(recording.topics).items():
-        entries = list(recording.entries([topic]))
-        with (folder / f"{name}.csv").open(newline="", encoding="utf-8") as stream:
-            header, *rows = csv.reader(stream)
-        assert header == columns(type(entries[0].message))
-        assert len(rows) == len(entries)
-        for row, entry in zip(rows, entries, strict=True):
-            flat: list[Any] = [entry.log_time]
-            for value in msgspec.structs.astuple(entry.message):
-                flat.extend(value if isinstance(value, tuple) else [value])
-            # To the last bit: Python writes the shortest text that reads back as the same double.
-            assert [parse(text, like) for text, like in zip(row, flat, strict=True)] == flat
-
-
-def test_columns_carry_units() -> None:
-    found = columns(DeviceState)
-    assert found[:6] == ["log_time [s]", "seq", "stamp [s]", "position_x [m]", "position_y [m]", "position_z [m]"]
-    assert {"force_z [N]", "response [s]", "lateness [s]", "energy [J]", "delay [ticks]"} <= set(found)
-    for message_type in TYPES:
-        assert len(set(columns(message_type))) == len(columns(message_type))
-
-
-def test_npz_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (file,) = answered(capsys, "export", "--format", "npz", bag)["files"]
-    assert file == str(bag.with_suffix(".npz"))
-    recording = Recording(bag)
-    with np.load(file, allow_pickle=False) as arrays:
-        expected = {
-            f"{name}.{field}": array
-            for topic, name in plain_names(recording.topics).items()
-            for field, array in recording.arrays(topic).items()
-        }
-        assert set(arrays) == set(expected)
-        for name, array in expected.items():
-            np.testing.assert_array_equal(arrays[name], array)
-        assert arrays["device_state.position"].shape == (300, 3)
+# -- files that are written -----------------------------------------------------------------------------------------
 
 
 def test_topics_of_a_file_choose_no_path() -> None:
@@ -193,16 +138,20 @@ def test_topics_of_a_file_choose_no_path() -> None:
     assert len(set(found.values())) == len(found)
 
 
-@pytest.mark.parametrize(("verb", "made"), [("export", "drop_csv"), ("plot", "drop.png")])
-def test_nothing_is_overwritten_unasked(bag: Path, capsys: pytest.CaptureFixture[str], verb: str, made: str) -> None:
+@pytest.mark.parametrize(
+    ("verb", "made"), [(["export"], "drop_csv"), (["plot"], "drop.png"), (["plot", "--xy"], "drop_xy.png")]
+)
+def test_nothing_is_overwritten_unasked(
+    bag: Path, capsys: pytest.CaptureFixture[str], verb: list[str], made: str
+) -> None:
     out = bag.with_name(made)
-    assert haptic(capsys, verb, bag)[0] == 0
-    code, _, err = haptic(capsys, verb, bag)
+    assert haptic(capsys, *verb, bag)[0] == 0
+    code, _, err = haptic(capsys, *verb, bag)
     assert code == 2
     assert f"{out}: exists already; replace it with --force" in err
-    assert haptic(capsys, verb, bag, "--force")[0] == 0
+    assert haptic(capsys, *verb, bag, "--force")[0] == 0
     other = bag.with_name("other")
-    assert haptic(capsys, verb, bag, "--out", other)[0] == 0
+    assert haptic(capsys, *verb, bag, "--out", other)[0] == 0
     assert sorted(path.name for path in bag.parent.iterdir()) == sorted([bag.name, made, "other"])
 
 
@@ -217,77 +166,6 @@ def test_exports_tell_a_place_that_cannot_be_written(bag: Path, capsys: pytest.C
     export_csv(Recording(bag), bag.with_name("csv"))
     with pytest.raises(RecordError, match=r"device_state\.csv: File exists"):
         export_csv(Recording(bag), bag.with_name("csv"))
-
-
-# -- plot ------------------------------------------------------------------------------------------------------------
-
-
-def near(picture: Any, color: str) -> Any:
-    """Pixels that are one colour, or its blend with white by a third or more (lines are smoothed)."""
-    ink = 1.0 - picture[:, :, :3]
-    pure = 1.0 - np.array(colors.to_rgb(color))
-    share = ink @ pure / (pure @ pure)
-    rest = np.abs(ink - share[:, :, None] * pure).max(axis=2)
-    return (share > 0.33) & (share < 1.1) & (rest < 0.05)
-
-
-def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = Path(answered(capsys, "plot", bag)["plot"])
-    assert out.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-    picture = image.imread(out)
-    height, width, _ = picture.shape
-    assert width == 1200
-    assert height > 800
-    # The device's line runs through nearly the whole width, and leaves a height that shows the bounces.
-    device = near(picture, plot.COLORS["device"])
-    assert device.any(axis=0).mean() > 0.8
-    assert device.any(axis=1).mean() > 0.3
-    # The switch is a dotted line through all panels.
-    switch = near(picture, plot.COLORS["switch"]).sum(axis=0)
-    assert switch.max() > 0.2 * height
-
-
-def test_plot_marks_missed_ticks_and_the_period(tmp_path: Path) -> None:
-    amounts = []
-    for name, missed, pace in (("none", (), "realtime"), ("some", MISSED, "realtime"), ("lockstep", (), "lockstep")):
-        write(tmp_path / f"{name}.mcap", list(drop(300, missed=missed)), pace=pace)
-        picture = image.imread(plot.plot(Recording(tmp_path / f"{name}.mcap"), tmp_path / f"{name}.png"))
-        amounts.append(int(near(picture, plot.COLORS["late"]).sum()))
-    without, with_missed, lockstep = amounts
-    # Without a deadline there is no period line; two marks (two of the three ticks are neighbours) are triangles of 5 pt.
-    assert lockstep == 0
-    assert without > 300
-    assert with_missed > without + 60
-
-
-def test_plot_keeps_every_extreme_of_a_long_run() -> None:
-    rng = np.random.default_rng(1)
-    time = np.arange(100_000) * 0.002
-    value = rng.normal(size=len(time))
-    value[77_777], value[12_345] = 50.0, -50.0
-    thin_time, thin = plot.thin(time, value)
-    assert len(thin) <= plot.POINTS
-    assert (thin.max(), thin.min()) == (50.0, -50.0)
-    assert np.all(np.diff(thin_time) > 0.0)
-    np.testing.assert_array_equal(thin, value[np.searchsorted(time, thin_time)])
-
-
-def test_plot_of_texts_that_look_like_formulas(tmp_path: Path) -> None:
-    path = tmp_path / "r.mcap"
-    write(path, list(drop(20, switch=5)), scenario=r"$\frac{x$ \n %s")
-    assert plot.draw(Recording(path)).startswith(b"\x89PNG")
-
-
-def test_plot_of_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "r.mcap"
-    write(path, list(drop(1)))
-    code, _, err = haptic(capsys, "plot", path)
-    assert code == 1
-    assert "a plot needs at least two" in err
-    # Two states and nothing else are enough.
-    only = tmp_path / "only.mcap"
-    write(only, [(topic, message) for topic, message in drop(2) if topic == topics.DEVICE_STATE])
-    assert haptic(capsys, "plot", only)[0] == 0
 
 
 # -- play ------------------------------------------------------------------------------------------------------------

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
+import time
 import zlib
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,13 +24,15 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from messages.topics import DEVICE_STATE, FORCE, PROXY, event, status
 from messages.types import DeviceState, Event, Message, NodeStatus
 from nodes.recording import mcap_walk
-from nodes.recording.accounts import accounts, overruns
+from nodes.recording.accounts import accounts, completeness, overruns
 from nodes.recording.reader import RECOVERY, Recording
 from nodes.recording.recover import recover
 from nodes.recording.summary import quantile, summarise
+from nodes.recording.wall_clock import LOG_OFFSET, PUBLISH_OFFSET
 from nodes.recording.writer import Output, RecordError, RecordWriter, mcap_writer
 from tests.support.recorded import PERIOD, drop
 
+OFFSETS = (LOG_OFFSET, PUBLISH_OFFSET)
 MAGIC = b"\x89MCAP0\r\n"
 # HAPTIC_FUZZ=50 makes a long run of it.
 FUZZ = settings(
@@ -381,6 +385,82 @@ def test_accounts_of_a_late_logger_and_of_a_respawned_node(tmp_path: Path) -> No
     account = accounts(Recording(path))["environment"]
     # 50 before the respawn, then 50 more and the status of the first process: 101 recorded, 101 sent.
     assert (account.sent, account.recorded, account.lost) == (101, 101, 0)
+
+
+def test_what_was_sent_decides_whether_anything_is_lost(tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+    sent = list(drop(100))
+    # The environment skips what is no longer the newest: 20 gaps in seq, and all that it sent is there.
+    skipped = [m for m in sent if not (m[0] == PROXY and 30 <= m[1].seq < 50) and m[0] != status("environment")]
+    write(path, [*skipped, (status("environment"), NodeStatus(**_final("environment", 80)))])
+    recording = Recording(path)
+    assert recording.topics[PROXY].gaps == 20
+    assert (completeness(recording).lost, completeness(recording).text) == (0, "complete, nothing lost")
+    write(path, [m for m in sent if not (m[0] == PROXY and 30 <= m[1].seq < 50)])
+    assert completeness(Recording(path)).text == "complete, 20 messages lost"
+    # Without a node's own count nobody can tell.
+    write(path, [m for m in sent if not isinstance(m[1], NodeStatus)])
+    assert completeness(Recording(path)).lost is None
+
+
+def _final(node: str, sent: int) -> dict[str, Any]:
+    return {"seq": 100, "stamp": 0.2, "node": node, "kind": node, "state": "finished", "pid": 1, "sent": sent}
+
+
+def test_viewers_date_a_run_by_the_wall_clock_and_readers_by_the_run(tmp_path: Path) -> None:
+    begun = 1_700_000_000.123456789
+    paths = []
+    for name, manifest in (
+        ("old", {}),
+        ("wall", {"wall_minus_monotonic_s": repr(begun)}),
+        ("lockstep", {"wall_minus_monotonic_s": repr(begun), "pace": "lockstep"}),
+    ):
+        paths.append(tmp_path / f"{name}.mcap")
+        with RecordWriter(paths[-1], manifest) as writer:
+            for topic, message in drop(100):
+                writer.write(topic, message, message.stamp + 1e-4)
+    # To the bit: offsets are whole nanoseconds, taken off before anything is rounded.
+    old, *others = ([tuple(entry) for entry in Recording(path).entries()] for path in paths)
+    assert all(other == old for other in others)
+    figures = [Recording(path) for path in paths]
+    assert len({(f.duration, f.first_log, f.wall_duration, f.topics[DEVICE_STATE].rate) for f in figures}) == 1
+    with paths[1].open("rb") as stream:
+        raw = [message for _, _, message in make_reader(stream).iter_messages()]
+    # A double holds the time of day to a quarter of a microsecond.
+    assert raw[0].publish_time == pytest.approx(begun * 1e9, abs=256)
+    assert raw[0].log_time - raw[0].publish_time == 100_000
+    with paths[2].open("rb") as stream:
+        simulated = next(message for _, _, message in make_reader(stream).iter_messages())
+    # Simulated time has no date; tick 0 gets that of the recording.
+    assert abs(simulated.publish_time * 1e-9 - time.time()) < 3600.0
+
+
+def test_recordings_of_earlier_versions_and_damaged_clocks(tmp_path: Path) -> None:
+    sent = list(drop(20))
+    for name, clock in (
+        ("none", None),
+        ("bad", {"log_time_offset_ns": "x"}),
+        ("huge", dict.fromkeys(OFFSETS, "9" * 30)),
+    ):
+        path = tmp_path / f"{name}.mcap"
+        output = Output(path, overwrite=False)
+        writer = mcap_writer(output, "earlier")
+        if clock is not None:
+            writer.add_metadata("clock", clock)
+        channel = writer.register_channel(DEVICE_STATE, "json", 0)
+        for topic, message in sent:
+            if topic == DEVICE_STATE:
+                stamp = round(message.stamp * 1e9)
+                writer.add_message(channel, stamp + 100_000, msgspec.json.encode(message), stamp, message.seq)
+        writer.finish()
+        output.close()
+        if clock is None:
+            entries = list(Recording(path).entries())
+            assert [entry.message for entry in entries] == [m for topic, m in sent if topic == DEVICE_STATE]
+            assert entries[3].log_time == pytest.approx(3 * PERIOD + 1e-4, abs=1e-9)
+        else:
+            with pytest.raises(RecordError, match="clock"):
+                Recording(path)
 
 
 def test_overruns_are_gaps_that_the_driver_declares(tmp_path: Path) -> None:

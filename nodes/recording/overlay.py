@@ -1,0 +1,255 @@
+"""Several runs in one picture: position and force over time, or force over position."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from messages.topics import DEVICE_STATE
+from messages.types import DeviceState
+from nodes.recording.plot import COLORS, form_of, head, new_figure, render, style
+from nodes.recording.reader import Recording
+from nodes.recording.series import Line, Lines
+from nodes.recording.summary import summarise
+from nodes.recording.writer import RecordError, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+RUNS = 10
+"""Most runs in one picture: as many as there are colours that can be told apart."""
+
+_CELLS = 2000
+
+
+def _labels(recordings: Sequence[Recording], lines: Sequence[Lines]) -> list[str]:
+    """Name the runs: by scenario and law where that tells them apart, else by file."""
+    told = [
+        f"{recording.manifest.get('scenario', recording.path.stem)[:24]}, law {', '.join(line.laws)[:30] or 'unknown'}"
+        for recording, line in zip(recordings, lines, strict=True)
+    ]
+    if len(set(told)) == len(told):
+        return told
+    return [f"{text}  ({recording.path.stem[-40:]})" for text, recording in zip(told, recordings, strict=True)]
+
+
+def _colors(count: int) -> list[Any]:
+    from matplotlib import colormaps
+
+    return [colormaps["tab10"](number) for number in range(count)]
+
+
+def _width(number: int, count: int) -> float:
+    """Line width: the first run the widest, so that one that is the same as a later one is still seen."""
+    return 1.0 + 2.5 * (count - 1 - number) / RUNS
+
+
+def _legend(figure: Figure, axes: Axes, labels: Sequence[str]) -> None:
+    handles = axes.get_legend_handles_labels()[0][: len(labels)]
+    columns = 2 if len(labels) > 1 and max(map(len, labels)) <= 60 else 1
+    figure.legend(
+        handles, list(labels), loc="outside lower left", ncols=columns, fontsize=9, frameon=False, borderaxespad=0.5
+    ).set_in_layout(True)
+
+
+def _checked(recordings: Sequence[Recording]) -> None:
+    if not 1 <= len(recordings) <= RUNS:
+        raise RecordError(f"{len(recordings)} recordings; one picture shows 1 to {RUNS}")
+
+
+def overlay(recordings: Sequence[Recording], start: float | None = None, stop: float | None = None) -> Figure:
+    """Draw position and force of several runs, each from its first state on.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        1 to RUNS of them.
+    start, stop : float, optional
+        From and up to which time [s]. When both are left out: until the last run has come to rest.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The picture.
+
+    Raises
+    ------
+    RecordError
+        When there are too many, or one has nothing to draw in that time.
+    """
+    _checked(recordings)
+    lines = [Lines(recording, start or 0.0, math.inf if stop is None else stop) for recording in recordings]
+    if start is None and stop is None:
+        rest = 1.25 * max(one.rest() for one in lines)
+        if 0.0 < rest < 0.5 * max(one.stop - one.begin for one in lines):
+            lines = [Lines(recording, 0.0, rest) for recording in recordings]
+    axis = lines[0].axis
+    figure = new_figure(6.6 + 0.12 * len(recordings))
+    panels = list(figure.subplots(2, 1, sharex=True))
+    labels, colors = _labels(recordings, lines), _colors(len(recordings))
+    for number, (one, label, color) in enumerate(zip(lines, labels, colors, strict=True)):
+        for axes, line, scale in ((panels[0], one.position, 1e3), (panels[1], one.force, 1.0)):
+            time, values = line.arrays()
+            axes.plot(
+                time - one.begin, values[:, axis] * scale, color=color, lw=_width(number, len(lines)), label=label
+            )
+    level = _surface(lines[0], axis)
+    if level is not None:
+        panels[0].axhline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
+    for axes, name in zip(panels, ("position {} [mm]", "force {} [N]"), strict=True):
+        axes.set_ylabel(name.format("xyz"[axis]))
+        style(axes)
+    panels[-1].set_xlabel("time from the first tick [s]")
+    figure.align_ylabels(panels)
+    _legend(figure, panels[0], labels)
+    head(panels[0], f"{len(recordings)} runs", _facts(level), 7)
+    return figure
+
+
+def _surface(lines: Lines, axis: int) -> float | None:
+    """Where the surface is first [mm]."""
+    import numpy as np
+
+    values = lines.proxy.arrays()[1][:, 3 + axis]
+    seen = values[~np.isnan(values)]
+    return float(seen[0]) * 1e3 if len(seen) else None
+
+
+def _facts(level: float | None) -> str:
+    return "" if level is None else f"dashed: the surface, at {level:.4g} mm".replace("-", "−")
+
+
+def _pairs(recording: Recording, start: float, stop: float) -> Iterator[tuple[DeviceState, DeviceState]]:
+    """Go through the states with the next one each, which tells the force handed over at this one's tick."""
+    before: DeviceState | None = None
+    begin = recording.topics[DEVICE_STATE].first_stamp
+    for entry in recording.entries([DEVICE_STATE]):
+        state = entry.message
+        if not isinstance(state, DeviceState):
+            continue
+        if before is not None and state.seq == before.seq + 1 and start <= before.stamp - begin <= stop:
+            yield before, state
+        before = state
+
+
+def _trace(recording: Recording, lines: Lines, axis: int, start: float, stop: float) -> tuple[list[float], list[float]]:
+    """Force over position, each way between two cells of a fine grid drawn once: an hour at rest is one point."""
+    cell = [_extent(line, axis) / _CELLS or 1.0 for line in (lines.position, lines.force)]
+    x: list[float] = []
+    y: list[float] = []
+    seen: set[tuple[int, int, int, int]] = set()
+    at: tuple[int, int] | None = None
+    drawing = False
+    last = (math.nan, math.nan)
+    for state, following in _pairs(recording, start, stop):
+        point = (state.position[axis], following.force[axis])
+        here = (int(point[0] / cell[0]), int(point[1] / cell[1]))
+        way = (*(at or here), *here)
+        if way not in seen:
+            seen.add(way)
+            if not drawing:
+                x += [math.nan, last[0] * 1e3]
+                y += [math.nan, last[1]]
+            x.append(point[0] * 1e3)
+            y.append(point[1])
+        drawing = x[-1:] == [point[0] * 1e3]
+        at, last = here, point
+    return x, y
+
+
+def _extent(line: Line, axis: int) -> float:
+    import numpy as np
+
+    values = line.arrays()[1][:, axis]
+    return float(np.ptp(values)) if len(values) else 0.0
+
+
+def force_over_position(
+    recordings: Sequence[Recording], start: float | None = None, stop: float | None = None
+) -> Figure:
+    """Draw the force handed to the device over the position at the same tick: what a wall feels like.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        1 to RUNS of them.
+    start, stop : float, optional
+        From and up to which time [s].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The picture.
+
+    Raises
+    ------
+    RecordError
+        When there are too many, or one has nothing to draw in that time.
+    """
+    _checked(recordings)
+    ends = start or 0.0, math.inf if stop is None else stop
+    lines = [Lines(recording, *ends) for recording in recordings]
+    axis = lines[0].axis
+    figure = new_figure(6.6 + 0.12 * len(recordings))
+    axes = figure.subplots()
+    labels = _labels(recordings, lines)
+    runs = zip(recordings, lines, labels, _colors(len(recordings)), strict=True)
+    for number, (recording, one, label, color) in enumerate(runs):
+        width = _width(number, len(lines))
+        axes.plot(*_trace(recording, one, axis, *ends), color=color, lw=width, label=label)
+    level = _surface(lines[0], axis)
+    if level is not None:
+        axes.axvline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
+    axes.set_xlabel(f"position {'xyz'[axis]} [mm]")
+    axes.set_ylabel(f"force {'xyz'[axis]} [N]")
+    style(axes)
+    _legend(figure, axes, labels)
+    ended = [summarise(recording) for recording in recordings[:1]]
+    told = [_facts(level)] if level is not None else []
+    if len(recordings) == 1:
+        told.append(f"ends at {ended[0].position_m[axis] * 1e3:.3f} mm, {ended[0].force_n[axis]:.3f} N")
+    head(axes, "Force over position", "  ·  ".join(told).replace("-", "−"), 7)
+    return figure
+
+
+def plot_several(
+    recordings: Sequence[Recording],
+    out: str | Path,
+    *,
+    over_position: bool = False,
+    start: float | None = None,
+    stop: float | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Draw several runs into one file.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        1 to RUNS of them.
+    out : str or Path
+        The file to write: PNG, SVG or PDF, as it is called.
+    over_position : bool, optional
+        Whether to draw force over position instead of both over time.
+    start, stop : float, optional
+        From and up to which time [s].
+    overwrite : bool, optional
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    RecordError
+        When there is nothing to draw, the file exists already or cannot be written.
+    """
+    form = form_of(Path(out))
+    draw = force_over_position if over_position else overlay
+    save(Path(out), render(draw(recordings, start, stop), form), overwrite)
+    return Path(out)

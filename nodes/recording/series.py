@@ -1,0 +1,296 @@
+"""Recordings as lines that a picture can hold: read as a stream, in memory that does not grow with the length of the run.
+
+Up to POINTS messages a line is what was recorded. A longer one keeps the smallest and the largest value of each of BINS
+stretches of time, so that no spike is lost and every extreme stands where it was, to the width of a line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
+from messages.types import DeviceState, Force, Proxy, Receipt
+from nodes.recording.reader import Recording
+from nodes.recording.writer import RecordError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    Array = np.ndarray[Any, Any]
+
+POINTS = 4000
+"""Longest line that is kept as it was recorded."""
+
+BINS = POINTS // 2
+"""Stretches of time that a longer line is divided into; about two per pixel."""
+
+_BLOCK = 8192
+
+
+class Line:
+    """Values over time, as one line or several of the same times.
+
+    Parameters
+    ----------
+    start, stop : float
+        Time from and up to which values come [s].
+    columns : int
+        Number of lines.
+    """
+
+    def __init__(self, start: float, stop: float, columns: int) -> None:
+        self._start = start
+        self._width = (stop - start) / BINS or 1.0
+        self._columns = columns
+        self._rows: list[tuple[float, ...]] = []
+        self._folded: tuple[Array, Array] | None = None
+
+    def add(self, time: float, *values: float) -> None:
+        """Take one value of each line.
+
+        Parameters
+        ----------
+        time : float
+            Their time [s].
+        *values : float
+            As many as there are lines; NaN for a line that has none now.
+        """
+        self._rows.append((time, *values))
+        if len(self._rows) >= _BLOCK:
+            self._fold()
+
+    def _fold(self) -> None:
+        import numpy as np
+
+        if self._folded is None:
+            empty = np.full((BINS, self._columns), np.nan)
+            self._folded = empty, empty.copy()
+        rows = np.array(self._rows, dtype=np.float64)
+        self._rows.clear()
+        place = np.clip((rows[:, 0] - self._start) / self._width, 0, BINS - 1).astype(int)
+        order = np.argsort(place, kind="stable")
+        bins, first = np.unique(place[order], return_index=True)
+        # fmin and fmax pass over NaN.
+        for held, smaller in zip(self._folded, (np.fmin, np.fmax), strict=True):
+            held[bins] = smaller(held[bins], smaller.reduceat(rows[order, 1:], first, axis=0))
+
+    def arrays(self) -> tuple[Array, Array]:
+        """Give the lines.
+
+        Returns
+        -------
+        tuple of numpy.ndarray
+            Times [s], shape (M,), and values, shape (M, columns); M is at most POINTS.
+        """
+        import numpy as np
+
+        if self._folded is None and len(self._rows) <= POINTS:
+            rows = np.array(self._rows, dtype=np.float64).reshape(-1, 1 + self._columns)
+            return rows[:, 0], rows[:, 1:]
+        if self._rows:
+            self._fold()
+        assert self._folded is not None  # noqa: S101  # more than POINTS rows were folded
+        low, high = self._folded
+        times = self._start + self._width * (np.arange(BINS)[:, None] + np.array([0.25, 0.75]))
+        values = np.stack((low, high), axis=1)
+        kept = ~np.isnan(low).all(axis=1)
+        return times[kept].reshape(-1), values[kept].reshape(-1, self._columns)
+
+
+class Spans:
+    """When something was the case, by name, to the width of a line.
+
+    Parameters
+    ----------
+    start, stop : float
+        As of `Line`.
+    """
+
+    def __init__(self, start: float, stop: float) -> None:
+        self._start = start
+        self._width = (stop - start) / BINS or 1.0
+        self._seen: dict[str, bytearray] = {}
+
+    def add(self, begin: float, end: float, name: str) -> None:
+        """Note that it was the case.
+
+        Parameters
+        ----------
+        begin, end : float
+            From and up to when [s].
+        name : str
+            What.
+        """
+        low, high = (min(max(int((time - self._start) / self._width), 0), BINS - 1) for time in (begin, end))
+        self._seen.setdefault(name, bytearray(BINS))[low : high + 1] = b"\1" * (high + 1 - low)
+
+    def spans(self) -> Iterator[tuple[str, float, float]]:
+        """Go through the stretches of time.
+
+        Yields
+        ------
+        tuple
+            Name, begin and end [s].
+        """
+        for name, seen in self._seen.items():
+            begin = seen.find(1)
+            while begin >= 0:
+                end = seen.find(0, begin)
+                end = BINS if end < 0 else end
+                yield name, self._start + begin * self._width, self._start + end * self._width
+                begin = seen.find(1, end)
+
+
+class Lines:
+    """What a picture of a run is drawn from.
+
+    Parameters
+    ----------
+    recording : Recording
+        A recording with at least two messages on ``/device/state``.
+    start, stop : float, optional
+        From and up to which time after the first state [s].
+
+    Attributes
+    ----------
+    start, stop : float
+        The stretch, as stamps [s].
+    begin : float
+        Stamp of the recording's first state: time 0 of the picture [s].
+    position : Line
+        Device position by axis [m], 3 lines.
+    force : Line
+        Force handed to the device, at the tick at which it was [N], 3 lines.
+    energy : Line
+        Energy given out, and the passivity guard's account [J], 2 lines.
+    response : Line
+        Response time of the ticks answered in time [s].
+    sampled : list of tuple
+        Time and response time of every so many-th of them [s]: what is usual, where `response` tells the extremes.
+    proxy : Line
+        Proxy, and surface where there is one that faces this axis [m]: 6 lines.
+    normal : tuple of float, shape (3,)
+        Where the surface faces: largest component seen of each axis, sign included.
+    asked : Line
+        Force by the law, before limits [N], 3 lines.
+    safety, missed : Spans
+        Safety states other than active, and ticks that were not answered in time (named ``missed``).
+    receipts : list of tuple
+        The first 200 changes: stamp, action, and law from then on.
+    laws : list of str
+        Laws that computed a force.
+    """
+
+    def __init__(self, recording: Recording, start: float = 0.0, stop: float = math.inf) -> None:
+        figures = recording.topics.get(DEVICE_STATE)
+        if figures is None or figures.messages < 2:
+            raise RecordError(f"{recording.path}: fewer than two messages on {DEVICE_STATE}; a plot needs at least two")
+        self.begin = figures.first_stamp
+        self.start = max(self.begin + start, self.begin)
+        self.stop = min(self.begin + stop, figures.last_stamp)
+        if not self.start < self.stop and figures.first_stamp < figures.last_stamp:
+            raise RecordError(
+                f"{recording.path}: nothing between {start:g} and {stop:g} s; it lasts {recording.duration:.6g} s"
+            )
+        ends = self.start, self.stop
+        self.position, self.force, self.asked = Line(*ends, 3), Line(*ends, 3), Line(*ends, 3)
+        self.energy, self.response, self.proxy = Line(*ends, 2), Line(*ends, 1), Line(*ends, 6)
+        self.safety, self.missed = Spans(*ends), Spans(*ends)
+        self.sampled: list[tuple[float, float]] = []
+        self._stride = -(-figures.messages // POINTS)
+        self.normal = [0.0, 0.0, 0.0]
+        self.receipts: list[tuple[float, str, str]] = []
+        self.laws: list[str] = []
+        self._before: DeviceState | None = None
+        self._named = -1
+        self._read(recording)
+
+    def _read(self, recording: Recording) -> None:
+        wanted = [topic for topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) if topic in recording.topics]
+        # Where ticks are told in their order, nothing comes after the first state behind the stretch.
+        ordered = not recording.topics[DEVICE_STATE].back
+        for entry in recording.entries(wanted):
+            message: Any = entry.message
+            if self.start <= message.stamp <= self.stop:
+                self._take(message)
+            elif isinstance(message, DeviceState):
+                if ordered and message.stamp > self.stop:
+                    self._take_outcome(message)
+                    return
+                self._before = message
+
+    def _take(self, message: DeviceState | Proxy | Force | Receipt) -> None:
+        if isinstance(message, DeviceState):
+            self._take_outcome(message)
+            self._before = message
+            self.position.add(message.stamp, *message.position)
+            self.energy.add(message.stamp, message.energy, message.guard)
+        elif isinstance(message, Proxy):
+            self._take_proxy(message)
+        elif isinstance(message, Force):
+            self.asked.add(message.stamp, *message.force)
+            if message.law and message.law not in self.laws[-100:]:
+                self.laws.append(message.law)
+            if message.seq >= self._named >= 0 and self.receipts:
+                stamp, action, _ = self.receipts[-1]
+                self.receipts[-1] = (stamp, action, message.law)
+                self._named = -1
+        elif len(self.receipts) < 200:
+            self.receipts.append((message.stamp, message.action, ""))
+            self._named = message.seq
+
+    def _take_outcome(self, state: DeviceState) -> None:
+        """Take what a state tells of the tick before it."""
+        before = self._before
+        if before is None or before.stamp < self.start:
+            return
+        self.force.add(before.stamp, *state.force)
+        # Waiting for the first force is how every run begins.
+        if before.safety not in ("active", "waiting"):
+            self.safety.add(before.stamp, state.stamp, before.safety)
+        if state.response > 0.0:
+            self.response.add(before.stamp, state.response)
+            if state.seq % self._stride == 0:
+                self.sampled.append((before.stamp, state.response))
+        if state.missed > before.missed:
+            self.missed.add(before.stamp, before.stamp, "missed")
+
+    def _take_proxy(self, message: Proxy) -> None:
+        surface = [
+            position - message.distance * part if part else math.nan
+            for position, part in zip(message.position, message.normal, strict=True)
+        ]
+        self.proxy.add(message.stamp, *message.proxy, *surface)
+        for axis, part in enumerate(message.normal):
+            if abs(part) > abs(self.normal[axis]):
+                self.normal[axis] = part
+
+    @property
+    def axis(self) -> int:
+        """The axis to draw: the one that the surface faces, or else the one with the largest motion."""
+        import numpy as np
+
+        if any(self.normal):
+            return int(np.argmax(np.abs(self.normal)))
+        motion = np.ptp(self.position.arrays()[1], axis=0)
+        return int(np.argmax(motion)) if motion.any() else 2
+
+    def rest(self) -> float:
+        """Tell when the device has come to rest for good: position within 1 %, force within 2 % of their ranges.
+
+        Returns
+        -------
+        float
+            Time after the first state [s]; that of the last state when it does not rest.
+        """
+        import numpy as np
+
+        last = self.begin
+        for line, share in ((self.position, 0.01), (self.force, 0.02)):
+            time, values = line.arrays()
+            values = values[:, self.axis]
+            away = np.abs(values - values[-1]) > share * np.ptp(values) if len(values) else np.array([])
+            last = max([last, *time[away][-1:]])
+        return last - self.begin

@@ -1,0 +1,160 @@
+"""A recording as one table: one row per tick, with what the driver, the environment and the coupling said of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from messages.topics import DEVICE_STATE, FORCE, PROXY
+from messages.types import ZERO, DeviceState, Force, Proxy
+from nodes.recording.reader import Recording
+from nodes.recording.writer import RecordError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+_GONE = (math.nan, math.nan, math.nan)
+
+Row = tuple[DeviceState, DeviceState | None, Proxy | None, Force | None]
+
+COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
+    "time": ("s", "time after the first tick", lambda r: r[0].stamp),
+    "seq": ("", "number of the tick", lambda r: r[0].seq),
+    "stamp": (
+        "s",
+        "time on the clock of the run: the host's monotonic clock, or seq·T in lockstep",
+        lambda r: r[0].stamp,
+    ),
+    "position": ("m", "position of the device", lambda r: r[0].position),
+    "force": (
+        "N",
+        "force handed to the device at this tick, after all limits",
+        lambda r: r[1].force if r[1] else _GONE,
+    ),
+    "force_asked": ("N", "force that the law asked for at this tick", lambda r: r[3].force if r[3] else _GONE),
+    "proxy": ("m", "proxy: on the surface in contact, else at the device", lambda r: r[2].proxy if r[2] else _GONE),
+    "normal": ("", "outward normal of the surface; zero without one", lambda r: r[2].normal if r[2] else ZERO),
+    "distance": ("m", "signed distance to the surface, negative inside", lambda r: r[2].distance if r[2] else math.nan),
+    "contact": ("", "whether the surface is touched", lambda r: bool(r[2] and r[2].contact)),
+    "law": ("", "law that computed the force", lambda r: r[3].law if r[3] else ""),
+    "revision": ("", "changes of law or parameters so far", lambda r: r[3].revision if r[3] else -1),
+    "response": (
+        "s",
+        "time until the force was there; 0 when it came too late",
+        lambda r: r[1].response if r[1] else 0.0,
+    ),
+    "age": ("ticks", "age of the force that was used", lambda r: r[1].age if r[1] else -1),
+    "delay": ("ticks", "measured delay from sample to force", lambda r: r[1].delay if r[1] else math.nan),
+    "lateness": ("s", "how long after its deadline the tick was sampled", lambda r: r[0].lateness),
+    "missed": ("", "ticks so far that were not answered in time", lambda r: r[0].missed),
+    "overruns": ("", "ticks so far that the driver left out", lambda r: r[0].overruns),
+    "energy": ("J", "energy given out by the virtual side so far", lambda r: r[0].energy),
+    "guard": ("J", "account of the passivity guard: owed (+), in store (−)", lambda r: r[0].guard),
+    "safety": ("", "what the driver does with forces", lambda r: r[0].safety),
+}
+"""Columns of the table: unit, meaning, and how a row has it. Three numbers are x, y and z.
+
+What answers a tick but was not recorded is NaN, an empty text, or −1 for a count.
+"""
+
+_WINDOW = 4096
+"""Ticks that wait for what answers them: more than the driver ever looks back."""
+
+
+def rows(recording: Recording) -> Iterator[Row]:
+    """Go through the ticks.
+
+    Parameters
+    ----------
+    recording : Recording
+        A recording with ``/device/state``.
+
+    Yields
+    ------
+    tuple
+        State of the tick; the next tick's state, which tells how this one went (None when that is not the next tick);
+        proxy and force that answer the tick (None when not recorded).
+
+    Raises
+    ------
+    RecordError
+        When no state was recorded, or a message does not fit its type.
+    """
+    if DEVICE_STATE not in recording.topics:
+        raise RecordError(f"{recording.path}: no message on {DEVICE_STATE}, so there are no ticks")
+    waiting: list[DeviceState] = []
+    proxies: dict[int, Proxy] = {}
+    forces: dict[int, Force] = {}
+
+    def take(state: DeviceState, following: DeviceState | None) -> Row:
+        after = following if following is not None and following.seq == state.seq + 1 else None
+        return state, after, proxies.pop(state.seq, None), forces.pop(state.seq, None)
+
+    for entry in recording.entries(topic for topic in (DEVICE_STATE, PROXY, FORCE) if topic in recording.topics):
+        message = entry.message
+        if isinstance(message, DeviceState):
+            if waiting and message.seq <= waiting[-1].seq:
+                # A driver that started again counts anew: nothing answers the old ticks any more.
+                yield from map(take, waiting, [*waiting[1:], None])
+                waiting.clear()
+                proxies.clear()
+                forces.clear()
+            waiting.append(message)
+            if len(waiting) > _WINDOW:
+                yield take(waiting[0], waiting[1])
+                del waiting[0]
+        elif isinstance(message, Proxy):
+            proxies[message.seq] = message
+        elif isinstance(message, Force):
+            forces[message.seq] = message
+        for held in (proxies, forces):
+            if len(held) > 2 * _WINDOW:
+                # Answers to ticks that were not recorded.
+                del held[next(iter(held))]
+    yield from map(take, waiting, [*waiting[1:], None])
+
+
+def read(path: str | Path) -> dict[str, np.ndarray[Any, Any]]:
+    """Read a recording as arrays, one row per tick.
+
+    ``run = read("recordings/floor_drop-….mcap")``, then for instance ``plt.plot(run["time"], run["position"][:, 2])``.
+
+    Parameters
+    ----------
+    path : str or Path
+        An MCAP recording with ``/device/state``.
+
+    Returns
+    -------
+    dict of str to numpy.ndarray
+        N rows by column, SI units, see `COLUMNS`. Of shape (N, 3): ``position`` [m], ``force`` [N], ``force_asked`` [N],
+        ``proxy`` [m], ``normal``. Of shape (N,): ``time`` [s] from 0 on, ``seq``, ``stamp`` [s], ``distance`` [m],
+        ``contact``, ``law``, ``revision``, ``response`` [s], ``age`` and ``delay`` [ticks], ``lateness`` [s], ``missed``,
+        ``overruns``, ``energy`` and ``guard`` [J], ``safety``.
+
+    Raises
+    ------
+    RecordError
+        When it is no recording, is damaged, or holds no state.
+    """
+    import numpy as np
+
+    blocks: dict[str, list[np.ndarray[Any, Any]]] = {name: [] for name in COLUMNS}
+    block: list[Row] = []
+
+    def flush() -> None:
+        for name, (_, _, value) in COLUMNS.items():
+            blocks[name].append(np.array([value(row) for row in block]))
+        block.clear()
+
+    for row in rows(Recording(path)):
+        block.append(row)
+        if len(block) == _WINDOW:
+            flush()
+    if block:
+        flush()
+    table = {name: np.concatenate(parts) for name, parts in blocks.items()}
+    table["time"] = table["time"] - table["stamp"][0]
+    return table

@@ -1,0 +1,105 @@
+"""Wall-clock time in a recording: MCAP's times are dated for viewers, and taken back to the time of the run when read.
+
+The run's own time is the host's monotonic clock, or simulated time; it has no date. The metadata record ``clock`` holds how
+many whole nanoseconds were added, so that what is read is to the bit what was recorded. Earlier recordings have none.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+CLOCK = "clock"
+"""Name of the metadata record."""
+
+LOG_OFFSET, PUBLISH_OFFSET = "log_time_offset_ns", "publish_time_offset_ns"
+"""What it holds: how far MCAP's times are ahead of the host's monotonic clock, and of the stamps [ns]."""
+
+_LATEST = 1.8e10
+"""Latest time that 64 bits of nanoseconds hold [s], rounded down."""
+
+_LATEST_NS = (1 << 64) - 1
+
+
+def offsets_of(manifest: Mapping[str, str]) -> tuple[int, int]:
+    """Tell how far MCAP's times are ahead of the run's, so that viewers date a recording by the wall clock.
+
+    Parameters
+    ----------
+    manifest : mapping of str to str
+        Of the run; ``wall_minus_monotonic_s`` is its clock's distance to wall time.
+
+    Returns
+    -------
+    tuple of int
+        For receipt, and for stamps [ns]. In lockstep, where stamps are simulated time, tick 0 gets the time of now. Both 0
+        for a manifest that does not know the wall clock.
+    """
+    try:
+        wall = float(manifest["wall_minus_monotonic_s"])
+        # Beyond what MCAP can hold it is no clock.
+        offset = round(wall * 1e9) if abs(wall) < _LATEST else 0
+    except (KeyError, ValueError):
+        return 0, 0
+    return offset, time.time_ns() if offset and manifest.get("pace") == "lockstep" else offset
+
+
+def read_offsets(values: Mapping[str, str]) -> tuple[int, int]:
+    """Read the ``clock`` record of a recording.
+
+    Parameters
+    ----------
+    values : mapping of str to str
+        Its content.
+
+    Returns
+    -------
+    tuple of int
+        As `offsets_of`.
+
+    Raises
+    ------
+    ValueError
+        When it does not hold two times; the text says what it holds.
+    """
+    try:
+        log, publish = (int(values[name]) for name in (LOG_OFFSET, PUBLISH_OFFSET))
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"a clock record without times: {str(dict(values))[:200]}") from error
+    if max(abs(log), abs(publish)) > _LATEST_NS:
+        raise ValueError(f"a clock record beyond 64 bits: {str(dict(values))[:200]}")
+    return log, publish
+
+
+def record(log: int, publish: int) -> dict[str, str]:
+    """Write the content of the ``clock`` record.
+
+    Parameters
+    ----------
+    log, publish : int
+        As `offsets_of`.
+
+    Returns
+    -------
+    dict of str to str
+        The content.
+    """
+    return {LOG_OFFSET: str(log), PUBLISH_OFFSET: str(publish)}
+
+
+def nanoseconds(seconds: float, offset: int) -> int:
+    """Give a time as MCAP counts it: unsigned, 64 bits.
+
+    Parameters
+    ----------
+    seconds : float
+        Time of the run [s].
+    offset : int
+        How far MCAP's time is ahead of it [ns].
+
+    Returns
+    -------
+    int
+        MCAP's time [ns], clamped to what it can hold.
+    """
+    return min(max(round(min(max(seconds, -_LATEST), _LATEST) * 1e9) + offset, 0), _LATEST_NS)
