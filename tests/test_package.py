@@ -64,7 +64,11 @@ def test_wheel_holds_packages_scenarios_markers_and_licence(wheel: Path) -> None
         assert {name for name in sources if not name.startswith("sim/figures/")} <= set(files)
         assert f"{package}/py.typed" in files
     scenarios = {path.name: path.read_bytes() for path in (ROOT / "launch").glob("*.yaml")}
-    packed = {name.rpartition("/")[2]: text for name, text in files.items() if name.startswith("nodes/_launch/")}
+    packed = {
+        name.rpartition("/")[2]: text
+        for name, text in files.items()
+        if name.startswith("nodes/_launch/") and name.endswith(".yaml")
+    }
     assert packed == scenarios
     assert files[f"{metadata}/licenses/LICENSE"] == (ROOT / "LICENSE").read_bytes()
     assert not [name for name in files if name.endswith((".pyc", ".png", ".mcap", ".so"))]

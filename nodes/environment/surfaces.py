@@ -7,7 +7,7 @@ points ``haptic.surfaces``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import msgspec
 
@@ -21,6 +21,24 @@ SURFACES = Registry("haptic.surfaces", "surface")
 
 Meeting: TypeAlias = tuple[Vector, Vector, float, bool]
 """Proxy [m], outward normal, signed distance [m], contact."""
+
+
+class AxisSurface(NamedTuple):
+    """A surface as one axis sees it: what one process plays.
+
+    Attributes
+    ----------
+    shape : str
+        ``free``, ``plane`` (one-sided) or ``anchor`` (both sides).
+    position : float
+        Where it is on that axis [m].
+    side : float
+        Side of a plane that is free: 1.0 towards larger coordinates, −1.0 towards smaller ones.
+    """
+
+    shape: Literal["free", "plane", "anchor"]
+    position: float = 0.0
+    side: float = 1.0
 
 
 class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -44,6 +62,22 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         """
         raise TypeError(f"surface kind {type(self).kind!r} does not define meeting()")
 
+    def on_axis(self, axis: Axis) -> AxisSurface | None:
+        """Reduce the surface to one axis, so that one process can play it too.
+
+        Parameters
+        ----------
+        axis : str
+            The axis that the scene computes.
+
+        Returns
+        -------
+        AxisSurface or None
+            The same surface on that axis; None when it is more than that, and only a launch plays it.
+        """
+        del axis
+        return None
+
 
 class Free(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Nothing to touch: what a device does by itself."""
@@ -59,6 +93,22 @@ class Free(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
             The proxy is the device position, always.
         """
         return lambda position: (position, ZERO, 0.0, False)
+
+    def on_axis(self, axis: Axis) -> AxisSurface:
+        """Reduce to one axis.
+
+        Parameters
+        ----------
+        axis : str
+            Any.
+
+        Returns
+        -------
+        AxisSurface
+            Nothing there.
+        """
+        del axis
+        return AxisSurface("free")
 
 
 class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -103,6 +153,21 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
         return meet
 
+    def on_axis(self, axis: Axis) -> AxisSurface:
+        """Reduce to one axis.
+
+        Parameters
+        ----------
+        axis : str
+            The axis that the scene computes.
+
+        Returns
+        -------
+        AxisSurface
+            The plane, or nothing on an axis that it does not lie across.
+        """
+        return AxisSurface("plane", self.position, float(self.normal)) if axis == self.axis else AxisSurface("free")
+
 
 class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A point that holds the device from both sides: the linear loop of the theory, without any contact.
@@ -126,6 +191,21 @@ class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """
         anchor = self.position
         return lambda _: (anchor, ZERO, 0.0, True)
+
+    def on_axis(self, axis: Axis) -> AxisSurface:
+        """Reduce to one axis.
+
+        Parameters
+        ----------
+        axis : str
+            The axis that the scene computes.
+
+        Returns
+        -------
+        AxisSurface
+            The point's coordinate.
+        """
+        return AxisSurface("anchor", self.position[AXIS_INDEX[axis]])
 
 
 def parse_surface(data: dict[str, Any], where: str) -> Surface:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,9 @@ from nodes.base.kinds import node_kinds
 from nodes.launcher.launch_spec import Argument, Launch, LaunchText, NodeSpec, RunSpec
 from nodes.parameters.store import ParameterError, convert, merge, of_node
 from nodes.parameters.yaml_io import parse_yaml, read_yaml
+
+GROUP = "haptic.launch"
+"""Entry points that add scenarios: each names a package with launch files in it, which is not imported."""
 
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
@@ -31,19 +36,21 @@ def launch_dirs() -> list[Path]:
     Returns
     -------
     list of Path
-        In the wheel, then beside the package.
+        In the wheel, beside the package, then in each installed package named under the entry points ``haptic.launch``.
     """
     nodes = Path(__file__).resolve().parents[1]
-    return [path for path in (nodes / "_launch", nodes.parent / "launch") if path.is_dir()]
+    specs = [find_spec(point.value) for point in entry_points(group=GROUP)]
+    added = [Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()]
+    return [path for path in (nodes / "_launch", nodes.parent / "launch", *added) if path.is_dir()]
 
 
 def scenarios() -> dict[str, Path]:
-    """List the launch files that come with the project.
+    """List the launch files that are installed.
 
     Returns
     -------
     dict of str to Path
-        Scenario to file, sorted.
+        Scenario to file, sorted; this project's go before those of other packages.
     """
     found = {path.stem: path for folder in reversed(launch_dirs()) for path in folder.glob("*.yaml")}
     return dict(sorted(found.items()))

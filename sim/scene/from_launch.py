@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from nodes.base.setup import AXIS_INDEX
+from nodes.base.setup import AXIS_INDEX, Axis
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.driver.device import DeviceLimits
 from nodes.driver.limits import lower
 from nodes.environment.node import EnvironmentParameters
-from nodes.environment.surfaces import Anchor, Free, Plane, parse_surface
+from nodes.environment.surfaces import parse_surface
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
@@ -78,16 +78,14 @@ def _parameters(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
     return name, convert(spec.parameters, target, name)
 
 
-def _surface(data: dict[str, Any], where: str, axis: str) -> Surface:
+def _surface(data: dict[str, Any], where: str, axis: Axis) -> Surface:
     surface = parse_surface(data, where)
-    if isinstance(surface, Free):
-        return Surface("free")
-    if isinstance(surface, Anchor):
-        return Surface("anchor", surface.position[AXIS_INDEX[axis]])
-    if isinstance(surface, Plane):
-        # A plane across another axis than the scene's is never met.
-        return Surface("plane", surface.position, float(surface.normal)) if surface.axis == axis else Surface("free")
-    raise ParameterError(f"{where}.kind: {surface.kind!r} cannot be played in one process")
+    reduced = surface.on_axis(axis)
+    if reduced is None:
+        raise ParameterError(
+            f"{where}.kind: {surface.kind!r} has no form on one axis (on_axis), so one process cannot play it; launch it"
+        )
+    return Surface(reduced.shape, reduced.position, reduced.side)
 
 
 def from_launch(launch: Launch) -> LaunchedScene:

@@ -1,4 +1,4 @@
-"""README.md keeps its word: each command runs, each link leads somewhere, each scenario and verb is told of."""
+"""The pages keep their word: commands run, promises hold, links lead somewhere, each scenario and verb is named."""
 
 from __future__ import annotations
 
@@ -13,9 +13,17 @@ import pytest
 from nodes.cli.main import VERBS
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
-from tests.support.readme import Command, anchors, blocks, command, links, shell
+from tests.support.pages import Block, Command, anchors, blocks, command, links, promised, shell
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+    for path in [
+        ROOT / "README.md",
+        ROOT / ".github" / "CONTRIBUTING.md",
+        *sorted(path for folder in ("launch", "messages", "nodes", "sim") for path in (ROOT / folder).rglob("*.md")),
+    ]
+}
+README = PAGES["README.md"]
 
 SHORTER = {
     "haptic launch": "duration:=1",
@@ -39,27 +47,41 @@ SHORTER = {
 }
 """What makes a command short enough for a test, by its first words."""
 
-INSTALLING = [line for block in blocks(README) for line in block if line.startswith("python3 -m venv")]
+INSTALLING = [line for block in blocks(README) for line in block.lines if line.startswith("python3 -m venv")]
 """The two pasted lines: `.ci/run` takes the second one from README.md, and any user's fresh clone the first."""
 
-BLOCKS = [block for block in blocks(README) if not set(block) & set(INSTALLING)]
+BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
+    pytest.param(name, block, id=f"{name}: {block.lines[0].partition('#')[0].strip()}")
+    for name, text in PAGES.items()
+    for block in blocks(text)
+    if name != "nodes/EXTENDING.md" and not set(block.lines) & set(INSTALLING)
+]
 
 
 @pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Path]]:
-    """One folder and one runtime directory for all blocks: later ones read what earlier ones wrote."""
+def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[dict[str, Path], Path]]:
+    """Make a folder for each page, and one runtime directory: later blocks of a page read what earlier ones wrote."""
     with private_runtime_dir() as runtime_dir:
-        yield tmp_path_factory.mktemp("readme"), runtime_dir
+        yield {name: tmp_path_factory.mktemp("page") for name in PAGES}, runtime_dir
 
 
-@pytest.mark.parametrize("lines", BLOCKS, ids=[block[0].partition("#")[0].strip() for block in BLOCKS])
-def test_commands_run_as_they_are_written(lines: list[str], places: tuple[Path, Path]) -> None:
-    with shell(*places) as terminal:
-        for line in lines:
+@pytest.mark.parametrize(("name", "block"), BLOCKS)
+def test_commands_run_as_they_are_written(
+    name: str, block: Block, places: tuple[dict[str, Path], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders, runtime_dir = places
+    said = ""
+    with shell(folders[name], runtime_dir) as terminal:
+        if name == ".github/CONTRIBUTING.md":
+            # Its reader stands in the clone.
+            terminal.folder = ROOT
+        for line in block.lines:
             wanted = command(line, SHORTER)
-            told = terminal.run(wanted)
+            printed = terminal.run(wanted)
+            said += printed
             if "--json" in wanted.words:
-                assert isinstance(json.loads(told.splitlines()[-1]), dict)
+                assert isinstance(json.loads(printed.splitlines()[-1]), dict)
+    assert promised(block.prints, said) == [], said
 
 
 def test_the_pasted_lines_install_launch_and_test() -> None:
@@ -72,36 +94,58 @@ def test_the_pasted_lines_install_launch_and_test() -> None:
     assert re.findall(pattern + "$", README, re.MULTILINE) == [testing]
 
 
-def test_nothing_is_left_to_be_filled_in() -> None:
-    assert not re.findall(r"@@\w+@@|TODO|TBD", README)
+@pytest.mark.parametrize("name", PAGES)
+def test_nothing_is_left_to_be_filled_in(name: str) -> None:
+    assert not re.findall(r"@@\w+@@|TODO|TBD", PAGES[name])
 
 
-def test_links_lead_somewhere() -> None:
-    targets = [target for target in links(README) if not target.startswith(("https://", "mailto:"))]
+def test_the_first_page_is_read_in_three_minutes() -> None:
+    assert len(README.splitlines()) <= 150
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_lead_somewhere(name: str) -> None:
+    page = ROOT / name
+    targets = [target for target in links(PAGES[name]) if not target.startswith(("https://", "mailto:"))]
+    paths = []
     for target in targets:
         path, _, anchor = target.partition("#")
-        assert not path or (ROOT / path).exists(), f"{target}: there is no such file"
-        text = README if not path else (ROOT / path).read_text(encoding="utf-8") if anchor else ""
-        assert not anchor or anchor in anchors(text), f"{target}: there is no such heading"
-    if (ROOT / ".git").exists():
-        paths = [target.partition("#")[0] for target in targets if not target.startswith("#")]
+        there = (page.parent / path).resolve() if path else page
+        assert there.exists(), f"{target}: there is no such file"
+        assert not anchor or anchor in anchors(there.read_text(encoding="utf-8")), f"{target}: there is no such heading"
+        paths.append(str(there.relative_to(ROOT)))
+    if (ROOT / ".git").exists() and paths:
         listed = subprocess.run(["git", "ls-files", "--", *paths], cwd=ROOT, capture_output=True, text=True, check=True)
         for path in paths:
-            there = [
-                name for name in listed.stdout.splitlines() if name == path or name.startswith(path.rstrip("/") + "/")
-            ]
-            assert there, f"{path}: is not in the repository, so not in a clone"
+            tracked = [line for line in listed.stdout.splitlines() if line == path or line.startswith(path + "/")]
+            assert tracked, f"{path}: is not in the repository, so not in a clone"
+
+
+def test_every_page_is_reached_from_the_first() -> None:
+    reached = {"README.md"}
+    while True:
+        more = {
+            str((ROOT / name).parent.joinpath(target.partition("#")[0]).resolve().relative_to(ROOT))
+            for name in reached & set(PAGES)
+            for target in links(PAGES[name])
+            if not target.startswith(("https://", "mailto:", "#"))
+        }
+        if more <= reached:
+            break
+        reached |= more
+    assert set(PAGES) <= reached
 
 
 def test_every_scenario_and_every_verb_is_mentioned() -> None:
     for path in (ROOT / "launch").glob("*.yaml"):
-        assert re.search(rf"\b{path.stem}\b", README), f"scenario {path.stem} is not mentioned"
+        assert f"`{path.stem}`" in PAGES["launch/README.md"], f"scenario {path.stem} is not described"
     for verb in VERBS.points().values():
-        assert re.search(rf"\bhaptic {verb.name}\b", README), f"haptic {verb.name} is not mentioned"
+        if verb.dist is None or verb.dist.name == "haptic-nodes":
+            assert re.search(rf"\bhaptic {verb.name}\b", README), f"haptic {verb.name} is not mentioned"
 
 
 def test_nothing_is_shortened_that_is_not_there() -> None:
-    typed = [command(line, {}).words for block in BLOCKS for line in block]
+    typed = [command(line, {}).words for text in PAGES.values() for block in blocks(text) for line in block.lines]
     for start in SHORTER:
         assert any(words[: len(start.split())] == start.split() for words in typed), f"no command starts with {start}"
 
@@ -128,11 +172,16 @@ haptic is not run here
 test -s nodes.json
 haptic launch floor_drop --json pace:=lockstep
 ```
+
+```text
+{… "ticks": 1500, …}
+```
 """
 
 
 def test_blocks_links_and_headings_are_found() -> None:
-    assert [len(block) for block in blocks(DRAFT)] == [3, 2]
+    assert [len(block.lines) for block in blocks(DRAFT)] == [3, 2]
+    assert [block.prints for block in blocks(DRAFT)] == [(), ('{… "ticks": 1500, …}',)]
     assert links(DRAFT) == ["#the-rest", "some/picture.png"]
     assert anchors(DRAFT) == {"draft", "the-rest"}
 
@@ -153,16 +202,22 @@ def test_commands_are_shortened_before_what_the_shell_adds(line: str, expected: 
     assert command(line, {"haptic a": "-t", "haptic a b": "-s 1"}) == expected
 
 
+def test_a_promise_is_kept_or_shown() -> None:
+    said = "floor_drop: done after 1500 ticks\n  missed 0, p50 160.5 µs\n"
+    assert promised(("floor_drop: done after 30000 ticks", "missed 3, p50 1 µs", "… p50 …"), said) == []
+    assert promised(("floor_drop: gone after 1500 ticks",), said) == ["floor_drop: gone after 1500 ticks"]
+
+
 def test_a_draft_is_run_and_leaves_nothing(tmp_path: Path) -> None:
     first, second = blocks(DRAFT)
     with private_runtime_dir() as runtime_dir:
         with shell(tmp_path, runtime_dir) as terminal:
-            for line in first:
+            for line in first.lines:
                 terminal.run(command(line, {}))
             assert len(terminal.background) == 1
         with shell(tmp_path, runtime_dir) as terminal:
-            terminal.run(command(second[0], {}))
-            told = terminal.run(command(second[1], {"haptic launch": "duration:=0.2"}))
+            terminal.run(command(second.lines[0], {}))
+            told = terminal.run(command(second.lines[1], {"haptic launch": "duration:=0.2"}))
             assert json.loads(told.splitlines()[-1])["ticks"] == 100
             with pytest.raises(AssertionError, match=r"exit code [12]$"):
                 terminal.run(command("haptic node info nobody", {}))

@@ -1,4 +1,7 @@
-"""The commands of README.md as a reader would type them: blocks of ``sh``, line by line, from top to bottom.
+"""The commands of a page as a reader would type them: blocks of ``sh``, line by line, from top to bottom.
+
+A block of ``text`` right after one of ``sh`` shows what that prints: each of its lines must be printed, with any
+numbers where it has numbers and anything where it has ``…``.
 
 What a launch started with ``&`` gives goes on until its block ends. Long commands are run with the options that their own
 ``--help`` offers for shortening; nothing else is changed.
@@ -13,7 +16,7 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,14 +27,32 @@ from messages.transport.requests import ControlError, call
 from nodes.launcher.runs import RunInfo
 from tests.support.launching import DEADLINE, assert_nothing_left, wait_for
 
-_BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(r"^```sh\n(.*?)^```$(?:\n+^```text\n(.*?)^```$)?", re.MULTILINE | re.DOTALL)
+_FILE = re.compile(r"^`([\w./-]+/[\w.-]+)`\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_NUMBER = re.compile(r"[-+−]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 _FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 _OPERATORS = "&|;<>"
 
 
-def blocks(text: str) -> list[list[str]]:
+@dataclass(frozen=True)
+class Block:
+    """One block of commands.
+
+    Attributes
+    ----------
+    lines : tuple of str
+        The commands; continued lines are joined, comments and empty lines left out.
+    prints : tuple of str
+        What the page says they print.
+    """
+
+    lines: tuple[str, ...]
+    prints: tuple[str, ...]
+
+
+def blocks(text: str) -> list[Block]:
     """Collect the commands.
 
     Parameters
@@ -41,14 +62,59 @@ def blocks(text: str) -> list[list[str]]:
 
     Returns
     -------
-    list of list of str
-        The lines of each block; continued lines are joined, comments and empty lines left out.
+    list of Block
+        In order.
     """
     found = []
-    for block in _BLOCK.findall(text):
+    for block, printed in _BLOCK.findall(text):
         lines = block.replace("\\\n", " ").splitlines()
-        found.append([line for line in lines if line.strip() and not line.lstrip().startswith("#")])
+        found.append(
+            Block(
+                tuple(line for line in lines if line.strip() and not line.lstrip().startswith("#")),
+                tuple(line.strip() for line in printed.splitlines() if line.strip()),
+            )
+        )
     return found
+
+
+def promised(prints: Iterable[str], said: str) -> list[str]:
+    """Look for what a page promises in what was printed.
+
+    Parameters
+    ----------
+    prints : iterable of str
+        Lines of the page.
+    said : str
+        What the commands printed.
+
+    Returns
+    -------
+    list of str
+        Promises that were not kept.
+    """
+    broken = []
+    for line in prints:
+        parts = [_NUMBER.sub("0", part) for part in re.split("…", line)]
+        pattern = ".*".join(re.escape(part).replace("0", _NUMBER.pattern) for part in parts)
+        if not re.search(pattern, said):
+            broken.append(line)
+    return broken
+
+
+def written_files(text: str) -> dict[str, str]:
+    """Collect the files that a page shows: a path alone on a line, then a block of code.
+
+    Parameters
+    ----------
+    text : str
+        Markdown.
+
+    Returns
+    -------
+    dict of str to str
+        Path to content.
+    """
+    return dict(_FILE.findall(text))
 
 
 def links(text: str) -> list[str]:
@@ -149,6 +215,8 @@ class Shell:
         Working directory.
     runtime_dir : Path
         Private runtime directory.
+    programs : Path
+        Where ``haptic`` and ``python`` are.
 
     Attributes
     ----------
@@ -156,15 +224,15 @@ class Shell:
         What was started with ``&`` and has not been ended.
     """
 
-    def __init__(self, folder: Path, runtime_dir: Path) -> None:
+    def __init__(self, folder: Path, runtime_dir: Path, programs: Path) -> None:
         self.folder = folder
         self.runtime_dir = runtime_dir
         self.background: list[subprocess.Popen[bytes]] = []
         self._log = folder / "background.txt"
         self._environment = {
             **os.environ,
-            # The haptic of this environment, as after `source .venv/bin/activate`.
-            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+            # As after `source .venv/bin/activate`.
+            "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
             "HAPTIC_RUNTIME_DIR": str(runtime_dir),
             "HAPTIC_KEYS": str(folder / "keys"),
         }
@@ -232,7 +300,7 @@ class Shell:
 
 
 @contextlib.contextmanager
-def shell(folder: Path, runtime_dir: Path) -> Iterator[Shell]:
+def shell(folder: Path, runtime_dir: Path, programs: Path = Path(sys.executable).parent) -> Iterator[Shell]:
     """Run commands for the length of a with block.
 
     Parameters
@@ -241,13 +309,15 @@ def shell(folder: Path, runtime_dir: Path) -> Iterator[Shell]:
         Working directory.
     runtime_dir : Path
         Private runtime directory.
+    programs : Path
+        Where ``haptic`` and ``python`` are; those of this environment when left out.
 
     Yields
     ------
     Shell
         Where to run them; what was left in the background is ended at the end.
     """
-    opened = Shell(folder, runtime_dir)
+    opened = Shell(folder, runtime_dir, programs)
     try:
         yield opened
     finally:
