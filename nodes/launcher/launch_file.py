@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,11 +18,12 @@ import msgspec
 
 from nodes.base.kinds import node_kinds
 from nodes.launcher.launch_spec import Argument, Launch, LaunchText, NodeSpec, RunSpec
+from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
 from nodes.parameters.yaml_io import parse_yaml, read_yaml
 
-GROUP = "haptic.launch"
-"""Entry points that add scenarios: each names a package with launch files in it, which is not imported."""
+COLLECTIONS = Registry("haptic.launch", "collection of scenarios")
+"""What adds scenarios: each names a package with launch files in it, which is not imported."""
 
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
@@ -39,7 +39,7 @@ def launch_dirs() -> list[Path]:
         In the wheel, beside the package, then in each installed package named under the entry points ``haptic.launch``.
     """
     nodes = Path(__file__).resolve().parents[1]
-    specs = [find_spec(point.value) for point in entry_points(group=GROUP)]
+    specs = [find_spec(point.value) for point in COLLECTIONS.points().values()]
     added = [Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()]
     return [path for path in (nodes / "_launch", nodes.parent / "launch", *added) if path.is_dir()]
 
