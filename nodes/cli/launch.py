@@ -22,6 +22,9 @@ from nodes.launcher.runs import RunError
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.parameters.store import ParameterError
 
+REST = 1e-6
+"""Largest swing of the last ticks that counts as rest [m]: about what a fingertip feels at its most sensitive, near 250 Hz."""
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments.
@@ -177,7 +180,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "startup_s": round(supervisor.startup_s, 3),
         "final": {
             key: (final[key][axis] if single else final[key]) if key in final else None
-            for key in ("position_m", "force_n")
+            for key in ("position_m", "force_n", "swing_m")
         },
         "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
     }
@@ -216,7 +219,9 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
     lines += _safety_text(figures["safety"])
     final = figures["final"]
     if isinstance(final["position_m"], float):
-        lines.append(f"  at rest   position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N")
+        swing = final.get("swing_m") or 0.0
+        where = f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N"
+        lines.append(f"  at rest   {where}" if swing <= REST else f"  moving    {where}, swing {swing * 1e3:.3g} mm")
     lines += [f"  recording {path}" for path in figures["recordings"]]
     if figures["plot"]:
         lines.append(f"  plot      {figures['plot']}")

@@ -33,6 +33,9 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
     hold : float
         How long the device itself holds a force when no other comes, before it lets go [s]: its own last line, for a driver
         that hangs. Every driver of hardware should have one.
+    latency : float or None
+        From handing a force over until the device applies it [s]: energy and guard account for it. None where it is not known,
+        which the driver says; both then take forces to act when they are handed over.
     workspace : tuple of tuple of float, shape (3, 2)
         Smallest and largest coordinate of each axis [m].
     """
@@ -42,6 +45,7 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
     slew: float = math.inf
     silence: float = math.inf
     hold: float = math.inf
+    latency: float | None = None
     workspace: Workspace = (
         (-math.inf, math.inf),
         (-math.inf, math.inf),

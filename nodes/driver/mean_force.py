@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from messages.types import Vector
+from nodes.driver.passivity import backlog, line_of, through
 
 
 class Split:
@@ -56,3 +57,50 @@ class Split:
             return list(self._fixed)
         self._add(1.0)
         return self._sum
+
+
+class Latency:
+    """Forces on their way through a device that applies them later than they are handed over.
+
+    Parameters
+    ----------
+    ticks : float
+        Its latency [ticks].
+    """
+
+    def __init__(self, ticks: float) -> None:
+        self._lines = [line_of(ticks)[0] for _ in range(3)]
+        self._part = line_of(ticks)[1]
+
+    def acted(self, handed: list[float], ticks: int) -> list[float]:
+        """Tell what acted since the sample before.
+
+        Parameters
+        ----------
+        handed : list of float, shape (3,)
+            Mean force handed over meanwhile [N].
+        ticks : int
+            How many ticks that was: more than one when the driver was held up.
+
+        Returns
+        -------
+        list of float, shape (3,)
+            Mean force that acted [N].
+        """
+        part = self._part
+        total = [through(line, force, part) for line, force in zip(self._lines, handed, strict=True)]
+        for _ in range(ticks - 1):
+            for i, force in enumerate(handed):
+                total[i] += through(self._lines[i], force, part)
+        return total if ticks == 1 else [force / ticks for force in total]
+
+    def backlog(self) -> Vector:
+        """Give the force times ticks that is still on its way.
+
+        Returns
+        -------
+        tuple of float, shape (3,)
+            Sum on each axis [N].
+        """
+        x, y, z = (backlog(line, self._part) for line in self._lines)
+        return x, y, z

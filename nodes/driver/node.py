@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -23,30 +24,19 @@ from nodes.base import realtime
 from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.driver.device import Device
-from nodes.driver.limits import SafetyParameters
-from nodes.driver.mean_force import Split
-from nodes.driver.passivity import PassivityGuard, PassivityParameters, observe
+from nodes.driver.mean_force import Latency, Split
+from nodes.driver.parameters import DriverParameters as DriverParameters
+from nodes.driver.parameters import check_workspace
+from nodes.driver.passivity import PassivityGuard, observe
 from nodes.driver.response_times import ResponseTimes
 from nodes.driver.safety import Safety
 from nodes.parameters.store import ParameterError, convert
 
+RECENT = 64
+"""Ticks at the end of a run whose swing tells whether the device is at rest."""
+
 ASK_AGAIN = 0.5
 """In lockstep, a tick without an answer for so long is published again: its answer was lost with a node [s]."""
-
-
-class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Parameters that every driver has.
-
-    Attributes
-    ----------
-    safety : SafetyParameters
-        Limits; see nodes/driver/limits.py.
-    passivity : PassivityParameters or None
-        Passivity observer and controller after the law; see nodes/driver/passivity.py. None for none.
-    """
-
-    safety: SafetyParameters = SafetyParameters()
-    passivity: PassivityParameters | None = None
 
 
 class Driver(Node):
@@ -82,13 +72,7 @@ class Driver(Node):
                 f"{setup.name}: pace lockstep waits for each force, however long, which no device but a virtual one can; "
                 "use realtime"
             )
-        workspace = convert(setup.parameters, cls.Parameters, setup.name).safety.workspace
-        for axis, (low, high) in enumerate(workspace or ()):
-            if not low < high:
-                raise ParameterError(
-                    f"{setup.name}.safety.workspace[{axis}]: {low:g} to {high:g} m, expected low to high: outside it there "
-                    "is no force"
-                )
+        check_workspace(convert(setup.parameters, cls.Parameters, setup.name).safety.workspace, setup.name)
 
     def make_device(self) -> Device:
         """Make the device from the parameters; do not open it yet.
@@ -115,6 +99,12 @@ class Driver(Node):
         passivity = self.store.current.passivity
         guarded = passivity is not None and passivity.guard == "on"
         self._guard = PassivityGuard(passivity, self.setup.period, self._axes) if guarded else None
+        latency = self._device.limits.latency
+        if latency is None and guarded:
+            self.tell(
+                "guard", "the device does not tell its latency: the guard takes forces to act when they are handed over"
+            )
+        self._latency = Latency(round(latency / self.setup.period, 9)) if latency else None
         self._open = False
         self._soft_stop_ticks = 0
         self._position: Vector = ZERO
@@ -132,6 +122,7 @@ class Driver(Node):
         self._highest_energy = 0.0
         self._first_stamp = self._last_stamp = 0.0
         self._complete = False
+        self._recent: deque[Vector] = deque(maxlen=RECENT)
 
     def _tell_safety(self, kind: str, reason: str) -> None:
         # Every change of state is published, whatever else happened; refusals by the thousand are not.
@@ -182,8 +173,13 @@ class Driver(Node):
             "age_ticks_max": self._oldest_age,
             "energy_j": self._energy,
             "energy_max_j": self._highest_energy,
+            "latency_s": self._device.limits.latency,
             "guard": self._guard.summary() if self._guard else None,
-            "final": {"position_m": list(self._position), "force_n": list(self._safety.force)},
+            "final": {
+                "position_m": list(self._position),
+                "force_n": list(self._safety.force),
+                "swing_m": [max(axis) - min(axis) for axis in zip(*self._recent, strict=True)] or [0.0, 0.0, 0.0],
+            },
         }
 
     # -- one tick ----------------------------------------------------------------------------------------------------
@@ -192,14 +188,17 @@ class Driver(Node):
         """Sample the device and publish its state, with the report of the tick before; when it was published [s]."""
         position = self._device.read_position(seq)
         safety = self._safety
-        self._held = 1
+        passed, self._held = self._held, 1
         before = self._before = self._position
         if not safety.watch_position(position, seq):
             position = before
         self._position = position
+        self._recent.append(position)
         force, acting = safety.force, self._acting
         guard = self._guard
         if self.ticks:
+            if self._latency is not None:
+                acting = self._latency.acted(acting, passed)
             for i in self._axes:
                 self._energy = observe(self._energy, acting[i], position[i] - before[i])
             if self._energy > self._highest_energy:
@@ -231,6 +230,9 @@ class Driver(Node):
         self.publisher.send_hop(self._topic, payload)
         self._unlistened = payload
         return published
+
+    def _guarded(self, guard: PassivityGuard, wanted: Vector, pending: Vector, share: float) -> Vector:
+        return guard.control(wanted, pending, share, ZERO if self._latency is None else self._latency.backlog())
 
     def _tell_listeners(self) -> None:
         """Publish the tick's state to the listeners too, when nothing waits for it any more."""
@@ -286,7 +288,7 @@ class Driver(Node):
                 if force is not None and force.seq == seq and safety.admit(force, seq):
                     self._response = response = clock() - sent
                     note(response)
-                    wanted = force.force if guard is None else guard.control(force.force, acting, float(late))
+                    wanted = force.force if guard is None else self._guarded(guard, force.force, acting, float(late))
                     command = safety.command(wanted, seq, seq)
                     device.write_force(command, seq + late, 0.0)
                     self._acting = list(acting if late else command)
@@ -373,7 +375,7 @@ class Driver(Node):
                     offset = min(max((arrival - deadline) / period, 0.0), 1.0)
                     wanted = force.force
                     if guard is not None:
-                        wanted = guard.control(wanted, safety.force, 1.0 if next_tick else offset)
+                        wanted = self._guarded(guard, wanted, safety.force, 1.0 if next_tick else offset)
                     command = safety.command(wanted, force.seq, seq)
                     self._written = seq
                     if next_tick:
@@ -391,7 +393,7 @@ class Driver(Node):
             if not answered:
                 self._missed += 1
                 self._response = 0.0
-                held = None if guard is None else guard.control(safety.force, safety.force, 1.0)
+                held = None if guard is None else self._guarded(guard, safety.force, safety.force, 1.0)
                 command_now = safety.missed(seq, self._velocity(), held)
                 if command_now is not None:
                     following_command = None

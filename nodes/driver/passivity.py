@@ -16,15 +16,19 @@ space remains free, and a wall never pulls.
 Energy that a law has dissipated is not in store, but E does not know that: credit from minutes of damping could feed an
 instability later. So credit is forgotten when there is no force (no contact: nothing can be stored) and, where a stiffness is
 given, whenever it exceeds what a spring of that stiffness holds at the present force, F²/(2k). A debt is never forgotten.
+
+A device may itself apply a force later than it was handed over (its latency). What acts is then what went into a line that
+much earlier, and what is still in the line will act before anything that is chosen now (THEORY.md §6).
 """
 
 from __future__ import annotations
 
+from collections.abc import MutableSequence, Sequence
 from typing import Annotated, Literal
 
 import msgspec
 
-from messages.types import Vector
+from messages.types import ZERO, Vector
 
 
 class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -65,6 +69,78 @@ def observe(energy: float, acting: float, step: float) -> float:
         Energy given out up to now [J] (THEORY.md §6).
     """
     return energy + acting * step
+
+
+def line_of(latency: float) -> tuple[list[float], float]:
+    """Make an empty line of forces on their way.
+
+    Parameters
+    ----------
+    latency : float
+        Of the device [ticks].
+
+    Returns
+    -------
+    line : list of float
+        Forces of the newest ticks, newest first [N].
+    part : float
+        Fraction of a tick by which the oldest one still acts.
+    """
+    whole = int(latency)
+    part = latency - whole
+    return [0.0] * (whole + (2 if part > 0.0 else 1)), part
+
+
+def through(line: MutableSequence[float], force: float, part: float) -> float:
+    """Let the force of a tick into the line, and give what acts during that tick.
+
+    Parameters
+    ----------
+    line : sequence of float
+        From `line_of`; changed in place [N].
+    force : float
+        Mean force handed over for the tick [N].
+    part : float
+        From `line_of`.
+
+    Returns
+    -------
+    float
+        Mean force that acts [N].
+    """
+    last = len(line) - 1
+    for i in range(last, 0, -1):
+        line[i] = line[i - 1]
+    line[0] = force
+    if part > 0.0:
+        return part * line[last] + (1.0 - part) * line[last - 1]
+    return line[last]
+
+
+def backlog(line: Sequence[float], part: float) -> float:
+    """Add up what is on its way.
+
+    Parameters
+    ----------
+    line : sequence of float
+        From `line_of` [N].
+    part : float
+        From `line_of`.
+
+    Returns
+    -------
+    float
+        Force times ticks for which it has still to act [N].
+    """
+    last = len(line) - 1
+    total = 0.0
+    if part > 0.0:
+        for i in range(last - 1):
+            total += line[i]
+        return total + part * line[last - 1]
+    for i in range(last):
+        total += line[i]
+    return total
 
 
 def forget(energy: float, force: float, stiffness: float | None) -> float:
@@ -182,7 +258,7 @@ class PassivityGuard:
             if self._energy[i] > self.highest:
                 self.highest = self._energy[i]
 
-    def control(self, force: Vector, pending: Vector, share: float) -> Vector:
+    def control(self, force: Vector, pending: Vector, share: float, backlog: Vector = ZERO) -> Vector:
         """Choose the force of the next tick.
 
         Parameters
@@ -193,6 +269,8 @@ class PassivityGuard:
             Force that acts until this one takes effect [N].
         share : float
             For how long it does [ticks].
+        backlog : tuple of float, shape (3,)
+            Force times ticks that the device has yet to apply before [N].
 
         Returns
         -------
@@ -203,7 +281,7 @@ class PassivityGuard:
         for i in self._axes:
             step, wanted = self._step[i], force[i]
             self._energy[i] = energy = forget(self._energy[i], wanted, self._stiffness)
-            chosen[i] = value = control(energy + share * pending[i] * step, wanted, step, self._rate)
+            chosen[i] = value = control(energy + (share * pending[i] + backlog[i]) * step, wanted, step, self._rate)
             if abs(value) < abs(wanted):
                 self.lowered += 1
             elif value != wanted:

@@ -60,8 +60,8 @@ class TimedDevice:
 
     @property
     def limits(self) -> DeviceLimits:
-        """A virtual device bears everything; what its motor cannot give, the model saturates."""
-        return DeviceLimits(hold=self._hold)
+        """A virtual device bears everything; what its motor cannot give, the model saturates. Its delay is its latency."""
+        return DeviceLimits(hold=self._hold, latency=self._delay * self._period)
 
     def open(self) -> None:
         """Nothing to connect."""

@@ -48,7 +48,7 @@ class Drop:
     impact_n_per_m: float
 
 
-def measure(trace: Trace, stiffness: float, guarded: bool, next_tick: bool) -> Drop:
+def measure(trace: Trace, stiffness: float, guarded: bool, delay: float) -> Drop:
     """Measure a drop on a floor at height 0.
 
     Parameters
@@ -59,15 +59,18 @@ def measure(trace: Trace, stiffness: float, guarded: bool, next_tick: bool) -> D
         Nominal stiffness [N/m].
     guarded : bool
         Whether the guard was on.
-    next_tick : bool
-        Whether forces took effect one tick later.
+    delay : float
+        From handing a force over until it acts, ``next_tick`` and the device's own latency together [ticks].
 
     Returns
     -------
     Drop
         Its figures.
     """
-    acting = np.concatenate(([0.0], trace.force[:-2])) if next_tick else trace.force[:-1]
+    whole, part = int(delay), delay - int(delay)
+    # What acts during tick k: the force of tick k−i−1 for its fraction, then that of k−i.
+    late = np.concatenate((np.zeros(whole + 1), trace.force))
+    acting = (part * late[: len(trace.force)] + (1.0 - part) * late[1 : len(trace.force) + 1])[:-1]
     energy = np.concatenate(([0.0], np.cumsum(acting * np.diff(trace.measured))))
     end = slice(int((1.0 - SHARE) * len(trace.position)), None)
     rest, force = trace.measured[end], trace.force[end]
@@ -125,5 +128,5 @@ def compare(
                 next_tick=next_tick,
                 passivity=PassivityParameters(stiffness=stiffness, damping=guard.damping) if on else None,
             )
-            found.append(measure(run(scene, law, ticks), stiffness, on, next_tick))
+            found.append(measure(run(scene, law, ticks), stiffness, on, device.delay + (1.0 if next_tick else 0.0)))
     return found

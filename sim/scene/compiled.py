@@ -41,6 +41,8 @@ KERNELS: tuple[Callable[..., Any], ...] = (
     nodes.driver.passivity.observe,
     nodes.driver.passivity.forget,
     nodes.driver.passivity.control,
+    nodes.driver.passivity.through,
+    nodes.driver.passivity.backlog,
     sim.device.model.decay_mean,
     sim.device.model.coefficients,
     sim.device.model.advance,

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.driver.passivity import PassivityParameters, control, forget, observe
+from nodes.driver.passivity import PassivityParameters, backlog, control, forget, line_of, observe, through
 from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_distance, push, sections, warm_up
 from nodes.laws import CompiledLaw
 from sim.device.friction import move
@@ -280,6 +280,8 @@ def _play(
     guard: float | None = None,
     guard_stiffness: float | None = None,
     guard_late: float = 0.0,
+    guard_line: MutableSequence[float] | None = None,
+    guard_part: float = 0.0,
 ) -> tuple[float, float]:
     length = len(history) // 2
     waiting = len(commands)
@@ -323,17 +325,20 @@ def _play(
                 force = cross_fade(evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp)
                 done += 1
             force = one_sided(force, normal, contact, raw, clamp)
-            if guard is not None:
+            if guard is not None and guard_line is not None:
                 if k > 0:
                     step = measured - before
                     energy = observe(energy, acting, step)
                 energy = forget(energy, force, guard_stiffness)
-                force = control(energy + guard_late * applied * step, force, step, guard)
+                on_its_way = guard_late * applied + backlog(guard_line, guard_part)
+                force = control(energy + on_its_way * step, force, step, guard)
                 before = measured
                 acting = applied
             applied = limit(force, applied, peak, slew)
-            if guard is not None and guard_late == 0.0:
-                acting = applied
+            if guard is not None and guard_line is not None:
+                if guard_late == 0.0:
+                    acting = applied
+                acting = through(guard_line, acting, guard_part)
             positions[k] = x
             if velocities is not None:
                 velocities[k] = v
@@ -428,7 +433,10 @@ def run(
     for candidate in laws:
         taps_from.append(taps_from[-1] + len(candidate.taps))
         states_from.append(states_from[-1] + 2 * len(candidate.sections))
+    guarded = scene.passivity if scene.passivity is not None and scene.passivity.guard == "on" else None
+    line, guard_part = line_of(device.delay)
     values = {
+        "guard_line": line if guarded is not None else None,
         "loads": [device.load(k, scene.period) for k in range(ticks)] if device.hand else None,
         "commands": [0.0] * (whole + 2),
         "taps": [tap for candidate in laws for tap in candidate.taps],
@@ -443,7 +451,6 @@ def run(
         "swap_ramp": [swap.ramp for swap in swaps],
     }
     records = {name: [0.0] * ticks for name in ("positions", "velocities", "measureds", "deflections", "forces")}
-    passivity = scene.passivity if scene.passivity is not None and scene.passivity.guard == "on" else None
     call = _play
     lists: dict[str, object] = {**values, **counts, **records}
     if not interpreted:
@@ -473,9 +480,10 @@ def run(
         clamp=scene.clamp,
         peak=scene.peak,
         slew=scene.slew,
-        guard=None if passivity is None else passivity.damping / scene.period,
-        guard_stiffness=None if passivity is None else passivity.stiffness,
+        guard=None if guarded is None else guarded.damping / scene.period,
+        guard_stiffness=None if guarded is None else guarded.stiffness,
         guard_late=1.0 if scene.next_tick else 0.0,
+        guard_part=guard_part,
         **lists,  # type: ignore[arg-type]
     )
     position, velocity, measured, deflections, force = (np.asarray(lists[name], dtype=np.float64) for name in records)

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nodes.driver.mean_force import Latency
 from nodes.driver.passivity import PassivityGuard, PassivityParameters, control, forget, observe
 from nodes.launcher import launch_file
 from nodes.laws.pd import PD
@@ -123,17 +124,27 @@ def test_over_a_whole_run_only_the_changes_of_displacement_add_up(
 
 
 def scene(
-    guard: PassivityParameters | None, mass: float = 0.1, next_tick: bool = False, resolution: float | None = None
+    guard: PassivityParameters | None,
+    mass: float = 0.1,
+    next_tick: bool = False,
+    resolution: float | None = None,
+    latency: float = 0.0,
 ) -> Scene:
-    device = DeviceModel(mass=mass, damping=1.0, gravity=9.81, position=0.01, resolution=resolution)
+    device = DeviceModel(mass=mass, damping=1.0, gravity=9.81, position=0.01, resolution=resolution, delay=latency)
     return Scene(
         device=device, surface=Surface("plane"), period=T, raw=False, clamp=True, next_tick=next_tick, passivity=guard
     )
 
 
-def given_out(trace: Trace, next_tick: bool = False) -> Any:
-    """Energy given out up to each sample [J], from forces and positions alone."""
-    acting = np.concatenate(([0.0], trace.force[:-2])) if next_tick else trace.force[:-1]
+def given_out(trace: Trace, delay: float = 0.0) -> Any:
+    """Energy given out up to each sample [J], from forces and positions alone; a fraction of a tick as its share."""
+    whole, part = int(delay), delay - int(delay)
+    late = np.concatenate((np.zeros(whole + 1), trace.force))
+    acting = (
+        late[1 : len(trace.force)]
+        if part == 0.0
+        else part * late[: len(trace.force) - 1] + (1.0 - part) * late[1 : len(trace.force)]
+    )
     return np.concatenate(([0.0], np.cumsum(acting * np.diff(trace.measured))))
 
 
@@ -174,6 +185,39 @@ def test_an_unstable_wall_throws_the_mass_up_without_the_guard_and_lets_it_lie_w
     assert calm.position[-500:].max() < 0.0  # it lies on the floor
     # What carries the weight is still the wall.
     assert calm.force[-1000:].mean() == pytest.approx(0.981, rel=0.03)
+
+
+def test_a_device_that_is_late_is_guarded_as_one() -> None:
+    """THEORY.md §6: what acts is what was handed over a latency ago. An account without it sees a tenth of the energy."""
+    law = PD(stiffness=3000.0, damping=3.0).compile(T)
+    wild, calm = run(scene(None, latency=1.0), law, 1500), run(scene(ON, latency=1.0), law, 1500)
+    assert given_out(wild, 1.0).max() > 0.5
+    # Falsely reassuring: the same run, forces taken to act when they are handed over.
+    assert given_out(wild, 0.0).max() < 0.1
+    assert given_out(calm, 1.0).max() < 0.01
+    assert float(np.ptp(calm.position[-500:])) < 0.5e-3 < 20e-3 < float(np.ptp(wild.position[-500:]))
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.25, 1.0, 2.75])
+def test_what_goes_through_a_line_comes_out_late_and_whole(latency: float) -> None:
+    late = Latency(latency)
+    handed = [1.0, 5.0, -2.0, 4.0, 0.0, 0.0, 0.0, 0.0]
+    acted = []
+    for force in handed:
+        acted.append(late.acted([force, 0.0, -force], 1))
+        # All that was handed over has acted or is on its way.
+        assert sum(a[0] for a in acted) + late.backlog()[0] == pytest.approx(sum(handed[: len(acted)]), abs=1e-15)
+        assert acted[-1][2] == -acted[-1][0]
+    whole, part = int(latency), latency - int(latency)
+    expected = np.convolve(handed, [*[0.0] * whole, 1.0 - part, part])[: len(handed)]
+    assert [a[0] for a in acted] == pytest.approx(expected, abs=1e-15)
+
+
+def test_ticks_that_were_left_out_go_through_the_line_too() -> None:
+    one, held = Latency(1.5), Latency(1.5)
+    ticks = [one.acted([3.0, 0.0, 0.0], 1)[0] for _ in range(4)]
+    assert held.acted([3.0, 0.0, 0.0], 4)[0] == pytest.approx(sum(ticks) / 4.0)
+    assert held.backlog() == one.backlog()
 
 
 def test_a_wall_that_is_stable_is_not_touched() -> None:
@@ -221,17 +265,20 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
 # -- four processes ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
-def test_lockstep_equals_one_process_and_publishes_its_energy(tmp_path: Path, apply: str) -> None:
-    words = {"pace": "lockstep", "duration": 0.6, "apply": apply, "height": 0.002}
+@pytest.mark.parametrize(
+    ("apply", "latency"), [("on_arrival", 0.0), ("next_tick", 0.0), ("on_arrival", 1.0), ("next_tick", 0.3)]
+)
+def test_lockstep_equals_one_process_and_publishes_its_energy(tmp_path: Path, apply: str, latency: float) -> None:
+    words = {"pace": "lockstep", "duration": 0.6, "apply": apply, "height": 0.002, "latency": latency}
     figures = launch_json(tmp_path, "floor_guarded", *(f"{name}:={value}" for name, value in words.items()))
     recording = Recording(tmp_path / figures["recording"])
     state = recording.arrays("/device/state")
     trace = from_launch(launch_file.read("floor_guarded", words)).play()
     assert np.array_equal(state["position"][:-1, 2], trace.measured)
     assert np.array_equal(state["force"][1:, 2], trace.force)
-    energy = given_out(trace, apply == "next_tick")
-    assert np.array_equal(state["energy"][:-1], energy)
+    energy = given_out(trace, latency + (apply == "next_tick"))
+    # Whole ticks: the very sum. A fraction is taken as its share of an even motion, in another order of two additions.
+    assert state["energy"][:-1] == pytest.approx(energy, rel=0.0, abs=0.0 if latency % 1.0 == 0.0 else 1e-12)
     assert figures["energy_max_j"] == max(energy.max(), state["energy"][-1])
     assert figures["guard"]["lowered"] > 0
     assert state["guard"].any()
