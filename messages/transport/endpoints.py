@@ -1,10 +1,10 @@
-"""Endpoints, and what each kind of them asks of a socket: encryption off this machine, heartbeats over tcp, bounded messages.
+"""Endpoints, and what each kind of them asks of a socket: encryption over tcp, heartbeats, bounded messages.
 
 An endpoint is ZeroMQ's own text, followed for an encrypted one by ``#`` and the public key of the machine that binds it::
 
     ipc:///run/user/1000/haptic/floor_drop-…/coupling.pub     a private directory: nobody else gets there
-    tcp://127.0.0.1:5600                                      this machine only: plain
-    tcp://10.0.0.2:5600#9f0c…                                 any other: CURVE, or it is refused
+    tcp://10.0.0.2:5600#9f0c…                                 CURVE, or it is refused
+    tcp://127.0.0.1:5600#9f0c…                                so too on loopback, which all users of the machine share
 
 The key travels with the endpoint, so whoever knows where to connect also knows whom to expect there: a forger that binds in
 the place of a node cannot complete the handshake.
@@ -62,7 +62,7 @@ def split(endpoint: str) -> tuple[str, str]:
     Raises
     ------
     EndpointRefusedError
-        When a tcp endpoint off loopback has no key, or the transport is neither ipc nor tcp.
+        When a tcp endpoint has no key, or the transport is neither ipc nor tcp.
     """
     bare, sign, key = endpoint.partition("#")
     if sign:
@@ -71,7 +71,11 @@ def split(endpoint: str) -> tuple[str, str]:
         return bare, ""
     if not bare.startswith("tcp://"):
         raise EndpointRefusedError(f"{endpoint}: neither ipc:// nor tcp://")
-    if not sign and not _is_loopback(bare):
+    if not sign and _is_loopback(bare):
+        raise EndpointRefusedError(
+            f"{bare}: every user of this machine can reach it, so it needs a key: haptic keys new; or use ipc://"
+        )
+    if not sign:
         raise EndpointRefusedError(
             f"{bare}: other machines can reach it, so it needs keys: on both machines haptic keys new, then on each "
             "haptic keys allow NAME KEY with the key of the other"
@@ -148,7 +152,23 @@ def connect(socket: Socket, endpoint: str) -> None:
     socket.connect(bare)
 
 
-def bind(socket: Socket, endpoint: str) -> None:
+def is_open_place(endpoint: str) -> bool:
+    """Whether an endpoint may be opened to all users of this machine, unencrypted, for them to listen.
+
+    Parameters
+    ----------
+    endpoint : str
+        ZeroMQ's endpoint.
+
+    Returns
+    -------
+    bool
+        True for tcp on loopback without a key.
+    """
+    return endpoint.startswith("tcp://") and "#" not in endpoint and _is_loopback(endpoint)
+
+
+def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
     """Bind a socket; where the endpoint has a key, as this machine, to machines that the gate lets in.
 
     Parameters
@@ -157,13 +177,15 @@ def bind(socket: Socket, endpoint: str) -> None:
         Of any kind. Plain endpoints are bound before encrypted ones: what is bound keeps the options it was bound with.
     endpoint : str
         As above.
+    is_open : bool
+        Whether all users of this machine may come, where `is_open_place`: only for what nobody can command.
 
     Raises
     ------
     EndpointRefusedError, KeyRefusedError
         When the endpoint or this machine's keys cannot be used, or the address is taken.
     """
-    bare, key = split(endpoint)
+    bare, key = (endpoint, "") if is_open and is_open_place(endpoint) else split(endpoint)
     socket.setsockopt(zmq.MAXMSGSIZE, 16 * MAX_PAYLOAD)
     if bare.startswith("ipc://"):
         # A respawned node finds the socket file of its killed predecessor.

@@ -90,6 +90,9 @@ class Publisher:
         Endpoints for listeners; when there are none, they connect where the hops do.
     batch : int
         How many messages for listeners are collected before they are sent: waking another core costs more than a message.
+    open_to_all : str
+        A further endpoint for listeners, tcp on loopback: any user of this machine may listen there, unencrypted; empty
+        for none.
 
     Attributes
     ----------
@@ -105,9 +108,16 @@ class Publisher:
     """
 
     def __init__(
-        self, context: Context, endpoint: str, more: Iterable[str] = (), listen: Iterable[str] = (), batch: int = 1
+        self,
+        context: Context,
+        endpoint: str,
+        more: Iterable[str] = (),
+        listen: Iterable[str] = (),
+        batch: int = 1,
+        open_to_all: str = "",
     ) -> None:
-        self._endpoints = ((endpoint, *more), tuple(listen))
+        self._open = open_to_all
+        self._endpoints = ((endpoint, *more), (*({open_to_all} - {"", endpoint}), *listen))
         self._sockets: list[Socket] = []
         try:
             for thread, places in enumerate(self._endpoints):
@@ -125,8 +135,7 @@ class Publisher:
         self._peers: dict[tuple[int, bytes], int] = {}
         self.endpoint = endpoint
 
-    @staticmethod
-    def _bound(context: Context, thread: int, places: tuple[str, ...]) -> Socket:
+    def _bound(self, context: Context, thread: int, places: tuple[str, ...]) -> Socket:
         socket = context.socket(zmq.XPUB)
         socket.setsockopt(zmq.XPUB_VERBOSER, 1)
         socket.sndhwm = SEND_QUEUE
@@ -134,7 +143,7 @@ class Publisher:
         socket.setsockopt(zmq.AFFINITY, 1 << thread)
         try:
             for place in places:
-                bind(socket, place)
+                bind(socket, place, place == self._open)
         except ValueError:
             socket.close(linger=0)
             raise

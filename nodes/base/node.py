@@ -11,6 +11,7 @@ import os
 import resource
 import threading
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import msgspec
@@ -23,6 +24,7 @@ from nodes.base.events import Telling
 from nodes.base.handover import Changes
 from nodes.base.setup import Setup
 from nodes.parameters.store import ParameterError, ParameterStore
+from nodes.parameters.paths import check_paths
 
 M = TypeVar("M", bound=Message)
 IDLE_MS = 100
@@ -298,6 +300,8 @@ class Node(Telling):
         while True:
             base = self.store.current
             parameters = make()
+            if self.setup.allow_paths is not None:
+                check_paths(parameters, [Path(folder) for folder in self.setup.allow_paths], self.setup.name)
             apply = (prepare or self.prepare)(parameters)
             receipt = self.hand_over(self._unless_changed(base, parameters, apply))
             if receipt is not None:

@@ -74,7 +74,7 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
         hops, listeners = [setup.reach], [setup.listen, setup.listen_reach]
         batch = LOCKSTEP_BATCH if setup.pace == "lockstep" else max(1, int(LISTENERS_WAIT / setup.period))
         node.publisher = Publisher(
-            context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)), batch
+            context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)), batch, setup.open_listen
         )
         subscriptions: list[Subscription] = []
 

@@ -223,6 +223,7 @@ def _play(arguments: argparse.Namespace) -> int:
 
     import zmq
 
+    from messages.transport.endpoints import is_open_place
     from messages.transport.sockets import Publisher, new_context
     from nodes.recording.play import play
     from nodes.recording.reader import Recording
@@ -235,7 +236,8 @@ def _play(arguments: argparse.Namespace) -> int:
     counts: dict[str, int] = {}
     context = new_context()
     try:
-        publisher = Publisher(context, arguments.endpoint)
+        is_open = is_open_place(arguments.endpoint)
+        publisher = Publisher(context, arguments.endpoint, open_to_all=arguments.endpoint if is_open else "")
     except (ValueError, zmq.ZMQError) as error:
         context.term()
         raise UsageError(f"--endpoint: {error}") from error

@@ -31,7 +31,7 @@ LATE = 200e-6
 OPEN_FILES = 256
 """Descriptors that a node needs at most, encrypted connections to many listeners included."""
 
-RUN_NAME = 78
+RUN_NAME = 83
 """What a run adds to the runtime directory's path: its name, of a scenario of 16 characters and the time, and a socket's."""
 
 

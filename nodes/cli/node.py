@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from nodes.cli.ask import add_run, ask, chosen_run, node_name
@@ -35,7 +36,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     start.add_argument(
         "--bind", metavar="HOST:PORT", help="for a launch on another machine: where this node is reached"
     )
-    start.add_argument("--curve", action="store_true", help="with --bind on loopback: encrypt as off it")
+    start.add_argument("--kind", default="", help="with --bind: the one kind that it may become (default: its name)")
+    start.add_argument(
+        "--allow-path",
+        metavar="DIR",
+        type=Path,
+        action="append",
+        default=[],
+        help="with --bind: where its parameters may name files and libraries; may be given several times",
+    )
     add_run(start)
 
 
@@ -106,7 +115,7 @@ def _start(arguments: argparse.Namespace) -> int:
         host, _, port = arguments.bind.rpartition(":")
         if not host or not port.isdecimal() or not 0 < int(port) < 65535:
             raise UsageError(f"--bind {arguments.bind}: expected HOST:PORT with a port from 1 to 65534")
-        return join.start_for(arguments.node, host.strip("[]"), int(port), arguments.curve)
+        return join.start_for(arguments.node, host.strip("[]"), int(port), arguments.kind, arguments.allow_path)
     except (ValueError, RunError) as error:
         # Keys, endpoints and parameters are all refused by value.
         raise UsageError(str(error)) from error

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import shlex
 import signal
 import threading
 import time
@@ -20,11 +21,14 @@ from typing import Any
 import msgspec
 import zmq
 
-from messages.transport.endpoints import is_remote, split
+from messages.transport.endpoints import split
 from messages.transport.requests import ControlError, Line
+from nodes.base.kinds import load
 from nodes.base.setup import Setup
 from nodes.launcher.child import Child
 from nodes.launcher.clock_offset import ClockOffset
+from nodes.parameters.store import convert
+from nodes.parameters.paths import needed
 
 PATIENCE = 120.0
 """How long the launcher waits for somebody to start a node [s]."""
@@ -58,13 +62,17 @@ def command(setup: Setup) -> str:
     str
         One line for people: where, and the command.
     """
-    bare, key = split(setup.control)
+    bare, _ = split(setup.control)
     if bare.startswith("ipc://"):
         own = f"{setup.run_dir}/{setup.name}.json"
         return f"haptic node start {setup.name} --run {setup.run}   (or a program of your own, with {own})"
     host, _, port = bare.removeprefix("tcp://").rpartition(":")
-    curve = " --curve" if key and not is_remote(bare) else ""
-    return f"on {host}: haptic node start {setup.name} --bind {host}:{int(port) - 1}{curve}"
+    words = ["haptic node start", setup.name, "--bind", f"{host}:{int(port) - 1}"]
+    if setup.kind != setup.name:
+        words += ["--kind", setup.kind]
+    for folder in needed(convert(setup.parameters, load(setup.factory).Parameters, setup.name)):
+        words += ["--allow-path", shlex.quote(folder)]
+    return f"on {host}: {' '.join(words)}"
 
 
 class ByHand(Child):

@@ -1,8 +1,8 @@
 """Starting one node by hand: beside a launch on this machine, or for a launch on another one.
 
 For another machine's launch it waits on the node's control endpoint until that launcher, whose key must be allowed here, hands
-it the setup. What kind of node that is and what code it runs is decided here, by what is installed; paths and endpoints of
-the setup that would reach beyond the node's own are refused or replaced.
+it the setup. What kind of node that is, which code it runs and which files it touches is decided here, by what is installed
+and by this command line; what in the setup would reach beyond that is refused or replaced.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import shutil
 import signal
 import sys
 import time
+from collections.abc import Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -19,7 +21,7 @@ import msgspec
 import zmq
 
 from messages.codec import MessageRefusedError
-from messages.transport.endpoints import bind, is_remote, split
+from messages.transport.endpoints import bind, split
 from messages.transport.gate import Gate
 from messages.transport.keys import identity
 from messages.transport.requests import Reply, decode_request
@@ -30,6 +32,7 @@ from nodes.base.process import live
 from nodes.base.setup import Scheduling, Setup
 from nodes.launcher import runs
 from nodes.parameters.store import ParameterError, convert
+from nodes.parameters.paths import check_paths
 
 
 def start_here(run: runs.RunInfo, name: str) -> int:
@@ -71,14 +74,29 @@ class Starter:
         Address of this machine to bind.
     port : int
         Port of the node's messages; requests come to the next one.
-    curve : bool
-        Whether to encrypt on loopback too; off it there is no choice.
+    kind : str
+        The one kind of node that it may become; empty for the name.
+    allow_paths : sequence of Path
+        Directories in which its parameters may name files; all others are refused.
+
+    Raises
+    ------
+    ParameterError
+        When no such kind is installed.
     """
 
-    def __init__(self, name: str, host: str, port: int, curve: bool = False) -> None:
+    def __init__(self, name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> None:
         self._name = name
+        self._kind = kind or name
+        kinds = node_kinds()
+        if self._kind not in kinds:
+            raise ParameterError(
+                f"{name}: no kind of node is named {self._kind!r}; say which it is with --kind: {', '.join(sorted(kinds))}"
+            )
+        self._factory = kinds[self._kind]
+        self._allow_paths = [folder.resolve() for folder in allow_paths]
         place = f"tcp://{f'[{host}]' if ':' in host else host}"
-        key = f"#{identity().public}" if curve or is_remote(f"{place}:{port}") else ""
+        key = f"#{identity().public}"
         self.publish = f"{place}:{port}{key}"
         self.control = f"{place}:{port + 1}{key}"
         self._stopping = False
@@ -99,18 +117,16 @@ class Starter:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._on_signal)
         context = new_context()
-        gate = Gate(context, self._deny) if split(self.control)[1] else None
+        gate = Gate(context, self._deny)
         socket = context.socket(zmq.REP)
         try:
             bind(socket, self.control)
-            if gate is not None:
-                gate.watch(socket, "server")
-                gate.start()
+            gate.watch(socket, "server")
+            gate.start()
             socket.rcvtimeo = 200
             return self._serve(socket)
         finally:
-            if gate is not None:
-                gate.stop()
+            gate.stop()
             # Long enough for the last answer to leave.
             socket.close(linger=1000)
             context.term()
@@ -178,20 +194,28 @@ class Starter:
         for field, own in (("publish", self.publish), ("control", self.control)):
             if getattr(setup, field) != own:
                 raise ParameterError(f"setup.{field}: {getattr(setup, field)}, but this node binds {own}")
-        if setup.reach or setup.listen or setup.listen_reach or setup.watch or setup.lease <= 0.0:
-            raise ParameterError("setup: reach, listen and watch must be empty and lease positive on another machine")
+        beyond = (setup.reach, setup.listen, setup.listen_reach, setup.open_listen, setup.watch)
+        if any(beyond) or setup.lease <= 0.0:
+            raise ParameterError(
+                "setup: reach, listen, open_listen and watch must be empty and lease positive on another machine"
+            )
         for topic, source in setup.sources.items():
             if not split(source)[0].startswith("tcp://"):
                 raise ParameterError(f"setup.sources.{topic}: {source} is not on the network")
-        kinds = node_kinds()
-        if setup.kind not in kinds:
+        if setup.kind != self._kind:
             raise ParameterError(
-                f"setup.kind: {setup.kind!r} is not installed here; there is: {', '.join(sorted(kinds))}"
+                f"setup.kind: {setup.kind!r}, but a {self._kind} was started here; to let it be the other: "
+                f"haptic node start {self._name} --kind {setup.kind}"
             )
         cpus = [realtime.quietest_processor()] if setup.scheduling.cpus else []
         scheduling = Scheduling(cpus=cpus, fifo=setup.scheduling.fifo)
-        made = msgspec.structs.replace(setup, factory=kinds[setup.kind], run_dir="", scheduling=scheduling)
+        allowed = [str(folder) for folder in self._allow_paths]
+        made = msgspec.structs.replace(
+            setup, factory=self._factory, run_dir="", scheduling=scheduling, allow_paths=allowed
+        )
         kind = load(made.factory)
+        # Before anything of the kind's own looks at them.
+        check_paths(convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name)
         kind.check(made)
         kind(made)
         return msgspec.structs.replace(made, run_dir=str(runs.new_node_dir(f"{_plain(setup.run)}-{setup.name}")))
@@ -204,7 +228,7 @@ def _plain(run: str) -> str:
     return run
 
 
-def start_for(name: str, host: str, port: int, curve: bool = False) -> int:
+def start_for(name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> int:
     """Start a node for a launch on another machine.
 
     Parameters
@@ -215,8 +239,10 @@ def start_for(name: str, host: str, port: int, curve: bool = False) -> int:
         Address of this machine to bind.
     port : int
         Port of the node's messages; requests come to the next one.
-    curve : bool
-        Whether to encrypt on loopback too; off it there is no choice.
+    kind : str
+        The one kind of node that it may become; empty for the name.
+    allow_paths : sequence of Path
+        Directories in which its parameters may name files.
 
     Returns
     -------
@@ -225,10 +251,10 @@ def start_for(name: str, host: str, port: int, curve: bool = False) -> int:
 
     Raises
     ------
-    EndpointRefusedError, KeyRefusedError
-        When the endpoint or this machine's keys cannot be used.
+    EndpointRefusedError, KeyRefusedError, ParameterError
+        When the endpoint or this machine's keys cannot be used, or there is no such kind.
     """
-    starter = Starter(name, host, port, curve)
+    starter = Starter(name, host, port, kind, allow_paths)
     print(f"[{name}] waiting for its launcher at {starter.control}", file=sys.stderr, flush=True)
     setup = starter.wait()
     if setup is None:

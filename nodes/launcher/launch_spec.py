@@ -122,7 +122,10 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         tcp port that it publishes at, its control requests at the next one; 0 for the run's port and two for every node
         before it.
     key : str
-        Name under which that machine's key is allowed here; empty for the address. With a name, loopback is encrypted too.
+        Name under which that machine's key is allowed here; empty for the address, on loopback for this machine's own.
+    open_port : int
+        tcp port on loopback at which every user of this machine may listen to the node, unencrypted, and do no more: for
+        a display that knows neither ipc nor CURVE. 0 for none.
     """
 
     kind: str
@@ -136,6 +139,7 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     host: str = ""
     port: Annotated[int, msgspec.Meta(ge=0, le=65534)] = 0
     key: str = ""
+    open_port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0
 
 
 Figure = Literal["settling", "peak_force", "rest_force", "travel", "limit_cycle", "k_max"]

@@ -1,8 +1,9 @@
 """Runs of launches on this machine: where they live, how to find them, how nothing stale stays behind.
 
-A run is a private directory (mode 0700) below the runtime directory. It holds the sockets, one setup file per node, and
-``run.json``, which tells listeners who publishes what. It is removed at every end: by the launcher, by the reaper when the
-launcher was killed, and by the next launch should both have been killed.
+A run is a private directory (mode 0700) in ``runs`` below the runtime directory. It holds the sockets, one setup file per
+node, and ``run.json``, which tells listeners who publishes what. It is removed at every end: by the launcher, by the reaper
+when the launcher was killed, and by the next launch should both have been killed. Whatever does not bear the mark of a run
+belongs to somebody else and stays.
 """
 
 from __future__ import annotations
@@ -83,8 +84,14 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         return found
 
 
+MARK = ".haptic-run"
+"""File in the directory of each run, and nowhere else: the sweep removes nothing without it."""
+
+_MARKED = "Directory of a run of haptic-nodes; the next launch removes it when the run is over.\n"
+
+
 def runtime_dir() -> Path:
-    """Find the directory that holds all runs of this user, and make it private.
+    """Find the private directory below which the runs of this user are; other things may be in it too.
 
     Returns
     -------
@@ -103,11 +110,52 @@ def runtime_dir() -> Path:
     else:
         # A predictable name in a shared directory is safe because owner and mode are checked below.
         path = Path("/tmp") / f"haptic-{os.getuid()}"  # noqa: S108
+    return _private(path)
+
+
+def _private(path: Path) -> Path:
     path.mkdir(mode=0o700, parents=True, exist_ok=True)
     found = path.lstat()
     if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077 or not stat.S_ISDIR(found.st_mode):
         raise RunError(f"{path}: must be a directory of user {os.getuid()} with mode 0700; remove it or chmod 700 it")
     return path
+
+
+def runs_dir() -> Path:
+    """Find the directory that holds the runs of this user and nothing else.
+
+    Returns
+    -------
+    Path
+        ``runs`` in the runtime directory, mode 0700.
+
+    Raises
+    ------
+    RunError
+        When it, or the runtime directory, belongs to somebody else or is open to others.
+    """
+    return _private(runtime_dir() / "runs")
+
+
+def is_marked(path: Path) -> bool:
+    """Whether a directory was made for a run, by this user.
+
+    Parameters
+    ----------
+    path : Path
+        Anything.
+
+    Returns
+    -------
+    bool
+        False for links, for whatever belongs to somebody else, and without the mark.
+    """
+    try:
+        found, mark = path.lstat(), (path / MARK).lstat()
+        ours = stat.S_ISDIR(found.st_mode) and stat.S_ISREG(mark.st_mode)
+        return ours and found.st_uid == mark.st_uid == os.getuid() and (path / MARK).read_text("utf-8") == _MARKED
+    except (OSError, UnicodeDecodeError):
+        return False
 
 
 def new_run_dir(run: str) -> Path:
@@ -128,7 +176,7 @@ def new_run_dir(run: str) -> Path:
     RunError
         When the name is taken or the path is too long for a socket.
     """
-    path = runtime_dir() / run
+    path = runs_dir() / run
     longest = len(os.fsencode(path / ("n" * 32 + ".listen")))
     if longest > MAX_IPC_PATH:
         raise RunError(
@@ -138,6 +186,7 @@ def new_run_dir(run: str) -> Path:
         path.mkdir(mode=0o700)
     except FileExistsError as error:
         raise RunError(f"{path}: a run of that name exists already") from error
+    (path / MARK).write_text(_MARKED, encoding="utf-8")
     return path
 
 
@@ -163,8 +212,8 @@ def new_node_dir(run: str) -> Path:
     RunError
         When a live process keeps it, or the path is too long for a socket.
     """
-    path = runtime_dir() / run
-    if not (path / OWNER).exists() or _is_kept(path):
+    path = runs_dir() / run
+    if not is_marked(path) or not (path / OWNER).exists() or _is_kept(path):
         new_run_dir(run)
     (path / OWNER).write_text(str(os.getpid()), encoding="ascii")
     return path
@@ -243,7 +292,7 @@ def runs() -> dict[str, RunInfo]:
         By name, oldest first.
     """
     found = []
-    for path in runtime_dir().glob("*/run.json"):
+    for path in runs_dir().glob("*/run.json"):
         try:
             info = msgspec.json.decode(path.read_bytes(), type=RunInfo)
             started = path.stat().st_mtime
@@ -284,7 +333,7 @@ def find_run(name: str | None = None) -> RunInfo:
 
 
 def sweep() -> list[str]:
-    """Remove the directories of runs whose launcher and nodes are all gone.
+    """Remove the directories of runs whose launcher and nodes are all gone; only what bears the mark of a run.
 
     Returns
     -------
@@ -293,9 +342,9 @@ def sweep() -> list[str]:
     """
     swept = []
     live = runs()
-    for path in runtime_dir().iterdir():
+    for path in runs_dir().iterdir():
         # A directory that is being set up has no run.json yet; its launcher takes well under a minute.
-        if not path.is_dir() or path.name in live or time.time() - path.stat().st_mtime < 60.0:
+        if not is_marked(path) or path.name in live or time.time() - path.stat().st_mtime < 60.0:
             continue
         pids = [int(entry) for entry in os.listdir("/proc") if entry.isdigit()]
         if not _is_kept(path) and not any(belongs(pid, path) for pid in pids):

@@ -85,34 +85,35 @@ class _Places:
 
     def __init__(self, launch: Launch) -> None:
         self._launch = launch
-        self._curve = any(spec.key for spec in launch.nodes.values())
         self._ports = {
             name: spec.port or launch.run.port + 2 * i for i, (name, spec) in enumerate(launch.nodes.items())
         }
         taken: dict[tuple[str, int], str] = {}
         for name, spec in launch.nodes.items():
-            for port in (self._ports[name], self._ports[name] + 1):
-                other = taken.setdefault((spec.host, port), name)
+            ports = [(spec.host, self._ports[name]), (spec.host, self._ports[name] + 1)]
+            for place in [*ports, *([("", spec.open_port)] if spec.open_port else [])]:
+                other = taken.setdefault(place, name)
                 if other != name:
-                    raise ParameterError(f"{launch.scenario}.nodes.{name}.port: {port} is taken by {other}")
+                    raise ParameterError(f"{launch.scenario}.nodes.{name}.port: {place[1]} is taken by {other}")
+            if spec.open_port and spec.host:
+                raise ParameterError(f"{launch.scenario}.nodes.{name}.open_port: only for a node on this machine")
 
     def _tcp(self, host: str, port: int, key: str, where: str) -> str:
         bare = f"tcp://{f'[{host}]' if ':' in host else host}:{port}"
-        if not is_remote(bare) and not self._curve:
-            return bare
         try:
             return f"{bare}#{key_of(key) if key else identity().public}"
         except KeyRefusedError as error:
-            raise ParameterError(
-                f"{self._launch.scenario}.{where}: {host} is not this machine alone: {error}"
-            ) from error
+            others = "other machines" if is_remote(bare) else "all users of this machine"
+            raise ParameterError(f"{self._launch.scenario}.{where}: {others} can reach {host}: {error}") from error
 
     def far(self, name: str, offset: int = 0) -> str:
         """Endpoint of a node on another machine; empty for one on this machine."""
         spec = self._launch.nodes[name]
         if not spec.host:
             return ""
-        return self._tcp(spec.host, self._ports[name] + offset, spec.key or spec.host, f"nodes.{name}.key")
+        # On loopback without a key's name it is this user who starts it.
+        key = spec.key or (spec.host if is_remote(f"tcp://{spec.host}:1") else "")
+        return self._tcp(spec.host, self._ports[name] + offset, key, f"nodes.{name}.key")
 
     def reach(self, name: str, offset: int) -> str:
         """Endpoint at which other machines reach a node on this one."""
@@ -214,6 +215,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             publish=far[name] or publish[name],
             listen="" if far[name] else listen[name],
             control=places.far(name, 1) or f"ipc://{run_dir}/{name}.ctl",
+            open_listen=f"tcp://127.0.0.1:{spec.open_port}" if spec.open_port else "",
             by_hand=name in by_hand,
             lease=LEASE if name in by_hand else 0.0,
             patience=PATIENCE if by_hand else 10.0,

@@ -24,6 +24,7 @@ from nodes.base import realtime
 from nodes.base.node import Node
 from nodes.base.setup import Setup
 from nodes.launcher.runs import RunInfo
+from nodes.parameters.paths import LocalChoice, LocalPath
 from nodes.parameters.store import ParameterError
 from nodes.recording.writer import RecordError, RecordWriter
 
@@ -50,9 +51,9 @@ class LoggerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         Whether an existing file may be replaced.
     """
 
-    path: str = "recordings/{run}.mcap"
+    path: LocalPath = "recordings/{run}.mcap"
     topics: list[str] = []
-    overwrite: bool = False
+    overwrite: LocalChoice = False
 
 
 class Recorder:

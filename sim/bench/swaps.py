@@ -216,7 +216,7 @@ def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 5
 
 
 def _run_info(folder: Path) -> RunInfo:
-    found = next(iter((folder / "run").glob("*/run.json")))
+    found = next(iter((folder / "run").glob("runs/*/run.json")))
     return msgspec.json.decode(found.read_bytes(), type=RunInfo)
 
 

@@ -141,7 +141,7 @@ class Rig:
     def info(self) -> RunInfo:
         """What the run consists of."""
         if self._info is None:
-            found = list(self._runtime.glob("*/run.json"))
+            found = list(self._runtime.glob("runs/*/run.json"))
             if not found:
                 raise RigError("the run is not there yet")
             self._info = msgspec.json.decode(found[0].read_bytes(), type=RunInfo)
@@ -283,7 +283,7 @@ class Rig:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.exit_code = self.launcher.wait(END)
         self.wait(lambda: not self.processes(), 5.0)
-        self.left = [*self.processes(), *(f"file {path}" for path in self._runtime.rglob("*"))]
+        self.left = [*self.processes(), *(f"file {path}" for path in (self._runtime / "runs").rglob("*"))]
         if self.launcher.poll() is None:
             self.left.append(f"process {self.launcher.pid}: the launcher")
             self.launcher.kill()

@@ -89,7 +89,7 @@ def assert_nothing_left(runtime_dir: Path) -> None:
         The runtime directory.
     """
     wait_for(lambda: not processes_of(runtime_dir), f"{runtime_dir}: processes end", 10.0)
-    wait_for(lambda: not list(runtime_dir.iterdir()), f"{runtime_dir}: files are removed", 10.0)
+    wait_for(lambda: not list(runtime_dir.glob("runs/*")), f"{runtime_dir}: files are removed", 10.0)
 
 
 @contextlib.contextmanager
@@ -153,13 +153,13 @@ class RunningLaunch:
     @property
     def run(self) -> RunInfo:
         """The run's ``run.json``."""
-        found = next(iter(self.runtime_dir.glob("*/run.json")))
+        found = next(iter(self.runtime_dir.glob("runs/*/run.json")))
         return msgspec.json.decode(found.read_bytes(), type=RunInfo)
 
     @property
     def run_dir(self) -> Path:
         """The run's private directory."""
-        return next(iter(self.runtime_dir.glob("*/run.json"))).parent
+        return next(iter(self.runtime_dir.glob("runs/*/run.json"))).parent
 
     def call(self, node: str, op: str, timeout: float = 20.0, **args: object) -> Any:
         """Ask a node, as the command line does.

@@ -282,7 +282,7 @@ class Shell:
 
     def _ticks(self) -> bool:
         with contextlib.suppress(ControlError), zmq.Context() as context:
-            for path in self.runtime_dir.glob("*/run.json"):
+            for path in self.runtime_dir.glob("runs/*/run.json"):
                 run = msgspec.json.decode(path.read_bytes(), type=RunInfo)
                 if call(context, run.nodes["driver"].control, "status", timeout=1.0)["ticks"]:
                     return True

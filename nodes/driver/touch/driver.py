@@ -39,6 +39,7 @@ from nodes.driver.touch.hdapi import (
     to_ours,
     to_theirs,
 )
+from nodes.parameters.paths import LocalPath
 
 PRIORITY = 65535
 SILENCE = 0.1
@@ -63,7 +64,7 @@ class TouchParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """
 
     name: str = ""
-    library: str = "libHD.so"
+    library: LocalPath = "libHD.so"
     servo_rate: Annotated[int, msgspec.Meta(ge=100, le=10_000)] = 1000
     deadline: Annotated[float, msgspec.Meta(ge=0.005, le=0.1)] = 0.05
     calibration_time: Annotated[float, msgspec.Meta(ge=0.0, le=120.0)] = 20.0

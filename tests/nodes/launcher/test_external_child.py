@@ -24,7 +24,7 @@ nodes:
 
 def start(launch: RunningLaunch) -> subprocess.Popen[bytes]:
     """Start the coupling as the launcher says."""
-    wait_for(lambda: list(launch.runtime_dir.glob("*/run.json")), "the run")
+    wait_for(lambda: list(launch.runtime_dir.glob("runs/*/run.json")), "the run")
     with open(launch.folder / "node.txt", "ab") as errors:
         return subprocess.Popen(
             [*HAPTIC, "node", "start", "coupling"], env=launch.environment, cwd=launch.folder, stderr=errors

@@ -187,7 +187,7 @@ class Launched:
     def ask(self, op: str, node: str = "driver") -> dict[str, Any]:
         """Ask a node on its own machine; empty while it does not answer."""
         self.told("is there")
-        found = next(Path(self.pair.environments[0]["HAPTIC_RUNTIME_DIR"]).glob("*/run.json"))
+        found = next(Path(self.pair.environments[0]["HAPTIC_RUNTIME_DIR"]).glob("runs/*/run.json"))
         control = msgspec.json.decode(found.read_bytes(), type=RunInfo).nodes[node].control
         host = int(node == self.node)
         words = [sys.executable, "-c", ASK, control, op]

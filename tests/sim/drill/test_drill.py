@@ -200,7 +200,7 @@ def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(tmp_path: Path, nu
         wait_for(lambda: not any(map(alive, launcher | nodes)), "launcher, guard and nodes end")
         # What was killed cannot tidy up its own working folder; the sockets in it are gone all the same.
         assert folder.exists() == (number == signal.SIGKILL)
-        assert not list(folder.glob("run/*"))
+        assert not list(folder.glob("run/runs/*"))
         shutil.rmtree(folder, ignore_errors=True)
     finally:
         drilling.kill()

@@ -1,0 +1,100 @@
+"""Paths and libraries in parameters: which of them a node may take from a launcher on another machine.
+
+A launcher on this machine runs as the same user and may name any file. One elsewhere may name only what lies in the
+directories that the node's own command line allows (``--allow-path``): a path can be a library to load or a file to replace.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import msgspec
+from msgspec import inspect
+
+from messages.topics import message_type
+from nodes.parameters.store import ParameterError
+
+_LOCAL = "decided where the node runs"
+
+LocalPath: TypeAlias = Annotated[str, msgspec.Meta(extra={_LOCAL: True})]
+"""Type of a parameter that names a file or a library."""
+
+LocalChoice: TypeAlias = Annotated[bool, msgspec.Meta(extra={_LOCAL: True})]
+"""Type of a switch that decides what happens to a file."""
+
+
+def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str) -> None:
+    """Refuse parameters that name what was not allowed.
+
+    Declared paths may have their default. In any other text a slash makes a path, unless it is a topic: so a kind of
+    node that does not declare its paths is covered too.
+
+    Parameters
+    ----------
+    parameters : msgspec.Struct
+        Of a node, converted.
+    allowed : sequence of Path
+        Directories.
+    where : str
+        What the parameters' path starts with, for errors.
+
+    Raises
+    ------
+    ParameterError
+        With the parameter's path, its value and the remedy.
+    """
+    folders = [folder.resolve() for folder in allowed]
+    for path, value, is_declared in _local(parameters, where):
+        if isinstance(value, str):
+            # Links are followed: what counts is where it leads.
+            refused = "\0" in value or not any(Path(value).resolve().is_relative_to(folder) for folder in folders)
+        else:
+            refused = is_declared and not folders
+        if refused:
+            folder = Path(value).parent if isinstance(value, str) else "DIR"
+            raise ParameterError(
+                f"{path}: {value!r} comes from another machine and is not allowed here; where the node is started: "
+                f"haptic node start ... --allow-path {folder}"
+            )
+
+
+def _local(value: Any, where: str) -> Iterator[tuple[str, Any, bool]]:
+    """Find what names files: path, value and whether the parameter is declared to; what has its default is left out."""
+    if isinstance(value, msgspec.Struct):
+        info = inspect.type_info(type(value))
+        assert isinstance(info, inspect.StructType)  # noqa: S101  # what a struct's type is
+        for field in info.fields:
+            found, place = getattr(value, field.name), f"{where}.{field.name}"
+            kind = field.type
+            if isinstance(kind, inspect.Metadata) and (kind.extra or {}).get(_LOCAL):
+                if found != field.default:
+                    yield place, found, True
+            else:
+                yield from _local(found, place)
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _local(inner, f"{where}.{key}")
+    elif isinstance(value, (list, tuple)):
+        for i, inner in enumerate(value):
+            yield from _local(inner, f"{where}[{i}]")
+    elif isinstance(value, str) and ("/" in value or "\0" in value) and message_type(value) is None:
+        yield where, value, False
+
+
+def needed(parameters: msgspec.Struct) -> list[str]:
+    """List the directories that a node on another machine must be allowed for its parameters to be taken.
+
+    Parameters
+    ----------
+    parameters : msgspec.Struct
+        Of the node, converted.
+
+    Returns
+    -------
+    list of str
+        Each once, in order; ``.`` for a switch alone.
+    """
+    found = [str(Path(value).parent) if isinstance(value, str) else "." for _, value, _ in _local(parameters, "")]
+    return list(dict.fromkeys(found))
