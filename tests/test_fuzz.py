@@ -28,6 +28,7 @@ from hypothesis import strategies as st
 
 from messages import topics
 from messages.codec import Decoder, MessageRefusedError, encode
+from messages.transport import keys
 from messages.transport.endpoints import EndpointRefusedError, split
 from messages.transport.keys import KeyRefusedError, parse_key
 from messages.transport.requests import Reply, Request, decode_reply, decode_request
@@ -173,9 +174,8 @@ def _law(text: str) -> None:
     parse_law(parse_yaml(text, "fuzz"), "fuzz")
 
 
-def _starter(name: str) -> Callable[[bytes], object]:
+def _starter(starter: Starter) -> Callable[[bytes], object]:
     """Judge what a launcher on another machine hands over."""
-    starter = Starter(name, "127.0.0.1", 5000)
 
     def accept(content: bytes) -> None:
         try:
@@ -188,7 +188,15 @@ def _starter(name: str) -> Callable[[bytes], object]:
     return accept
 
 
-def _setup() -> bytes:
+def _waiting() -> Starter:
+    """Make a node that waits for its launcher, with keys made for it alone."""
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HAPTIC_KEYS", folder)
+        keys.new_identity()
+        return Starter("environment", "127.0.0.1", 5000)
+
+
+def _setup(starter: Starter) -> bytes:
     return msgspec.json.encode(
         Setup(
             run="r-1",
@@ -201,9 +209,9 @@ def _setup() -> bytes:
             apply="on_arrival",
             axes=["z"],
             ticks=0,
-            publish="tcp://127.0.0.1:5000",
-            control="tcp://127.0.0.1:5001",
-            sources={"/device/state": "tcp://127.0.0.1:5600"},
+            publish=starter.publish,
+            control=starter.control,
+            sources={"/device/state": f"tcp://127.0.0.1:5600#{'ab' * 32}"},
             lease=10.0,
             by_hand=True,
             parameters={"surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}},
@@ -229,7 +237,7 @@ def targets() -> list[Target]:
         b"{kind: multi_term, stiffness: 9.0, damping: 1.0, terms: [{gain: 1.0, order: 0.5}], taps: 4, gains: physical}",
         b"{kind: fir, taps: [1000.0, -3.0]}",
     ]
-    recording = _recording()
+    recording, starter = _recording(), _waiting()
     found = []
     for topic in {topic for topic, _ in wire}:
         kind = topics.message_type(topic)
@@ -248,8 +256,8 @@ def targets() -> list[Target]:
         ),
         Target(
             "setup from another machine",
-            [_setup()],
-            _starter("environment"),
+            [_setup(starter)],
+            _starter(starter),
             (ParameterError, EndpointRefusedError, KeyRefusedError, RunError),
         ),
         Target("yaml", [*scenes, *laws], _text(lambda text: parse_yaml(text, "fuzz")), (ParameterError,)),

@@ -23,8 +23,8 @@ from nodes.base import realtime
 from nodes.base.events import Telling
 from nodes.base.handover import Changes
 from nodes.base.setup import Setup
-from nodes.parameters.store import ParameterError, ParameterStore
 from nodes.parameters.paths import check_paths
+from nodes.parameters.store import ParameterError, ParameterStore
 
 M = TypeVar("M", bound=Message)
 IDLE_MS = 100

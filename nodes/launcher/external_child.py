@@ -27,8 +27,8 @@ from nodes.base.kinds import load
 from nodes.base.setup import Setup
 from nodes.launcher.child import Child
 from nodes.launcher.clock_offset import ClockOffset
-from nodes.parameters.store import convert
 from nodes.parameters.paths import needed
+from nodes.parameters.store import convert
 
 PATIENCE = 120.0
 """How long the launcher waits for somebody to start a node [s]."""

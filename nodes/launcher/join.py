@@ -31,8 +31,8 @@ from nodes.base.kinds import load, node_kinds
 from nodes.base.process import live
 from nodes.base.setup import Scheduling, Setup
 from nodes.launcher import runs
-from nodes.parameters.store import ParameterError, convert
 from nodes.parameters.paths import check_paths
+from nodes.parameters.store import ParameterError, convert
 
 
 def start_here(run: runs.RunInfo, name: str) -> int:

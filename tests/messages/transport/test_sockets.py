@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING
 import pytest
 import zmq
 
-from messages.transport.endpoints import EndpointRefusedError, bind, connect, is_remote, split
+from messages.transport.endpoints import EndpointRefusedError, bind, connect, is_open_place, is_remote, split
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.transport.waker import Waker
 from nodes.launcher.runs import RunError, new_run_dir, runtime_dir
@@ -38,9 +39,9 @@ def context() -> Iterator[Context]:
     """Make a context, and fail the test that leaves a socket of it open."""
     made = new_context()
     yield made
-    left = [socket for socket in list(made._sockets) if not socket.closed]
-    for socket in left:
-        socket.close(linger=0)
+    left = [one for one in list(made._sockets) if not one.closed]
+    for one in left:
+        one.close(linger=0)
     made.term()
     assert not left
 
@@ -198,9 +199,34 @@ def test_tcp_off_loopback_needs_a_key(endpoint: str, context: Context) -> None:
 @pytest.mark.parametrize(
     "endpoint", ["tcp://127.0.0.1:5600", "tcp://127.8.9.1:1", "tcp://[::1]:5600", "tcp://localhost:2"]
 )
-def test_loopback_needs_none(endpoint: str) -> None:
-    assert split(endpoint) == (endpoint, "")
+def test_loopback_is_shared_by_all_users_and_needs_one_too(endpoint: str, context: Context) -> None:
+    for use in (split, lambda place: Publisher(context, place), lambda place: Subscription(context, [place], [""])):
+        with pytest.raises(EndpointRefusedError, match="haptic keys new"):
+            use(endpoint)
+    assert split(f"{endpoint}#{KEY}") == (endpoint, KEY)
     assert not is_remote(endpoint)
+    assert is_open_place(endpoint)
+    assert not is_open_place(f"{endpoint}#{KEY}")
+
+
+def test_what_is_opened_to_all_can_only_be_listened_to(place: str) -> None:
+    """A display that knows neither ipc nor CURVE, of any user of this machine."""
+    context = new_context(aside=True)
+    with socket.create_server(("127.0.0.1", 0)) as found:
+        port = found.getsockname()[1]
+    publisher = Publisher(context, place, listen=[place + "l"], open_to_all=f"tcp://127.0.0.1:{port}")
+    with context.socket(zmq.XSUB) as display:
+        display.connect(f"tcp://127.0.0.1:{port}")
+        display.send(b"\x01/t")
+        wait_for(publisher.listeners, "the subscription")
+        display.send(b"a command")
+        publisher.send(b"/t", b"x")
+        assert display.poll(20_000)
+        assert display.recv_multipart() == [b"/t", b"x"]
+    publisher.close()
+    with pytest.raises(EndpointRefusedError, match="haptic keys"):
+        Publisher(context, place, open_to_all="tcp://10.0.0.2:5600")
+    context.term()
 
 
 @pytest.mark.parametrize("endpoint", ["udp://127.0.0.1:1", "inproc://x", "nonsense", "tcp://127.0.0.1:5600#abc"])
@@ -213,7 +239,7 @@ def test_a_taken_address_is_told(context: Context) -> None:
     first = context.socket(zmq.PUB)
     port = first.bind_to_random_port("tcp://127.0.0.1")
     with pytest.raises(EndpointRefusedError, match="cannot be bound"):
-        Publisher(context, f"tcp://127.0.0.1:{port}")
+        Publisher(context, f"tcp://127.0.0.1:{port}", open_to_all=f"tcp://127.0.0.1:{port}")
     first.close(linger=0)
 
 
