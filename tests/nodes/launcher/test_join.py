@@ -275,8 +275,8 @@ nodes:
 def test_who_has_no_keys_is_told_the_one_command_that_is_missing(tmp_path: Path) -> None:
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "k")}
     (tmp_path / "scene.yaml").write_text(SCENE)
-    for words in (("launch", "scene.yaml"), ("node", "start", "coupling", "--bind", "127.0.0.1:5994")):
-        told = haptic(tmp_path, *words, code=2, environment=environment).stderr
+    for asked in (("launch", "scene.yaml"), ("node", "start", "coupling", "--bind", "127.0.0.1:5994")):
+        told = haptic(tmp_path, *asked, code=2, environment=environment).stderr
         assert "haptic keys new" in told
         assert len(told.splitlines()) == 1
     haptic(tmp_path, "keys", "new", environment=environment)
