@@ -1,0 +1,139 @@
+"""The fields of a message as tables: what the compiled tick knows of it, read from the message's own type.
+
+So a bound, a default or a new field is written once, in messages/types.py. A field of a kind that is not listed here cannot be
+compiled; the plain tick takes its message then.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import msgspec.inspect as inspect
+
+from messages.types import Message
+
+REAL: Final = 0
+VECTOR: Final = 1
+WHOLE: Final = 2
+FLAG: Final = 3
+TEXT: Final = 4
+
+LONGEST_NAME: Final = 15
+"""Longest name of a field [bytes]: with its header one copy of 16 bytes."""
+
+
+class NotCompilableError(Exception):
+    """Something that the compiled tick cannot do; the text says what."""
+
+
+class Field(NamedTuple):
+    """One field of a message.
+
+    Attributes
+    ----------
+    name : str
+        Its key on the wire.
+    kind : int
+        `REAL`, `VECTOR`, `WHOLE`, `FLAG` or `TEXT`.
+    slot : int
+        Where its value stands: among the reals (a vector takes three), the wholes (flags too) or the texts.
+    low, high : int
+        Bounds of a whole number; `high` is the longest length of a text [characters].
+    default : float or None
+        Value when it is absent; None when it must be there. Texts are checked only, so theirs is 0.
+    """
+
+    name: str
+    kind: int
+    slot: int
+    low: int
+    high: int
+    default: float | None
+
+
+def fields_of(message: type[Message]) -> tuple[Field, ...]:
+    """Tabulate a type of message.
+
+    Parameters
+    ----------
+    message : type of Message
+        The type.
+
+    Returns
+    -------
+    tuple of Field
+        In the order in which they are encoded.
+
+    Raises
+    ------
+    NotCompilableError
+        When a field is of another kind.
+    """
+    described = inspect.type_info(message)
+    assert isinstance(described, inspect.StructType)  # noqa: S101
+    fields = []
+    used = [0, 0, 0]
+    for field in described.fields:
+        name, kind_of = field.encode_name, field.type
+        low = high = room = 0
+        if isinstance(kind_of, inspect.FloatType):
+            kind, bank, room = REAL, 0, 1
+        elif isinstance(kind_of, inspect.TupleType) and all(
+            isinstance(t, inspect.FloatType) for t in kind_of.item_types
+        ):
+            kind, bank, room = VECTOR, 0, len(kind_of.item_types)
+        elif isinstance(kind_of, inspect.IntType) and kind_of.ge is not None and kind_of.le is not None:
+            kind, bank, room, low, high = WHOLE, 1, 1, kind_of.ge, kind_of.le
+        elif isinstance(kind_of, inspect.BoolType):
+            kind, bank, room = FLAG, 1, 1
+        elif isinstance(kind_of, inspect.StrType) and kind_of.max_length is not None:
+            kind, bank, room, high = TEXT, 2, 1, kind_of.max_length
+        else:
+            raise NotCompilableError(f"{message.__name__}.{name}: a field of type {kind_of}")
+        if kind == VECTOR and room != 3:
+            raise NotCompilableError(f"{message.__name__}.{name}: a vector of {room}, not three")
+        if len(name.encode()) > LONGEST_NAME:
+            raise NotCompilableError(f"{message.__name__}.{name}: a name longer than {LONGEST_NAME} bytes")
+        default: float | None = None
+        if not field.required:
+            default = float(field.default) if kind in (REAL, WHOLE, FLAG) else 0.0
+            if kind == VECTOR and any(field.default):
+                raise NotCompilableError(f"{message.__name__}.{name}: a default that is not zero")
+        fields.append(Field(name, kind, used[bank], low, high, default))
+        used[bank] += room
+    return tuple(fields)
+
+
+def slot(fields: tuple[Field, ...], name: str) -> int:
+    """Find where a field's value stands.
+
+    Parameters
+    ----------
+    fields : tuple of Field
+        Of a message.
+    name : str
+        The field.
+
+    Returns
+    -------
+    int
+        Its slot in its bank.
+    """
+    return next(field.slot for field in fields if field.name == name)
+
+
+def key_blocks(message: type[Message]) -> bytes:
+    """Lay out the keys of a message, encoded, in blocks of 16 bytes.
+
+    Parameters
+    ----------
+    message : type of Message
+        The type.
+
+    Returns
+    -------
+    bytes
+        What the encoder copies from.
+    """
+    keys = [field.name.encode() for field in fields_of(message)]
+    return b"".join((bytes([0xA0 | len(key)]) + key).ljust(16, b"\0") for key in keys)

@@ -1,0 +1,114 @@
+"""The coupling's tick, compiled: a law of taps and recursive sections over the shared deflection histories."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from messages.types import Force, Proxy
+from nodes.kernels import deflection, fir, one_sided, push, sections
+from nodes.tick.fields import fields_of, slot
+from nodes.tick.kernels.encode import make_encode
+from nodes.tick.kernels.follow import in_order
+from nodes.tick.kernels.hop import answer, flush, monotonic, out_at, receive
+from nodes.tick.kernels.machine import reals_at, record_at
+from nodes.tick.kernels.scan import make_scan
+from nodes.tick.kernels.sources import kernel, record_of
+from nodes.tick.layout import SMOOTHING, CouplingState
+
+for _function in (deflection, fir, one_sided, push, sections):
+    kernel(_function)
+_look = record_at(record_of(CouplingState))
+_scan = make_scan(Proxy)
+_encode = make_encode(Force)
+_IN, _OUT = fields_of(Proxy), fields_of(Force)
+_SEQ, _CONTACT = (slot(_IN, name) for name in ("seq", "contact"))
+_STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY = (
+    slot(_IN, name) for name in ("stamp", "position", "proxy", "normal", "distance", "delay")
+)
+_TO_SEQ, _TO_REVISION = (slot(_OUT, name) for name in ("seq", "revision"))
+_TO_STAMP, _TO_FORCE = (slot(_OUT, name) for name in ("stamp", "force"))
+_SMOOTHING = SMOOTHING
+
+
+@njit
+def _render(s: Any, taken: Any, contact: bool, force: Any) -> bool:
+    """Render the force of one tick; whether it is finite."""
+    raw, clamp, length = s.raw != 0, s.clamp != 0, s.length
+    taps = reals_at(s.taps, s.taps_count)
+    coefficients = reals_at(s.sections, 4 * s.sections_count)
+    undo = reals_at(s.undo, 6 * s.sections_count)
+    for i in range(3):
+        force[_TO_FORCE + i] = 0.0
+    for n in range(s.axes):
+        i = s.axis[n]
+        normal = taken[_NORMAL + i]
+        history = reals_at(s.history[n], 2 * length)
+        newest = deflection(taken[_POSITION + i], taken[_PROXY + i], taken[_DISTANCE], normal, contact, raw)
+        s.oldest[n] = history[s.head[n] - 1 if s.head[n] > 0 else length - 1]
+        s.head[n] = head = push(history, s.head[n], length, newest)
+        value = fir(taps, history, head)
+        if s.sections_count > 0:
+            state = reals_at(s.sections_state[n], 2 * s.sections_count)
+            for m in range(2 * s.sections_count):
+                undo[2 * s.sections_count * n + m] = state[m]
+            value = value + sections(coefficients, state, history[head], history[head + 1])
+        force[_TO_FORCE + i] = one_sided(value, normal, contact, raw, clamp)
+    return math.isfinite(force[_TO_FORCE] + force[_TO_FORCE + 1] + force[_TO_FORCE + 2])
+
+
+@njit
+def _undo(s: Any) -> None:
+    """Take back what a tick did to histories and sections, so that the plain tick can do it."""
+    undo = reals_at(s.undo, 6 * s.sections_count)
+    for n in range(s.axes):
+        history = reals_at(s.history[n], 2 * s.length)
+        head = s.head[n]
+        history[head] = history[head + s.length] = s.oldest[n]
+        s.head[n] = head + 1 if head + 1 < s.length else 0
+        state = reals_at(s.sections_state[n], 2 * s.sections_count)
+        for m in range(2 * s.sections_count):
+            state[m] = undo[2 * s.sections_count * n + m]
+
+
+@njit
+def ticks(address: int) -> int:
+    """Answer proxies with forces until something is unusual.
+
+    Parameters
+    ----------
+    address : int
+        Of the node's `CouplingState`.
+
+    Returns
+    -------
+    int
+        How many ticks it did.
+    """
+    s = _look(address)
+    done = 0
+    while done < s.most:
+        if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
+            break
+        seq = s.wholes[_SEQ]
+        if not in_order(s, seq, s.reals[_STAMP]):
+            break
+        if not _render(s, s.reals, s.wholes[_CONTACT] != 0, s.out_reals):
+            _undo(s)
+            break
+        s.frames = 0
+        s.seq = seq
+        s.delay += (s.reals[_DELAY] - s.delay) * _SMOOTHING
+        s.out_wholes[_TO_SEQ] = seq
+        s.out_wholes[_TO_REVISION] = s.revision
+        s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
+        at = out_at(s)
+        answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
+        # Last: who copies the histories from another thread takes a push under way for one that has not begun.
+        s.pushes += 1
+        s.ticks += 1
+        done += 1
+    flush(s)
+    return done

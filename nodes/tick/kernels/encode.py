@@ -1,0 +1,124 @@
+"""Writing a message as one MessagePack map: byte for byte what messages/codec.py writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from messages.types import Message
+from nodes.tick.fields import FLAG, REAL, VECTOR, WHOLE, fields_of
+from nodes.tick.kernels.machine import copy16, put_be16, put_be32, put_be64, put_byte, put_real
+
+
+@njit
+def put_whole(at: int, value: int) -> int:
+    """Write an integer as short as it goes; where it ends."""
+    if value >= 0:
+        if value < 0x80:
+            put_byte(at, value)
+            return at + 1
+        if value < 0x100:
+            put_byte(at, 0xCC)
+            put_byte(at + 1, value)
+            return at + 2
+        if value < 0x10000:
+            put_byte(at, 0xCD)
+            put_be16(at + 1, value)
+            return at + 3
+        if value < 0x100000000:
+            put_byte(at, 0xCE)
+            put_be32(at + 1, value)
+            return at + 5
+        put_byte(at, 0xCF)
+        put_be64(at + 1, value)
+        return at + 9
+    if value >= -0x20:
+        put_byte(at, value)
+        return at + 1
+    if value >= -0x80:
+        put_byte(at, 0xD0)
+        put_byte(at + 1, value)
+        return at + 2
+    if value >= -0x8000:
+        put_byte(at, 0xD1)
+        put_be16(at + 1, value)
+        return at + 3
+    if value >= -0x80000000:
+        put_byte(at, 0xD2)
+        put_be32(at + 1, value)
+        return at + 5
+    put_byte(at, 0xD3)
+    put_be64(at + 1, value)
+    return at + 9
+
+
+@njit
+def put_double(at: int, value: float) -> int:
+    """Write a float; where it ends."""
+    put_byte(at, 0xCB)
+    put_real(at + 1, value)
+    return at + 9
+
+
+def make_encode(message: type[Message]) -> Callable[[int, int, Any, Any, int, int], int]:
+    """Make the writer of one type of message.
+
+    Parameters
+    ----------
+    message : type of Message
+        The type; it has at most one text.
+
+    Returns
+    -------
+    callable
+        Compilable: from where to write, the address of `fields.key_blocks`, reals, wholes, and address and size of the text, encoded
+        and in room for copies of 16 bytes, to where it ends. It may write 16 bytes beyond.
+
+    Raises
+    ------
+    NotCompilableError
+        When the type has a field of an unknown kind.
+    """
+    fields = fields_of(message)
+    count = len(fields)
+    kinds = np.array([field.kind for field in fields])
+    slots = np.array([field.slot for field in fields])
+    sizes = np.array([1 + len(field.name) for field in fields])
+    real, vector, whole, flag = REAL, VECTOR, WHOLE, FLAG
+
+    @njit
+    def encode(at: int, keys: int, reals: Any, wholes: Any, text: int, text_size: int) -> int:
+        if count < 16:
+            put_byte(at, 0x80 | count)
+            at += 1
+        else:
+            put_byte(at, 0xDE)
+            put_be16(at + 1, count)
+            at += 3
+        for k in range(count):
+            copy16(at, keys + 16 * k)
+            at += sizes[k]
+            kind, slot = kinds[k], slots[k]
+            if kind == real:
+                at = put_double(at, reals[slot])
+            elif kind == vector:
+                put_byte(at, 0x93)
+                at = put_double(at + 1, reals[slot])
+                at = put_double(at, reals[slot + 1])
+                at = put_double(at, reals[slot + 2])
+            elif kind == whole:
+                at = put_whole(at, wholes[slot])
+            elif kind == flag:
+                put_byte(at, 0xC2 | wholes[slot])
+                at += 1
+            else:
+                for m in range(0, text_size, 16):
+                    copy16(at + m, text + m)
+                at += text_size
+        return at
+
+    done: Callable[[int, int, Any, Any, int, int], int] = encode
+    return done

@@ -1,0 +1,88 @@
+"""The environment's tick, compiled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+from messages.types import DeviceState, Proxy
+from nodes.kernels import plane_distance
+from nodes.tick.fields import fields_of, slot
+from nodes.tick.kernels.encode import make_encode
+from nodes.tick.kernels.follow import in_order
+from nodes.tick.kernels.hop import answer, flush, monotonic, out_at, receive
+from nodes.tick.kernels.machine import record_at
+from nodes.tick.kernels.scan import make_scan
+from nodes.tick.kernels.sources import kernel, record_of
+from nodes.tick.layout import ANCHOR, PLANE, EnvironmentState
+
+kernel(plane_distance)
+_look = record_at(record_of(EnvironmentState))
+_scan = make_scan(DeviceState)
+_encode = make_encode(Proxy)
+_IN, _OUT = fields_of(DeviceState), fields_of(Proxy)
+_SEQ, _STAMP, _POSITION, _DELAY = (slot(_IN, name) for name in ("seq", "stamp", "position", "delay"))
+_TO_SEQ, _TO_CONTACT = (slot(_OUT, name) for name in ("seq", "contact"))
+_TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = (
+    slot(_OUT, name) for name in ("stamp", "position", "proxy", "normal", "distance", "delay")
+)
+_PLANE, _ANCHOR = PLANE, ANCHOR
+
+
+@njit
+def _meet(s: Any, taken: Any, out: Any) -> bool:
+    """Write where the proxy is, and whether there is contact: nodes/environment/surfaces.py, by number."""
+    for i in range(3):
+        out[_TO_POSITION + i] = out[_TO_PROXY + i] = taken[_POSITION + i]
+        out[_TO_NORMAL + i] = 0.0
+    out[_TO_DISTANCE] = 0.0
+    if s.kind == _PLANE:
+        i = s.axis
+        out[_TO_NORMAL + i] = s.normal
+        out[_TO_DISTANCE] = distance = plane_distance(taken[_POSITION + i], s.point[i], s.normal)
+        if distance >= 0.0:
+            return False
+        out[_TO_PROXY + i] = s.point[i]
+        return True
+    if s.kind == _ANCHOR:
+        for i in range(3):
+            out[_TO_PROXY + i] = s.point[i]
+        return True
+    return False
+
+
+@njit
+def ticks(address: int) -> int:
+    """Answer device states with proxies until something is unusual.
+
+    Parameters
+    ----------
+    address : int
+        Of the node's `EnvironmentState`.
+
+    Returns
+    -------
+    int
+        How many ticks it did.
+    """
+    s = _look(address)
+    done = 0
+    while done < s.most:
+        if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
+            break
+        seq = s.wholes[_SEQ]
+        if not in_order(s, seq, s.reals[_STAMP]):
+            break
+        s.frames = 0
+        s.seq = seq
+        s.out_wholes[_TO_SEQ] = seq
+        s.out_wholes[_TO_CONTACT] = 1 if _meet(s, s.reals, s.out_reals) else 0
+        s.out_reals[_TO_DELAY] = s.reals[_DELAY]
+        s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
+        at = out_at(s)
+        answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
+        s.ticks += 1
+        done += 1
+    flush(s)
+    return done

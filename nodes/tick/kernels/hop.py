@@ -1,0 +1,90 @@
+"""Receiving and sending as messages/transport/sockets.py does, on the addresses of its sockets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+from nodes.tick.kernels.machine import byte, call_clock, call_pass, call_yield, wholes_at
+from nodes.tick.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TOPIC
+
+SNDMORE = 2
+DONTWAIT = 1
+CLOCK_MONOTONIC = 1
+
+_ROOM, _ROOM_IN, _ROOM_TOPIC = LONGEST_OUT, LONGEST_IN, LONGEST_TOPIC
+
+
+@njit
+def monotonic(s: Any) -> float:
+    """Read the clock that time.monotonic() reads [s]."""
+    call_clock(s.clock_gettime, (CLOCK_MONOTONIC, s.time))
+    now = wholes_at(s.time, 2)
+    return now[0] + now[1] * 1e-9
+
+
+@njit
+def receive(s: Any, flags: int) -> bool:
+    """Take one message of the expected topic; what else came is left in the buffers to be put back."""
+    s.frames = 0
+    size = call_pass(s.zmq_recv, (s.inbox, s.frame, _ROOM_TOPIC, flags))
+    if size < 0:
+        return False
+    s.frames = 1
+    s.frame_size = size
+    if size != s.expected_size:
+        return False
+    for m in range(size):
+        if byte(s.frame + m) != byte(s.expected + m):
+            return False
+    size = call_pass(s.zmq_recv, (s.inbox, s.payload, _ROOM_IN, flags))
+    if size < 0:
+        return False
+    s.frames = 2
+    s.payload_size = size
+    return size <= _ROOM_IN
+
+
+@njit
+def out_at(s: Any) -> int:
+    """Choose where the next message is written: where it can wait for the listeners, if it has to."""
+    return s.held + s.held_count * _ROOM if s.aside != 0 else s.out
+
+
+@njit
+def send_hop(s: Any, at: int, size: int) -> None:
+    """Send a message to the next hop."""
+    call_pass(s.zmq_send, (s.hop, s.topic, s.topic_size, SNDMORE))
+    call_pass(s.zmq_send, (s.hop, at, size, 0))
+
+
+@njit
+def flush(s: Any) -> None:
+    """Send what was collected for the listeners."""
+    sizes = wholes_at(s.held_sizes, s.batch)
+    for k in range(s.held_count):
+        call_pass(s.zmq_send, (s.aside, s.topic, s.topic_size, SNDMORE))
+        call_pass(s.zmq_send, (s.aside, s.held + k * _ROOM, sizes[k], 0))
+    s.held_count = 0
+
+
+@njit
+def hold(s: Any, size: int) -> bool:
+    """Keep the message written at `out_at` for the listeners; whether so many are kept that they should be sent."""
+    if s.aside == 0:
+        return False
+    wholes_at(s.held_sizes, s.batch)[s.held_count] = size
+    s.held_count += 1
+    return s.held_count >= s.batch
+
+
+@njit
+def answer(s: Any, at: int, size: int) -> None:
+    """Send a message to the next hop, then to the listeners."""
+    send_hop(s, at, size)
+    if hold(s, size):
+        # Under FIFO the I/O thread, no more urgent than this one, still has the message for the hop.
+        call_yield(s.sched_yield, (0,))
+        flush(s)
+    s.out_size = size

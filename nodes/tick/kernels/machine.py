@@ -1,0 +1,165 @@
+"""What a kernel needs of the machine and numba does not give: bytes at an address, and functions that are called there.
+
+Nothing here knows of Python's objects: compiled, a kernel refers to no symbol but libm's, and needs no interpreter lock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import carray, njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+Intrinsic = Callable[..., Any]
+
+
+def _load(bits: int, result: Any) -> Intrinsic:
+    """Make a load of a big-endian number, at any address."""
+
+    @intrinsic
+    def load(typing: Any, address: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+            whole = ir.IntType(bits)
+            value = builder.load(builder.inttoptr(arguments[0], whole.as_pointer()))
+            value.align = 1
+            if bits > 8:
+                value = builder.bswap(value)
+            if result == types.int64:
+                return value if bits == 64 else builder.zext(value, ir.IntType(64))
+            if bits == 32:
+                return builder.fpext(builder.bitcast(value, ir.FloatType()), ir.DoubleType())
+            return builder.bitcast(value, ir.DoubleType())
+
+        return result(types.int64), generate
+
+    return load
+
+
+def _store(bits: int, takes: Any) -> Intrinsic:
+    """Make a store of a big-endian number, at any address."""
+
+    @intrinsic
+    def store(typing: Any, address: Any, value: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+            address, value = arguments
+            whole = ir.IntType(bits)
+            if takes == types.float64:
+                value = builder.bitcast(value, whole)
+            elif bits < 64:
+                value = builder.trunc(value, whole)
+            if bits > 8:
+                value = builder.bswap(value)
+            builder.store(value, builder.inttoptr(address, whole.as_pointer())).align = 1
+            return context.get_dummy_value()
+
+        return types.void(types.int64, takes), generate
+
+    return store
+
+
+byte, be16, be32, be64 = (_load(bits, types.int64) for bits in (8, 16, 32, 64))
+real32, real64 = _load(32, types.float64), _load(64, types.float64)
+put_byte, put_be16, put_be32, put_be64 = (_store(bits, types.int64) for bits in (8, 16, 32, 64))
+put_real = _store(64, types.float64)
+
+
+@intrinsic
+def copy16(typing: Any, target: Any, source: Any) -> Any:  # noqa: ARG001
+    """Copy 16 bytes: what is shorter is overwritten by what follows."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+        block = ir.VectorType(ir.IntType(8), 16)
+        value = builder.load(builder.inttoptr(arguments[1], block.as_pointer()))
+        value.align = 1
+        builder.store(value, builder.inttoptr(arguments[0], block.as_pointer())).align = 1
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), generate
+
+
+def _pointer(pointed: Any) -> Intrinsic:
+    @intrinsic
+    def cast(typing: Any, address: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+        return types.CPointer(pointed)(types.int64), generate
+
+    return cast
+
+
+_to_reals, _to_wholes = _pointer(types.float64), _pointer(types.int64)
+
+
+@njit
+def reals_at(address: int, count: int) -> Any:
+    """Look at an array of floats that somebody else holds."""
+    return carray(_to_reals(address), count)
+
+
+@njit
+def wholes_at(address: int, count: int) -> Any:
+    """Look at an array of 64-bit integers that somebody else holds."""
+    return carray(_to_wholes(address), count)
+
+
+def record_at(record: Any) -> Intrinsic:
+    """Make a look at a struct that somebody else holds.
+
+    Parameters
+    ----------
+    record : numba.types.Record
+        Its layout.
+
+    Returns
+    -------
+    callable
+        From its address.
+    """
+
+    @intrinsic
+    def look(typing: Any, address: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+        return record(types.int64), generate
+
+    return look
+
+
+def _foreign(*takes: Any) -> Intrinsic:
+    """Make a call of a C function that returns an int, by its address and a tuple of arguments."""
+    result = types.int32
+
+    @intrinsic
+    def call(typing: Any, address: Any, arguments: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ARG001
+            kinds = [context.get_value_type(kind) for kind in takes]
+            function = ir.FunctionType(context.get_value_type(result), kinds)
+            given = cgutils.unpack_tuple(builder, values[1], len(takes))
+            wanted = [
+                builder.trunc(value, kind) if value.type.width > kind.width else value
+                for value, kind in zip(given, kinds, strict=True)
+            ]
+            return builder.call(builder.inttoptr(values[0], function.as_pointer()), wanted)
+
+        return result(types.int64, types.UniTuple(types.int64, len(takes))), generate
+
+    return call
+
+
+# int zmq_recv (void *socket, void *buffer, size_t size, int flags), and zmq_send
+call_pass = _foreign(types.int64, types.int64, types.int64, types.int32)
+# int zmq_getsockopt (void *socket, int option, void *value, size_t *size)
+call_option = _foreign(types.int64, types.int32, types.int64, types.int64)
+# int clock_gettime (clockid_t clock, struct timespec *now)
+call_clock = _foreign(types.int32, types.int64)
+# int clock_nanosleep (clockid_t clock, int flags, const struct timespec *until, struct timespec *left)
+call_sleep = _foreign(types.int32, types.int32, types.int64, types.int64)
+# int ppoll (struct pollfd *descriptors, nfds_t count, const struct timespec *longest, const sigset_t *mask)
+call_poll = _foreign(types.int64, types.int64, types.int64, types.int64)
+# int sched_yield (void), which takes no notice of an argument
+call_yield = _foreign(types.int64)

@@ -1,0 +1,273 @@
+"""Reading a MessagePack map with known fields, in any order; unknown keys are skipped.
+
+What is read here is read exactly as messages/codec.py reads it. What is in the least unusual (a wrong type, a value out of its
+bounds, text that is not ASCII, an extension, a malformed or truncated payload) is not judged here: the answer is False, and
+the decoder that exists looks at the payload and says what is wrong with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from messages.types import Message
+from nodes.tick.fields import FLAG, REAL, TEXT, VECTOR, WHOLE, Field, fields_of
+from nodes.tick.kernels.machine import be16, be32, be64, byte, real32, real64
+
+MOST_SKIPPED = 32
+"""Arrays and maps under unknown keys that are skipped; deeper ones may be refused for their depth."""
+
+
+@njit
+def map_size(at: int, end: int) -> tuple[int, int]:
+    """Read the header of a map: entries (-1 for no map) and where they begin."""
+    if at >= end:
+        return -1, at
+    first = byte(at)
+    if first & 0xF0 == 0x80:
+        return first & 0x0F, at + 1
+    if first == 0xDE and end - at >= 3:
+        return be16(at + 1), at + 3
+    if first == 0xDF and end - at >= 5:
+        return be32(at + 1), at + 5
+    return -1, at
+
+
+@njit
+def text_size(at: int, end: int) -> tuple[int, int]:
+    """Read the header of a text: bytes (-1 for no text, or a truncated one) and where they begin."""
+    if at >= end:
+        return -1, at
+    first = byte(at)
+    size = -1
+    if first & 0xE0 == 0xA0:
+        size, at = first & 0x1F, at + 1
+    elif first == 0xD9 and end - at >= 2:
+        size, at = byte(at + 1), at + 2
+    elif first == 0xDA and end - at >= 3:
+        size, at = be16(at + 1), at + 3
+    elif first == 0xDB and end - at >= 5:
+        size, at = be32(at + 1), at + 5
+    if size > end - at:
+        return -1, at
+    return size, at
+
+
+@njit
+def whole_number(at: int, end: int) -> tuple[bool, int, int]:
+    """Read an integer: whether there is one that fits 64 bits with a sign, the integer, and where it ends."""
+    if at >= end:
+        return False, 0, at
+    first = byte(at)
+    left = end - at
+    if first < 0x80:
+        return True, first, at + 1
+    if first >= 0xE0:
+        return True, first - 0x100, at + 1
+    if first == 0xCC and left >= 2:
+        return True, byte(at + 1), at + 2
+    if first == 0xCD and left >= 3:
+        return True, be16(at + 1), at + 3
+    if first == 0xCE and left >= 5:
+        return True, be32(at + 1), at + 5
+    if first == 0xCF and left >= 9:
+        value = be64(at + 1)
+        return value >= 0, value, at + 9
+    if first == 0xD0 and left >= 2:
+        value = byte(at + 1)
+        return True, value - 0x100 if value >= 0x80 else value, at + 2
+    if first == 0xD1 and left >= 3:
+        value = be16(at + 1)
+        return True, value - 0x10000 if value >= 0x8000 else value, at + 3
+    if first == 0xD2 and left >= 5:
+        value = be32(at + 1)
+        return True, value - 0x100000000 if value >= 0x80000000 else value, at + 5
+    if first == 0xD3 and left >= 9:
+        return True, be64(at + 1), at + 9
+    return False, 0, at
+
+
+@njit
+def real_number(at: int, end: int) -> tuple[bool, float, int]:
+    """Read a finite number, a float or an integer: whether there is one, the number, and where it ends."""
+    if at >= end:
+        return False, 0.0, at
+    first = byte(at)
+    if first == 0xCB and end - at >= 9:
+        value = real64(at + 1)
+        return math.isfinite(value), value, at + 9
+    if first == 0xCA and end - at >= 5:
+        value = real32(at + 1)
+        return math.isfinite(value), value, at + 5
+    known, whole, at = whole_number(at, end)
+    return known, float(whole), at
+
+
+@njit
+def after_value(at: int, end: int) -> int:
+    """Skip one value of any kind: where it ends, -1 when that is not to be said."""
+    left = 1
+    containers = 0
+    while left > 0:
+        if at >= end:
+            return -1
+        left -= 1
+        first = byte(at)
+        size = 1
+        if first < 0x80 or first >= 0xE0 or 0xC2 <= first <= 0xC3 or first == 0xC0:
+            pass
+        elif first < 0x90:
+            left += 2 * (first & 0x0F)
+            containers += 1
+        elif first < 0xA0:
+            left += first & 0x0F
+            containers += 1
+        elif first < 0xC0:
+            size += first & 0x1F
+        elif first in (0xCC, 0xD0):
+            size = 2
+        elif first in (0xCD, 0xD1):
+            size = 3
+        elif first in (0xCA, 0xCE, 0xD2):
+            size = 5
+        elif first in (0xCB, 0xCF, 0xD3):
+            size = 9
+        elif first in (0xC4, 0xD9) and end - at >= 2:
+            size = 2 + byte(at + 1)
+        elif first in (0xC5, 0xDA) and end - at >= 3:
+            size = 3 + be16(at + 1)
+        elif first in (0xC6, 0xDB) and end - at >= 5:
+            size = 5 + be32(at + 1)
+        elif first in (0xDC, 0xDE) and end - at >= 3:
+            left += be16(at + 1) * (2 if first == 0xDE else 1)
+            size = 3
+            containers += 1
+        else:
+            # Extensions, the largest containers, and what is no MessagePack.
+            return -1
+        if size > end - at or containers > MOST_SKIPPED:
+            return -1
+        at += size
+    return at
+
+
+def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
+    """Make the scan of one type of message.
+
+    Parameters
+    ----------
+    message : type of Message
+        The type.
+
+    Returns
+    -------
+    callable
+        Compilable: from where a payload begins and ends, to arrays of reals and wholes which it fills; whether it could.
+
+    Raises
+    ------
+    NotCompilableError
+        When the type has a field of an unknown kind.
+    """
+    fields: tuple[Field, ...] = fields_of(message)
+    count = len(fields)
+    names = np.frombuffer(b"".join(field.name.encode() for field in fields), np.uint8).copy()
+    sizes = np.array([len(field.name) for field in fields])
+    begins = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    kinds = np.array([field.kind for field in fields])
+    slots = np.array([field.slot for field in fields])
+    lows = np.array([field.low for field in fields])
+    highs = np.array([field.high for field in fields])
+    defaults = np.array([0.0 if field.default is None else field.default for field in fields])
+    required = sum(1 << k for k, field in enumerate(fields) if field.default is None)
+    real, vector, whole, flag, text = REAL, VECTOR, WHOLE, FLAG, TEXT
+
+    @njit
+    def find(at: int, size: int, guess: int) -> int:
+        for n in range(count):
+            k = guess + n
+            if k >= count:
+                k -= count
+            if sizes[k] != size:
+                continue
+            same = True
+            for m in range(size):
+                if byte(at + m) != names[begins[k] + m]:
+                    same = False
+                    break
+            if same:
+                return k
+        return -1
+
+    @njit
+    def scan(at: int, end: int, reals: Any, wholes: Any) -> bool:
+        entries, at = map_size(at, end)
+        if entries < 0:
+            return False
+        seen = 0
+        # Most senders keep the order of the fields.
+        guess = 0
+        for _ in range(entries):
+            size, at = text_size(at, end)
+            if size < 0:
+                return False
+            k = find(at, size, guess)
+            at += size
+            if k < 0:
+                at = after_value(at, end)
+                if at < 0:
+                    return False
+                continue
+            seen |= 1 << k
+            guess = k + 1
+            kind = kinds[k]
+            slot = slots[k]
+            if kind == real:
+                known, reals[slot], at = real_number(at, end)
+                if not known:
+                    return False
+            elif kind == vector:
+                if at >= end or byte(at) != 0x93:
+                    return False
+                at += 1
+                for i in range(3):
+                    known, reals[slot + i], at = real_number(at, end)
+                    if not known:
+                        return False
+            elif kind == whole:
+                known, value, at = whole_number(at, end)
+                if not known or value < lows[k] or value > highs[k]:
+                    return False
+                wholes[slot] = value
+            elif kind == flag:
+                if at >= end or byte(at) & 0xFE != 0xC2:
+                    return False
+                wholes[slot] = byte(at) & 1
+                at += 1
+            elif kind == text:
+                size, at = text_size(at, end)
+                if size < 0 or size > highs[k]:
+                    return False
+                for m in range(size):
+                    if byte(at + m) >= 0x80:
+                        return False
+                at += size
+        if at != end or seen & required != required:
+            return False
+        for k in range(count):
+            if seen & (1 << k) == 0:
+                if kinds[k] == real:
+                    reals[slots[k]] = defaults[k]
+                elif kinds[k] == vector:
+                    for i in range(3):
+                        reals[slots[k] + i] = 0.0
+                elif kinds[k] != text:
+                    wholes[slots[k]] = int(defaults[k])
+        return True
+
+    done: Callable[[int, int, Any, Any], bool] = scan
+    return done

@@ -1,0 +1,46 @@
+"""Compiling the very functions that the nodes call: registered with numba as they are, without copies and without fastmath."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ctypes import Structure
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+from numba.extending import register_jitable
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def kernel(function: Function) -> Function:
+    """Let compiled functions call a plain function, which itself stays as it is.
+
+    Parameters
+    ----------
+    function : callable
+        Plain function on numbers and arrays.
+
+    Returns
+    -------
+    callable
+        The same function.
+    """
+    same: Function = register_jitable(function)
+    return same
+
+
+def record_of(structure: type[Structure]) -> Any:
+    """Give a struct of nodes/tick/layout.py its type in kernels.
+
+    Parameters
+    ----------
+    structure : type of Structure
+        The struct.
+
+    Returns
+    -------
+    numba.types.Record
+        The same layout.
+    """
+    return numba.from_dtype(np.dtype(structure))

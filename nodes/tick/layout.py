@@ -1,0 +1,129 @@
+"""What the plain and the compiled side of a node share: structs that both read and write, laid out once.
+
+Addresses are whole numbers: a kernel knows nothing of Python's objects. Whoever fills them in keeps alive what they point to.
+"""
+
+from __future__ import annotations
+
+from ctypes import Structure, c_double, c_int64
+from typing import Any, Final
+
+LONGEST_OUT: Final = 1024
+"""Room for one message sent [bytes]; the longest is under 600."""
+
+LONGEST_IN: Final = 65536 + 64
+"""Room for one message received [bytes]; a longer one is refused for its length."""
+
+LONGEST_TOPIC: Final = 256
+"""Room for a first frame [bytes]; of a longer one only the beginning is ever told."""
+
+LONGEST_TEXT: Final = 128
+"""Longest text in a message sent, encoded [bytes]."""
+
+FREE: Final = 0
+PLANE: Final = 1
+ANCHOR: Final = 2
+"""Kinds of surface, as kernels take them."""
+
+SMOOTHING: Final = 1.0 / 64.0
+"""Part of each tick's delay in the measured one: a mean over some 64 ticks, which one late tick does not throw."""
+
+REALS: Final = 32
+WHOLES: Final = 16
+"""Room for a message's numbers, read or to be written."""
+
+_ADDRESSES: Final = [
+    # C functions
+    "zmq_recv",
+    "zmq_send",
+    "zmq_getsockopt",
+    "clock_gettime",
+    "clock_nanosleep",
+    "ppoll",
+    "sched_yield",
+    # sockets; ``aside`` is 0 where listeners have none of their own
+    "inbox",
+    "hop",
+    "aside",
+    # buffers
+    "expected",
+    "frame",
+    "payload",
+    "topic",
+    "out_keys",
+    "text",
+    "out",
+    "held",
+    "held_sizes",
+    "time",
+]
+
+LOOP: Final[list[tuple[str, Any]]] = [
+    *((name, c_int64) for name in _ADDRESSES),
+    # what is fixed: sizes [bytes], messages collected for listeners, pace
+    ("expected_size", c_int64),
+    ("topic_size", c_int64),
+    ("text_size", c_int64),
+    ("batch", c_int64),
+    ("realtime", c_int64),
+    ("period", c_double),
+    ("clock_offset", c_double),
+    # how many ticks at most before Python looks, and before which tick
+    ("most", c_int64),
+    ("until", c_int64),
+    # what goes on from tick to tick
+    ("seq", c_int64),
+    ("ticks", c_int64),
+    ("held_count", c_int64),
+    ("out_size", c_int64),
+    # what was taken off the socket and must be put back: 0, 1 (topic) or 2 frames, and their sizes [bytes]
+    ("frames", c_int64),
+    ("frame_size", c_int64),
+    ("payload_size", c_int64),
+    # the numbers of the message read, and of the one to be written
+    ("reals", c_double * REALS),
+    ("wholes", c_int64 * WHOLES),
+    ("out_reals", c_double * REALS),
+    ("out_wholes", c_int64 * WHOLES),
+]
+"""The part that all nodes have."""
+
+
+class EnvironmentState(Structure):
+    """The environment's side of the border: the surface that it answers with."""
+
+    _fields_ = [
+        *LOOP,
+        # FREE, PLANE or ANCHOR, and its numbers
+        ("kind", c_int64),
+        ("axis", c_int64),
+        ("normal", c_double),
+        ("point", c_double * 3),
+    ]
+
+
+class CouplingState(Structure):
+    """The coupling's side of the border: the law that renders, and the histories that it reads."""
+
+    _fields_ = [
+        *LOOP,
+        ("raw", c_int64),
+        ("clamp", c_int64),
+        ("revision", c_int64),
+        ("delay", c_double),
+        # axes of the scene, and per axis the history and the state of the sections
+        ("axes", c_int64),
+        ("axis", c_int64 * 3),
+        ("length", c_int64),
+        ("history", c_int64 * 3),
+        ("head", c_int64 * 3),
+        ("pushes", c_int64),
+        ("sections_state", c_int64 * 3),
+        ("taps", c_int64),
+        ("taps_count", c_int64),
+        ("sections", c_int64),
+        ("sections_count", c_int64),
+        # what a tick overwrites, for one that must be undone
+        ("undo", c_int64),
+        ("oldest", c_double * 3),
+    ]

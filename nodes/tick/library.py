@@ -1,0 +1,106 @@
+"""Loading compiled kernels, and finding the C functions that they call: pyzmq's own libzmq, and libc.
+
+Sockets belong to the libzmq that made them, so it must be the very one that pyzmq has loaded, wherever it came with: beside the wheel, in the
+extension itself, or from the system.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import zmq
+
+from nodes.tick.build import ENTRY
+from nodes.tick.fields import NotCompilableError
+
+_ZMQ: Final = ("zmq_recv", "zmq_send", "zmq_getsockopt")
+_LIBC: Final = ("clock_gettime", "clock_nanosleep", "ppoll", "sched_yield")
+
+_kept: list[Any] = []
+"""What must live as long as its functions may be called."""
+
+
+def _libzmq() -> ctypes.CDLL:
+    """Find the library that pyzmq has loaded."""
+    with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
+        mapped = sorted({line.split(maxsplit=5)[5].strip() for line in maps if ".so" in line})
+    candidates = [path for path in mapped if "zmq" in Path(path).name]
+    for path in sorted(candidates, key=lambda path: not Path(path).name.startswith("libzmq")):
+        library = ctypes.CDLL(path)
+        if all(hasattr(library, name) for name in (*_ZMQ, "zmq_version")):
+            numbers = [ctypes.c_int() for _ in range(3)]
+            library.zmq_version(*map(ctypes.byref, numbers))
+            if tuple(number.value for number in numbers) == zmq.zmq_version_info():
+                return library
+    raise NotCompilableError(f"pyzmq's libzmq is not to be found among {', '.join(candidates) or 'what is loaded'}")
+
+
+def functions() -> dict[str, int]:
+    """Find the C functions that kernels call.
+
+    Returns
+    -------
+    dict of str to int
+        Their addresses.
+
+    Raises
+    ------
+    NotCompilableError
+        When pyzmq's libzmq is not to be found.
+    """
+    libzmq, libc = _libzmq(), ctypes.CDLL(None)
+    found = {}
+    for library, names in ((libzmq, _ZMQ), (libc, _LIBC)):
+        for name in names:
+            found[name] = ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
+    return found
+
+
+def _address_by_llvm(path: Path) -> int:
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_path(str(path)))
+    engine.finalize_object()
+    _kept.append(engine)
+    address: int = engine.get_function_address(ENTRY)
+    return address
+
+
+def load(path: Path) -> Callable[[int], int]:
+    """Load a compiled kernel.
+
+    Parameters
+    ----------
+    path : Path
+        As `nodes.tick.build.find` gives it.
+
+    Returns
+    -------
+    callable
+        From the address of its state to the number of ticks done; called without the interpreter's lock.
+    """
+    # numba's own way of calling: where the result goes, where an exception would be told, and the argument.
+    prototype = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
+    if path.suffix == ".so":
+        library = ctypes.CDLL(str(path))
+        _kept.append(library)
+        function = prototype((ENTRY, library))
+    else:
+        function = prototype(_address_by_llvm(path))
+    result, error = ctypes.c_int64(), ctypes.c_void_p()
+    at, told = ctypes.addressof(result), ctypes.addressof(error)
+
+    def call(state: int) -> int:
+        if function(at, told, state):
+            raise NotCompilableError("a kernel failed: see nodes/tick")
+        return result.value
+
+    _kept.append((result, error))
+    return call
