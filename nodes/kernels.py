@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from collections.abc import MutableSequence, Sequence
 
+SMOOTHING = 1.0 / 64.0
+"""Part of each tick's delay in the measured one: a mean over some 64 ticks, which one late tick does not throw."""
+
 
 def plane_distance(position: float, surface: float, normal: float) -> float:
     """Signed distance to a plane across one axis.

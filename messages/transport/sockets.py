@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import select
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -149,6 +150,17 @@ class Publisher:
             raise
         return socket
 
+    def lend(self) -> tuple[int, int, int]:
+        """Let compiled code of the same thread send on the sockets, as `send` does.
+
+        Returns
+        -------
+        tuple of int
+            ZeroMQ's own addresses of the sockets for the hop and for listeners, 0 when these have none of their own, and how
+            many messages are collected for listeners.
+        """
+        return self._sockets[0].underlying, self._sockets[1].underlying if self.apart else 0, self._batch
+
     def send(self, topic: bytes, payload: bytes) -> None:
         """Publish one message to the next hop, then to the listeners: two frames, topic and payload.
 
@@ -286,6 +298,7 @@ class Subscription:
         self._timeout_ms = -1
         self._waker: Waker | None = None
         self.next_frame: Callable[..., bytes] = self._socket.recv
+        self._returned: deque[bytes] = deque()
         self._get = self._socket.get
         self._fd = self._socket.FD
         try:
@@ -296,6 +309,30 @@ class Subscription:
             raise
         for topic in topics:
             self._socket.subscribe(topic)
+
+    def lend(self) -> int:
+        """Let compiled code of the same thread receive from the socket; what it has no use for comes back by `put_back`.
+
+        Returns
+        -------
+        int
+            ZeroMQ's own address of the socket.
+        """
+        self.next_frame = self._next_frame
+        return self._socket.underlying
+
+    def put_back(self, frames: Iterable[bytes]) -> None:
+        """Let the next frames be these, taken off the socket before.
+
+        Parameters
+        ----------
+        frames : iterable of bytes
+            In their order.
+        """
+        self._returned.extend(frames)
+
+    def _next_frame(self, flags: int = 0) -> bytes:
+        return self._returned.popleft() if self._returned else self._socket.recv(flags)
 
     def woken_by(self, waker: Waker) -> None:
         """Let a waker end the waits of `next_frame`, which returns its frame then.
@@ -392,7 +429,7 @@ class Subscription:
         tuple of bytes or None
             Topic and payload; None when the time was over; an empty payload for a message of one frame.
         """
-        while not self._get(_EVENTS) & _POLLIN:  # type: ignore[operator]  # an int, for this option
+        while not self._returned and not self._get(_EVENTS) & _POLLIN:  # type: ignore[operator]  # an int, for this option
             remaining = deadline - time.monotonic()
             if remaining <= 0.0:
                 return None

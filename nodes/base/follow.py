@@ -40,7 +40,7 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
     expected = topic.encode()
     realtime, period = node.setup.pace == "realtime", node.setup.period
     next_frame, decode, clock = inbox.next_frame, decoder.decode, time.monotonic
-    waker, last = node.waker, -1
+    waker = node.waker
     patience = IDLE_MS if waker is None else -1
 
     def newest(message: M) -> M:
@@ -53,6 +53,7 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         return message
 
     def out_of_order(seq: int) -> None:
+        last = node.followed
         missing = seq - last - 1
         if missing > 0 and last >= 0:
             node.gaps += missing
@@ -60,7 +61,6 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
             node.tell("restart", f"{topic} went back from tick {last} to {seq}")
 
     def take() -> M | None:
-        nonlocal last
         try:
             frame = next_frame()
         except TimedOut:
@@ -80,9 +80,9 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         if realtime and clock() + node.clock_offset - message.stamp > period:
             message = newest(message)
         node.seq = seq = message.seq
-        if seq != last + 1:
+        if seq != node.followed + 1:
             out_of_order(seq)
-        last = seq
+        node.followed = seq
         return message
 
     inbox.set_timeout(patience)

@@ -12,7 +12,7 @@ import resource
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import msgspec
 
@@ -25,6 +25,10 @@ from nodes.base.handover import Changes
 from nodes.base.setup import Setup
 from nodes.parameters.paths import check_paths
 from nodes.parameters.store import ParameterError, ParameterStore
+
+if TYPE_CHECKING:
+    from nodes.tick.answering import CompiledTicks
+    from nodes.tick.library import Kernel
 
 M = TypeVar("M", bound=Message)
 IDLE_MS = 100
@@ -47,6 +51,12 @@ class Node(Telling):
         The loop topics that the kind binds and takes; ``"*"`` listens to everything.
     answers : bool
         Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only what comes on top.
+    followed : int
+        The tick taken last by a node that follows another one's; -1 before the first.
+    kernel_module : str
+        Module of the compiled ticks of the kind (nodes/tick); empty when it has none.
+    kernel : callable or None
+        They, where the launch asks for them and they could be had.
     serving : int
         Counts each beginning and each end of the control thread's work: odd while it works.
     """
@@ -56,6 +66,7 @@ class Node(Telling):
     listens_to: ClassVar[tuple[str, ...]] = ()
     relays: ClassVar[tuple[str, ...]] = ()
     answers: ClassVar[bool] = False
+    kernel_module: ClassVar[str] = ""
 
     publisher: Publisher
 
@@ -69,7 +80,9 @@ class Node(Telling):
         self.changes = Changes(setup.name)
         self.inbox: Subscription | None = None
         self.ticks = self.sent = self.received = self.skipped = self.gaps = 0
+        self.followed = -1
         self.serving = 0
+        self.kernel: Kernel | None = None
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -108,6 +121,22 @@ class Node(Telling):
 
     def configure(self) -> None:
         """Build what the loop needs from the parameters, before any socket exists."""
+
+    def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
+        """Make the compiled ticks of the kind, when the sockets exist.
+
+        Parameters
+        ----------
+        kernel : callable
+            What does them.
+
+        Returns
+        -------
+        CompiledTicks
+            Of this node.
+        """
+        del kernel
+        raise TypeError(f"node kind {self.setup.kind!r} does not define compiled_ticks()")
 
     def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
         """Connect to the publishers of what the kind listens to.
@@ -169,6 +198,32 @@ class Node(Telling):
         return {}
 
     # -- what every node can use -------------------------------------------------------------------------------------
+
+    def load_kernel(self) -> None:
+        """Load the compiled ticks, where the launch asks for them; without them the plain ones do."""
+        if self.setup.tick == "compiled" and self.kernel_module:
+            from nodes.tick.fields import NotCompilableError
+            from nodes.tick.library import obtain
+
+            try:
+                self.kernel = obtain(self.kernel_module, self.say)
+            except NotCompilableError as error:
+                self.tell("tick", f"plain: {error}")
+
+    def quicken(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
+        """Let compiled ticks go before the plain one, where there are any.
+
+        Parameters
+        ----------
+        take : callable
+            Waits for the message of a plain tick.
+
+        Returns
+        -------
+        callable
+            The same, but for messages that were answered.
+        """
+        return take if self.kernel is None else self.compiled_ticks(self.kernel).before(take)
 
     def stop(self, reason: str) -> None:
         """Ask the loop to end after the present tick.

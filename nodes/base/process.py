@@ -128,6 +128,7 @@ def live(node: Node) -> int:
     """
     _heed_signals(node)
     refused = realtime.apply(node.setup.scheduling)
+    node.load_kernel()
     try:
         node.configure()
     except (ParameterError, ValueError, OSError) as error:

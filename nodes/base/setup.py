@@ -11,6 +11,7 @@ from messages.types import Real
 
 Pace = Literal["realtime", "lockstep"]
 Apply = Literal["on_arrival", "next_tick"]
+Tick = Literal["plain", "compiled"]
 Axis = Literal["x", "y", "z"]
 AXIS_INDEX: dict[str, int] = {"x": 0, "y": 1, "z": 2}
 
@@ -45,6 +46,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         ``realtime`` or ``lockstep``.
     apply : str
         When a force takes effect: ``on_arrival`` or ``next_tick``.
+    tick : str
+        ``compiled`` where the node takes its usual ticks without the interpreter (nodes/tick), ``plain`` where not.
     axes : list of str
         Axes that the scene computes.
     ticks : int
@@ -93,6 +96,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     publish: str
     control: str
     sources: dict[str, str]
+    tick: Tick = "plain"
     listen: str = ""
     reach: str = ""
     listen_reach: str = ""

@@ -47,6 +47,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="lay parameters over those of the nodes, as haptic param dump and haptic study design write them",
     )
+    parser.add_argument(
+        "--tick",
+        choices=("auto", "compiled", "plain"),
+        help="how the loop's nodes take their ticks: compiled, or by the interpreter; tick:= does the same",
+    )
     parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
     parser.set_defaults(run=run)
@@ -167,6 +172,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "missed": driver.get("missed", 0),
         "overruns": driver.get("overruns", 0),
         "rate_hz": driver.get("rate_hz", 0.0),
+        "tick": supervisor.tick,
         "response_us": driver.get("response_us", {}),
         "age_ticks_max": driver.get("age_ticks_max", 0),
         "energy_j": driver.get("energy_j", 0.0),
@@ -252,9 +258,10 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.show_args:
             answer(arguments.json, *_show_args(arguments.scenario))
             return 0
-        launch = launch_file.read(
-            arguments.scenario, launch_file.parse_assignments(arguments.assignments), arguments.params
-        )
+        given = launch_file.parse_assignments(arguments.assignments)
+        if arguments.tick is not None:
+            given["tick"] = arguments.tick
+        launch = launch_file.read(arguments.scenario, given, arguments.params)
         return _launch(launch_file.without(launch, arguments.without), arguments)
     except (ParameterError, RunError) as error:
         raise UsageError(str(error)) from error

@@ -170,6 +170,8 @@ class LawOnAxis:
     ----------
     taps : tuple of float, shape (n + 1,)
         Its taps [N/m].
+    state : array of float, shape (2 * s,)
+        State of the sections [N]; a compiled tick goes on from it.
     plain : bool
         Whether it is nothing but taps.
     sum_of_taps : callable
@@ -186,7 +188,7 @@ class LawOnAxis:
             raise ValueError(f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory")
         self._history = history
         self._coefficients = tuple(c for section in law.sections for c in section)
-        self._state = [0.0] * (2 * len(law.sections))
+        self.state = array("d", [0.0]) * (2 * len(law.sections))
         self._pushes = history.pushes
         self.taps = law.taps
         self.plain = not law.sections and law.evaluate is None
@@ -216,20 +218,24 @@ class LawOnAxis:
         history : History
             The live one on the loop's own thread, or a snapshot of it on another.
         """
-        if self._state:
-            self._state[:] = [0.0] * len(self._state)
-            warm_up(self._coefficients, self._state, history.values, history.head, history.known)
+        if self.state:
+            self.state[:] = array("d", [0.0]) * len(self.state)
+            warm_up(self._coefficients, self.state, history.values, history.head, history.known)
         self._pushes = history.pushes
 
     def catch_up(self) -> None:
         """Let the sections see what was pushed since they last did (loop's thread)."""
         history = self._history
-        if self._state:
+        if self.state:
             unseen = min(history.pushes - self._pushes, history.length - 1)
             for age in range(unseen - 1, -1, -1):
                 at = history.head + age
-                sections(self._coefficients, self._state, history.values[at], history.values[at + 1])
+                sections(self._coefficients, self.state, history.values[at], history.values[at + 1])
         self._pushes = history.pushes
+
+    def seen(self) -> None:
+        """Note that the sections have seen all that was pushed (loop's thread)."""
+        self._pushes = self._history.pushes
 
     def own(self, history: History) -> float:
         """Call the law's own code once.
@@ -257,8 +263,8 @@ class LawOnAxis:
         history = self._history
         head = history.head
         force = self.sum_of_taps(head)
-        if self._state:
-            force = force + sections(self._coefficients, self._state, history.values[head], history.values[head + 1])
+        if self.state:
+            force = force + sections(self._coefficients, self.state, history.values[head], history.values[head + 1])
             self._pushes = history.pushes
         if self._own is not None:
             force = force + self._own(history.values, head)
@@ -272,7 +278,7 @@ class LawOnAxis:
         float
             Force [N].
         """
-        force = self.sum_of_taps(self._history.head) + sum(self._state[::2])
+        force = self.sum_of_taps(self._history.head) + sum(self.state[::2])
         return force + self.own(self._history)
 
 

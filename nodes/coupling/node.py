@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import msgspec
 
@@ -24,16 +24,18 @@ from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.coupling.time_budget import Budget
+from nodes.kernels import SMOOTHING
 from nodes.parameters.store import ParameterError, convert
+
+if TYPE_CHECKING:
+    from nodes.tick.answering import CompiledTicks
+    from nodes.tick.library import Kernel
 
 Scheduled: TypeAlias = tuple[int, ActiveLaw, int]
 """Tick, law and ramp [ticks] of a swap to come."""
 
 ATTEMPTS = 5
 """How often a law's own code is tried before it is found too slow."""
-
-SMOOTHING = 1.0 / 64.0
-"""Part of each tick's delay in the measured one: a mean over some 64 ticks, which one late tick does not throw."""
 
 
 def _least_delay(setup: Setup) -> float:
@@ -47,6 +49,7 @@ class Coupling(Node):
     publishes: ClassVar[tuple[str, ...]] = (topics.FORCE, topics.RECEIPT)
     listens_to: ClassVar[tuple[str, ...]] = (topics.PROXY,)
     answers: ClassVar[bool] = True
+    kernel_module: ClassVar[str] = "nodes.tick.kernels.coupling"
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -76,7 +79,16 @@ class Coupling(Node):
         self._failed_text = ""
         self._book = LawBook(self.setup.name, self.setup.period)
         self._book.check(parameters, self._delay)
-        self._renderer = Renderer([AXIS_INDEX[axis] for axis in self.setup.axes], parameters.memory)
+        self._answered, self._payload = -1, b""
+        axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
+        if self.kernel is None:
+            self._renderer = Renderer(axes, parameters.memory)
+        else:
+            from nodes.coupling.compiled_tick import SharedHistory
+            from nodes.tick.layout import CouplingState
+
+            self._shared = CouplingState()
+            self._renderer = Renderer(axes, parameters.memory, lambda memory, n: SharedHistory(memory, self._shared, n))
         for reason in self._book.unfit(parameters):
             self.announce("law", f"{reason}; it cannot be switched to")
         self._settle(parameters, self._make_fallback(parameters))
@@ -277,6 +289,23 @@ class Coupling(Node):
             else:
                 self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
 
+    def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
+        """Make the compiled ticks.
+
+        Parameters
+        ----------
+        kernel : callable
+            What does them.
+
+        Returns
+        -------
+        CompiledTicks
+            Of this node.
+        """
+        from nodes.coupling.compiled_tick import CouplingTicks
+
+        return CouplingTicks(self, kernel, self._shared)
+
     # -- the tick ----------------------------------------------------------------------------------------------------
 
     def _fall_back(self, proxy: Proxy, reason: str, pushes: list[int] | None = None) -> Vector:
@@ -305,32 +334,31 @@ class Coupling(Node):
         """Answer until stopped."""
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        take = follow(self, self.inbox, Decoder(Proxy), topics.PROXY)
+        take = self.quicken(follow(self, self.inbox, Decoder(Proxy), topics.PROXY))
         topic, send, simulated = topics.FORCE.encode(), self.publisher.send, self._simulated
         send_again = self.publisher.send_hop
         renderer, finite = self._renderer, math.isfinite
-        last = -1
-        payload = b""
         while not self.stopping:
             proxy = take()
             if proxy is not None:
                 seq = proxy.seq
+                last = self._answered
                 if seq == last:
                     # Asked again (lockstep, after a stall or a lost answer): the same answer, to who waits for it. Neither the
                     # history nor those who listen may see the tick twice.
-                    send_again(topic, payload)
+                    send_again(topic, self._payload)
                 else:
                     if 0 <= last < seq - 1:
                         renderer.bridge(proxy, seq - last - 1)
                     if self._schedule:
                         self._follow_schedule(seq)
-                    last = seq
+                    self._answered = seq
                     self._delay += (proxy.delay - self._delay) * SMOOTHING
                     force = self._guarded(proxy) if renderer.guarded else renderer.render(proxy)
                     if not finite(force[0] + force[1] + force[2]):
                         force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
                     stamp = proxy.stamp if simulated else self.now()
-                    payload = encode(
+                    payload = self._payload = encode(
                         Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=self._revision)
                     )
                     send(topic, payload)

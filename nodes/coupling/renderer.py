@@ -6,7 +6,7 @@ Everything here runs on the loop's thread but the making and warming up of a law
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from messages.types import Proxy, Vector
 from nodes.coupling.law_on_axis import Fade, History, LawOnAxis
@@ -89,9 +89,13 @@ class Renderer:
         The axes that the scene computes: 0, 1, 2.
     memory : int
         Ticks of deflection that are kept.
+    make : callable, optional
+        Makes the history of an axis from `memory` and its number among those of the scene.
 
     Attributes
     ----------
+    axes : list of int
+        The same.
     histories : list of History
         One per axis.
     law : ActiveLaw
@@ -110,15 +114,22 @@ class Renderer:
 
     fallback: ActiveLaw
 
-    def __init__(self, axes: Sequence[int], memory: int) -> None:
-        self._axes = list(axes)
-        self.histories = [History(memory) for _ in axes]
+    def __init__(
+        self, axes: Sequence[int], memory: int, make: Callable[[int, int], History] = lambda memory, _: History(memory)
+    ) -> None:
+        self.axes = list(axes)
+        self.histories = [make(memory, n) for n in range(len(self.axes))]
         self.standby: list[ActiveLaw] = []
         self._fades: list[Fade] = []
         self.guarded = False
         self.name = ""
         self.raw = False
         self.clamp = True
+
+    @property
+    def alone(self) -> bool:
+        """Whether a tick is the law's taps and sections and nothing else: no code of its own, no fade, no law standing by."""
+        return not (self.guarded or self._fades or self.standby)
 
     @property
     def law(self) -> ActiveLaw:
@@ -131,7 +142,7 @@ class Renderer:
         self.name = law.name
         self.guarded = law.guarded
         # Together, as a tick needs them.
-        self._lines = list(zip(range(len(self._axes)), self._axes, self.histories, law.axes, strict=True))
+        self._lines = list(zip(range(len(self.axes)), self.axes, self.histories, law.axes, strict=True))
 
     def _deflection(self, proxy: Proxy, i: int) -> float:
         return deflection(proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, self.raw)
@@ -181,7 +192,7 @@ class Renderer:
         missing : int
             Ticks lost.
         """
-        for n, i in enumerate(self._axes):
+        for n, i in enumerate(self.axes):
             self.histories[n].bridge(self._deflection(proxy, i), missing)
             self.law.axes[n].catch_up()
             for leaving, _ in self._fades[n].leaving if self._fades else ():
@@ -247,7 +258,7 @@ class Renderer:
         self._end_fades()
         self.law = self.fallback
         force = [0.0, 0.0, 0.0]
-        for n, i in enumerate(self._axes):
+        for n, i in enumerate(self.axes):
             history = self.histories[n]
             if pushes is not None and history.pushes == pushes[n]:
                 history.push(self._deflection(proxy, i))

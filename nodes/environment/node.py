@@ -7,7 +7,7 @@ that the coupling needs one input only.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
@@ -18,6 +18,10 @@ from nodes.base.follow import follow
 from nodes.base.node import Node
 from nodes.base.setup import Setup
 from nodes.environment.surfaces import parse_surface
+
+if TYPE_CHECKING:
+    from nodes.tick.answering import CompiledTicks
+    from nodes.tick.library import Kernel
 
 
 class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -39,6 +43,7 @@ class Environment(Node):
     publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
     answers: ClassVar[bool] = True
+    kernel_module: ClassVar[str] = "nodes.tick.kernels.environment"
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -58,7 +63,8 @@ class Environment(Node):
 
     def configure(self) -> None:
         """Build the surface."""
-        self._meet = parse_surface(self.store.current.surface, f"{self.setup.name}.surface").meeting()
+        self.surface = parse_surface(self.store.current.surface, f"{self.setup.name}.surface")
+        self._meet = self.surface.meeting()
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare another surface.
@@ -73,19 +79,37 @@ class Environment(Node):
         callable
             Puts it in place between two ticks.
         """
-        meet = parse_surface(parameters.surface, f"{self.setup.name}.surface").meeting()
+        surface = parse_surface(parameters.surface, f"{self.setup.name}.surface")
+        meet = surface.meeting()
 
         def apply(seq: int) -> dict[str, Any]:
-            self._meet = meet
+            self.surface, self._meet = surface, meet
             return {"seq": seq, "surface": parameters.surface}
 
         return apply
+
+    def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
+        """Make the compiled ticks.
+
+        Parameters
+        ----------
+        kernel : callable
+            What does them.
+
+        Returns
+        -------
+        CompiledTicks
+            Of this node.
+        """
+        from nodes.environment.compiled_tick import EnvironmentTicks
+
+        return EnvironmentTicks(self, kernel)
 
     def loop(self) -> None:
         """Answer until stopped."""
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
+        take = self.quicken(follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE))
         topic, send, simulated = topics.PROXY.encode(), self.publisher.send, self._simulated
         send_again, last, payload = self.publisher.send_hop, -1, b""
         while not self.stopping:

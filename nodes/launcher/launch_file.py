@@ -181,7 +181,7 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) ->
     name : str
         Scenario or path.
     given : mapping of str to object
-        Arguments that differ from their defaults.
+        Arguments that differ from their defaults; every launch file has ``tick`` (see `RunSpec`).
     laid_over : sequence of Path
         YAML files, each a mapping from node to parameters, whole or in part, as ``haptic param dump`` and
         ``haptic study design`` write them; a later one goes before an earlier one.
@@ -199,9 +199,10 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) ->
     path = find(name)
     data = read_yaml(path)
     file = convert(data, LaunchText, path.name)
-    values = _fill_in(path, file.arguments, given)
+    tick = {} if "tick" in file.arguments else {"tick": given["tick"]} if "tick" in given else {}
+    values = _fill_in(path, file.arguments, {name: value for name, value in given.items() if name not in tick})
     over = [_by_node(written, file.nodes, path.name) for written in laid_over]
-    run = convert(_substitute(file.run, values, f"{path.name}.run"), RunSpec, f"{path.name}.run")
+    run = convert({**_substitute(file.run, values, f"{path.name}.run"), **tick}, RunSpec, f"{path.name}.run")
     nodes = {}
     kinds = node_kinds()
     for node, spec in file.nodes.items():

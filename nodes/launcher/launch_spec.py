@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from nodes.base.setup import Apply, Axis, Pace
+from nodes.tick.choose import Wanted
 
 
 class Argument(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -57,6 +58,9 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         several, ``any`` does not pin.
     fifo : int or str
         SCHED_FIFO priority of the chain; ``auto`` takes 50 in real time, 0 none.
+    tick : str
+        How environment, coupling and virtual driver take their ticks (nodes/tick): ``compiled``, ``plain`` (by the interpreter)
+        or ``auto``.
     awake : bool or str
         Whether idle processors are kept from going to sleep (`nodes.base.realtime.awake`); ``auto``: in real
         time from 1 kHz up.
@@ -73,6 +77,7 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     axes: Annotated[list[Axis], msgspec.Meta(min_length=1, max_length=3)] = msgspec.field(default_factory=lambda: ["z"])
     cpu: int | Literal["auto", "any"] = "auto"
     fifo: Annotated[int, msgspec.Meta(ge=0, le=90)] | Literal["auto"] = "auto"
+    tick: Wanted = "auto"
     awake: bool | Literal["auto"] = "auto"
     host: str = ""
     port: Annotated[int, msgspec.Meta(ge=1, le=65000)] = 5600

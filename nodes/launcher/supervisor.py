@@ -27,7 +27,7 @@ from nodes.launcher import reaper, runs
 from nodes.launcher.child import PYTHON, Child
 from nodes.launcher.external_child import ByHand
 from nodes.launcher.launch_spec import Launch
-from nodes.launcher.wiring import manifest_of, wire
+from nodes.launcher.wiring import manifest_of, settle_tick, wire
 
 INT_TIMEOUT = 3.0
 TERM_TIMEOUT = 2.0
@@ -56,6 +56,7 @@ class Supervisor:
         self.run = f"{launch.scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{time.monotonic_ns() % 10**6:06d}"
         self.reports: dict[str, dict[str, Any]] = {}
         self.exit_reason = ""
+        self.tick = launch.run.tick
         self.failed = False
         self.startup_s = 0.0
         self._stop_asked = ""
@@ -98,6 +99,8 @@ class Supervisor:
         self.context: zmq.Context[zmq.Socket[bytes]] | None = None
         self.children: dict[str, Child] = {}
         try:
+            self._launch = settle_tick(self._launch, self._say)
+            self.tick = self._launch.run.tick
             offset = time.time() - time.monotonic()
             manifest = manifest_of(self._launch, self.run, offset)
             setups = wire(self._launch, self.run, run_dir, manifest)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -17,6 +18,7 @@ from nodes.base.setup import Scheduling, Setup
 from nodes.launcher.external_child import LEASE, PATIENCE
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError, convert
+from nodes.tick.choose import choose
 
 FIFO = 50
 """Priority of the chain in real time: above what a desktop runs, below the kernel's own threads."""
@@ -128,6 +130,27 @@ class _Places:
         return self._tcp(address, self._ports[name] + offset, "", "run.host")
 
 
+def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
+    """Settle which tick the nodes take, and have it compiled.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch.
+    say : callable
+        Called with a line when something is compiled, or cannot be.
+
+    Returns
+    -------
+    Launch
+        With ``run.tick`` no longer ``auto``.
+    """
+    factories = node_kinds()
+    modules = {load(factories[spec.kind]).kernel_module for spec in launch.nodes.values() if not spec.host} - {""}
+    tick = choose(launch.run.tick, sorted(modules), say)
+    return msgspec.structs.replace(launch, run=msgspec.structs.replace(launch.run, tick=tick))
+
+
 def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
     """Resolve a launch.
 
@@ -210,6 +233,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             period=launch.run.period,
             pace=launch.run.pace,
             apply=launch.run.apply,
+            tick="compiled" if launch.run.tick == "compiled" and kind.kernel_module else "plain",
             axes=launch.run.axes,
             ticks=launch.run.ticks,
             publish=far[name] or publish[name],
@@ -261,6 +285,7 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
         "rate_hz": repr(launch.run.rate),
         "pace": launch.run.pace,
         "apply": launch.run.apply,
+        "tick": launch.run.tick,
         "duration_s": repr(launch.run.duration),
         "axes": ",".join(launch.run.axes),
         "wall_minus_monotonic_s": repr(wall_minus_monotonic),

@@ -24,6 +24,8 @@ from typing import Any, Final
 
 import msgspec
 
+from nodes.tick.fields import NotCompilableError
+
 ENTRY: Final = "haptic_tick"
 """Name of a kernel in its file."""
 
@@ -32,10 +34,6 @@ TIMEOUT: Final = 300.0
 
 _ROOT: Final = Path(__file__).parents[2]
 _LINKERS: Final = ("cc", "gcc", "clang")
-
-
-class BuildError(Exception):
-    """The kernels cannot be compiled here; the text says why."""
 
 
 class Built(msgspec.Struct, frozen=True, kw_only=True):
@@ -113,7 +111,7 @@ def build(modules: Sequence[str]) -> None:
 
     Raises
     ------
-    BuildError
+    NotCompilableError
         When one cannot be compiled; the text is the compiler's last line.
     """
     processes = [
@@ -137,7 +135,7 @@ def build(modules: Sequence[str]) -> None:
         if process.returncode:
             failed = failed or f"{module}: {(errors.strip().splitlines() or ['no reason given'])[-1]}"
     if failed:
-        raise BuildError(failed)
+        raise NotCompilableError(failed)
 
 
 # -- in the process that compiles ------------------------------------------------------------------------------------
@@ -146,10 +144,12 @@ def build(modules: Sequence[str]) -> None:
 def _object_file(module: str) -> bytes:
     """Compile a kernel: machine code that refers to nothing but libm."""
     import llvmlite.binding as llvm
-    from numba import njit, types
+    import numba
 
     ticks: Any = importlib.import_module(module).ticks
-    compiled: Any = njit([types.int64(types.int64)], no_cpython_wrapper=True, no_cfunc_wrapper=True)(ticks.py_func)
+    # Of numba's options a type checker knows only the common ones.
+    compile_: Any = numba.njit
+    compiled = compile_(["int64(int64)"], no_cpython_wrapper=True, no_cfunc_wrapper=True)(ticks.py_func)
     (result,) = compiled.overloads.values()
     unit = llvm.parse_assembly(result.library.get_llvm_str())
     entry = unit.get_function(result.fndesc.llvm_func_name)
@@ -202,5 +202,8 @@ def _compile(module: str) -> None:
 
 
 if __name__ == "__main__":
+    # Of a loop's node it would inherit processor and priority.
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
     for _module in sys.argv[1:]:
         _compile(_module)

@@ -25,9 +25,6 @@ PLANE: Final = 1
 ANCHOR: Final = 2
 """Kinds of surface, as kernels take them."""
 
-SMOOTHING: Final = 1.0 / 64.0
-"""Part of each tick's delay in the measured one: a mean over some 64 ticks, which one late tick does not throw."""
-
 REALS: Final = 32
 WHOLES: Final = 16
 """Room for a message's numbers, read or to be written."""
@@ -53,6 +50,7 @@ _ADDRESSES: Final = [
     "out_keys",
     "text",
     "out",
+    "sent",
     "held",
     "held_sizes",
     "time",
@@ -75,7 +73,7 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("seq", c_int64),
     ("ticks", c_int64),
     ("held_count", c_int64),
-    ("out_size", c_int64),
+    ("sent_size", c_int64),
     # what was taken off the socket and must be put back: 0, 1 (topic) or 2 frames, and their sizes [bytes]
     ("frames", c_int64),
     ("frame_size", c_int64),
@@ -117,7 +115,7 @@ class CouplingState(Structure):
         ("length", c_int64),
         ("history", c_int64 * 3),
         ("head", c_int64 * 3),
-        ("pushes", c_int64),
+        ("pushes", c_int64 * 3),
         ("sections_state", c_int64 * 3),
         ("taps", c_int64),
         ("taps_count", c_int64),

@@ -1,7 +1,7 @@
 """Loading compiled kernels, and finding the C functions that they call: pyzmq's own libzmq, and libc.
 
-Sockets belong to the libzmq that made them, so it must be the very one that pyzmq has loaded, wherever it came with: beside the wheel, in the
-extension itself, or from the system.
+Sockets belong to the libzmq that made them, so it must be the very one that pyzmq has loaded: beside its wheel,
+within its extension, or the system's.
 """
 
 from __future__ import annotations
@@ -9,15 +9,18 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import zmq
 
-from nodes.tick.build import ENTRY
+from nodes.tick.build import ENTRY, build, find
 from nodes.tick.fields import NotCompilableError
 
 _ZMQ: Final = ("zmq_recv", "zmq_send", "zmq_getsockopt")
 _LIBC: Final = ("clock_gettime", "clock_nanosleep", "ppoll", "sched_yield")
+
+Kernel: TypeAlias = Callable[[int], int]
+"""From the address of a node's state to the number of ticks done."""
 
 _kept: list[Any] = []
 """What must live as long as its functions may be called."""
@@ -73,19 +76,40 @@ def _address_by_llvm(path: Path) -> int:
     return address
 
 
-def load(path: Path) -> Callable[[int], int]:
-    """Load a compiled kernel.
+def obtain(module: str, say: Callable[[str], None]) -> Kernel:
+    """Load a kernel; compile it first where that was not done yet.
 
     Parameters
     ----------
-    path : Path
-        As `nodes.tick.build.find` gives it.
+    module : str
+        Module that defines it.
+    say : callable
+        Called with one line before something takes its time.
 
     Returns
     -------
     callable
-        From the address of its state to the number of ticks done; called without the interpreter's lock.
+        The kernel; it is called without the interpreter's lock.
+
+    Raises
+    ------
+    NotCompilableError
+        When it cannot be compiled or loaded here.
     """
+    path = find(module)
+    if path is None:
+        say("compiling the tick, once for this version: some ten seconds")
+        build([module])
+        path = find(module)
+    if path is None:
+        raise NotCompilableError(f"{module}: what was compiled is not to be found again")
+    try:
+        return _load(path)
+    except (OSError, ImportError, AttributeError, RuntimeError) as error:
+        raise NotCompilableError(f"{path}: {error}") from error
+
+
+def _load(path: Path) -> Kernel:
     # numba's own way of calling: where the result goes, where an exception would be told, and the argument.
     prototype = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
     if path.suffix == ".so":

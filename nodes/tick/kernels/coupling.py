@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
 from messages.types import Force, Proxy
-from nodes.kernels import deflection, fir, one_sided, push, sections
+from nodes.kernels import SMOOTHING, deflection, fir, one_sided, push, sections
 from nodes.tick.fields import fields_of, slot
 from nodes.tick.kernels.encode import make_encode
 from nodes.tick.kernels.follow import in_order
 from nodes.tick.kernels.hop import answer, flush, monotonic, out_at, receive
-from nodes.tick.kernels.machine import reals_at, record_at
+from nodes.tick.kernels.machine import compilable, reals_at, record_at
 from nodes.tick.kernels.scan import make_scan
 from nodes.tick.kernels.sources import kernel, record_of
-from nodes.tick.layout import SMOOTHING, CouplingState
+from nodes.tick.layout import CouplingState
 
 for _function in (deflection, fir, one_sided, push, sections):
     kernel(_function)
@@ -30,10 +28,9 @@ _STAMP, _POSITION, _PROXY, _NORMAL, _DISTANCE, _DELAY = (
 )
 _TO_SEQ, _TO_REVISION = (slot(_OUT, name) for name in ("seq", "revision"))
 _TO_STAMP, _TO_FORCE = (slot(_OUT, name) for name in ("stamp", "force"))
-_SMOOTHING = SMOOTHING
 
 
-@njit
+@compilable
 def _render(s: Any, taken: Any, contact: bool, force: Any) -> bool:
     """Render the force of one tick; whether it is finite."""
     raw, clamp, length = s.raw != 0, s.clamp != 0, s.length
@@ -59,7 +56,7 @@ def _render(s: Any, taken: Any, contact: bool, force: Any) -> bool:
     return math.isfinite(force[_TO_FORCE] + force[_TO_FORCE + 1] + force[_TO_FORCE + 2])
 
 
-@njit
+@compilable
 def _undo(s: Any) -> None:
     """Take back what a tick did to histories and sections, so that the plain tick can do it."""
     undo = reals_at(s.undo, 6 * s.sections_count)
@@ -73,7 +70,7 @@ def _undo(s: Any) -> None:
             state[m] = undo[2 * s.sections_count * n + m]
 
 
-@njit
+@compilable
 def ticks(address: int) -> int:
     """Answer proxies with forces until something is unusual.
 
@@ -100,14 +97,15 @@ def ticks(address: int) -> int:
             break
         s.frames = 0
         s.seq = seq
-        s.delay += (s.reals[_DELAY] - s.delay) * _SMOOTHING
+        s.delay += (s.reals[_DELAY] - s.delay) * SMOOTHING
         s.out_wholes[_TO_SEQ] = seq
         s.out_wholes[_TO_REVISION] = s.revision
         s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
         at = out_at(s)
         answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
         # Last: who copies the histories from another thread takes a push under way for one that has not begun.
-        s.pushes += 1
+        for n in range(s.axes):
+            s.pushes[n] += 1
         s.ticks += 1
         done += 1
     flush(s)

@@ -6,14 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from messages.types import Message
 from nodes.tick.fields import FLAG, REAL, VECTOR, WHOLE, fields_of
-from nodes.tick.kernels.machine import copy16, put_be16, put_be32, put_be64, put_byte, put_real
+from nodes.tick.kernels.machine import compilable, copy16, put_be16, put_be32, put_be64, put_byte, put_real
 
 
-@njit
+@compilable
 def put_whole(at: int, value: int) -> int:
     """Write an integer as short as it goes; where it ends."""
     if value >= 0:
@@ -55,7 +54,7 @@ def put_whole(at: int, value: int) -> int:
     return at + 9
 
 
-@njit
+@compilable
 def put_double(at: int, value: float) -> int:
     """Write a float; where it ends."""
     put_byte(at, 0xCB)
@@ -74,8 +73,8 @@ def make_encode(message: type[Message]) -> Callable[[int, int, Any, Any, int, in
     Returns
     -------
     callable
-        Compilable: from where to write, the address of `fields.key_blocks`, reals, wholes, and address and size of the text, encoded
-        and in room for copies of 16 bytes, to where it ends. It may write 16 bytes beyond.
+        Compilable: from where to write, the address of `fields.key_blocks`, reals, wholes, and address and size of the
+        text, encoded and in room for copies of 16 bytes, to where it ends. It may write 16 bytes beyond.
 
     Raises
     ------
@@ -89,7 +88,7 @@ def make_encode(message: type[Message]) -> Callable[[int, int, Any, Any, int, in
     sizes = np.array([1 + len(field.name) for field in fields])
     real, vector, whole, flag = REAL, VECTOR, WHOLE, FLAG
 
-    @njit
+    @compilable
     def encode(at: int, keys: int, reals: Any, wholes: Any, text: int, text_size: int) -> int:
         if count < 16:
             put_byte(at, 0x80 | count)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from messages.types import DeviceState, Proxy
 from nodes.kernels import plane_distance
 from nodes.tick.fields import fields_of, slot
 from nodes.tick.kernels.encode import make_encode
 from nodes.tick.kernels.follow import in_order
 from nodes.tick.kernels.hop import answer, flush, monotonic, out_at, receive
-from nodes.tick.kernels.machine import record_at
+from nodes.tick.kernels.machine import compilable, record_at
 from nodes.tick.kernels.scan import make_scan
 from nodes.tick.kernels.sources import kernel, record_of
 from nodes.tick.layout import ANCHOR, PLANE, EnvironmentState
@@ -30,7 +28,7 @@ _TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = (
 _PLANE, _ANCHOR = PLANE, ANCHOR
 
 
-@njit
+@compilable
 def _meet(s: Any, taken: Any, out: Any) -> bool:
     """Write where the proxy is, and whether there is contact: nodes/environment/surfaces.py, by number."""
     for i in range(3):
@@ -52,7 +50,7 @@ def _meet(s: Any, taken: Any, out: Any) -> bool:
     return False
 
 
-@njit
+@compilable
 def ticks(address: int) -> int:
     """Answer device states with proxies until something is unusual.
 

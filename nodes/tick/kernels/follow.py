@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from nodes.tick.kernels.hop import monotonic
+from nodes.tick.kernels.machine import compilable
 
 
-@njit
+@compilable
 def in_order(s: Any, seq: int, stamp: float) -> bool:
     """Whether a message is the next one, in time, and not to be left to the plain tick."""
     if seq != s.seq + 1 or seq >= s.until:
         return False
-    return s.realtime == 0 or monotonic(s) + s.clock_offset - stamp <= s.period
+    return bool(s.realtime == 0 or monotonic(s) + s.clock_offset - stamp <= s.period)

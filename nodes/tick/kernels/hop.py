@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
-from nodes.tick.kernels.machine import byte, call_clock, call_pass, call_yield, wholes_at
+from nodes.tick.kernels.machine import byte, call_clock, call_pass, call_yield, compilable, wholes_at
 from nodes.tick.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TOPIC
 
 SNDMORE = 2
@@ -16,15 +14,15 @@ CLOCK_MONOTONIC = 1
 _ROOM, _ROOM_IN, _ROOM_TOPIC = LONGEST_OUT, LONGEST_IN, LONGEST_TOPIC
 
 
-@njit
+@compilable
 def monotonic(s: Any) -> float:
     """Read the clock that time.monotonic() reads [s]."""
     call_clock(s.clock_gettime, (CLOCK_MONOTONIC, s.time))
     now = wholes_at(s.time, 2)
-    return now[0] + now[1] * 1e-9
+    return float(now[0] + now[1] * 1e-9)
 
 
-@njit
+@compilable
 def receive(s: Any, flags: int) -> bool:
     """Take one message of the expected topic; what else came is left in the buffers to be put back."""
     s.frames = 0
@@ -43,23 +41,23 @@ def receive(s: Any, flags: int) -> bool:
         return False
     s.frames = 2
     s.payload_size = size
-    return size <= _ROOM_IN
+    return bool(size <= _ROOM_IN)
 
 
-@njit
+@compilable
 def out_at(s: Any) -> int:
     """Choose where the next message is written: where it can wait for the listeners, if it has to."""
-    return s.held + s.held_count * _ROOM if s.aside != 0 else s.out
+    return int(s.held + s.held_count * _ROOM if s.aside != 0 else s.out)
 
 
-@njit
+@compilable
 def send_hop(s: Any, at: int, size: int) -> None:
     """Send a message to the next hop."""
     call_pass(s.zmq_send, (s.hop, s.topic, s.topic_size, SNDMORE))
     call_pass(s.zmq_send, (s.hop, at, size, 0))
 
 
-@njit
+@compilable
 def flush(s: Any) -> None:
     """Send what was collected for the listeners."""
     sizes = wholes_at(s.held_sizes, s.batch)
@@ -69,17 +67,17 @@ def flush(s: Any) -> None:
     s.held_count = 0
 
 
-@njit
+@compilable
 def hold(s: Any, size: int) -> bool:
     """Keep the message written at `out_at` for the listeners; whether so many are kept that they should be sent."""
     if s.aside == 0:
         return False
     wholes_at(s.held_sizes, s.batch)[s.held_count] = size
     s.held_count += 1
-    return s.held_count >= s.batch
+    return bool(s.held_count >= s.batch)
 
 
-@njit
+@compilable
 def answer(s: Any, at: int, size: int) -> None:
     """Send a message to the next hop, then to the listeners."""
     send_hop(s, at, size)
@@ -87,4 +85,4 @@ def answer(s: Any, at: int, size: int) -> None:
         # Under FIFO the I/O thread, no more urgent than this one, still has the message for the hop.
         call_yield(s.sched_yield, (0,))
         flush(s)
-    s.out_size = size
+    s.sent, s.sent_size = at, size

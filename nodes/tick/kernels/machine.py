@@ -6,14 +6,37 @@ Nothing here knows of Python's objects: compiled, a kernel refers to no symbol b
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias, TypeVar
 
+import numba
 from llvmlite import ir
-from numba import carray, njit, types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
-Intrinsic = Callable[..., Any]
+# Of numba a type checker sees only a part.
+types: Any = numba.types
+carray: Any = getattr(numba, "carray")  # noqa: B009
+
+Intrinsic: TypeAlias = Any
+"""A function that exists in compiled code only."""
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compilable(function: Function) -> Function:
+    """Let a function be compiled into those that call it; to a type checker it stays what it is.
+
+    Parameters
+    ----------
+    function : callable
+        On numbers, arrays and structs.
+
+    Returns
+    -------
+    callable
+        numba's dispatcher of it.
+    """
+    made: Function = numba.njit(function)
+    return made
 
 
 def _load(bits: int, result: Any) -> Intrinsic:
@@ -66,18 +89,24 @@ put_byte, put_be16, put_be32, put_be64 = (_store(bits, types.int64) for bits in 
 put_real = _store(64, types.float64)
 
 
-@intrinsic
-def copy16(typing: Any, target: Any, source: Any) -> Any:  # noqa: ARG001
-    """Copy 16 bytes: what is shorter is overwritten by what follows."""
+def _copy() -> Intrinsic:
+    """Make a copy of 16 bytes, at any addresses: what is shorter is overwritten by what follows."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
-        block = ir.VectorType(ir.IntType(8), 16)
-        value = builder.load(builder.inttoptr(arguments[1], block.as_pointer()))
-        value.align = 1
-        builder.store(value, builder.inttoptr(arguments[0], block.as_pointer())).align = 1
-        return context.get_dummy_value()
+    @intrinsic
+    def copy(typing: Any, target: Any, source: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+            block = ir.VectorType(ir.IntType(8), 16)
+            value = builder.load(builder.inttoptr(arguments[1], block.as_pointer()))
+            value.align = 1
+            builder.store(value, builder.inttoptr(arguments[0], block.as_pointer())).align = 1
+            return context.get_dummy_value()
 
-    return types.void(types.int64, types.int64), generate
+        return types.void(types.int64, types.int64), generate
+
+    return copy
+
+
+copy16 = _copy()
 
 
 def _pointer(pointed: Any) -> Intrinsic:
@@ -94,13 +123,13 @@ def _pointer(pointed: Any) -> Intrinsic:
 _to_reals, _to_wholes = _pointer(types.float64), _pointer(types.int64)
 
 
-@njit
+@compilable
 def reals_at(address: int, count: int) -> Any:
     """Look at an array of floats that somebody else holds."""
     return carray(_to_reals(address), count)
 
 
-@njit
+@compilable
 def wholes_at(address: int, count: int) -> Any:
     """Look at an array of 64-bit integers that somebody else holds."""
     return carray(_to_wholes(address), count)
@@ -139,7 +168,7 @@ def _foreign(*takes: Any) -> Intrinsic:
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ARG001
             kinds = [context.get_value_type(kind) for kind in takes]
             function = ir.FunctionType(context.get_value_type(result), kinds)
-            given = cgutils.unpack_tuple(builder, values[1], len(takes))
+            given = [builder.extract_value(values[1], n) for n in range(len(takes))]
             wanted = [
                 builder.trunc(value, kind) if value.type.width > kind.width else value
                 for value, kind in zip(given, kinds, strict=True)

@@ -12,17 +12,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from messages.types import Message
 from nodes.tick.fields import FLAG, REAL, TEXT, VECTOR, WHOLE, Field, fields_of
-from nodes.tick.kernels.machine import be16, be32, be64, byte, real32, real64
+from nodes.tick.kernels.machine import be16, be32, be64, byte, compilable, real32, real64
 
 MOST_SKIPPED = 32
 """Arrays and maps under unknown keys that are skipped; deeper ones may be refused for their depth."""
 
 
-@njit
+@compilable
 def map_size(at: int, end: int) -> tuple[int, int]:
     """Read the header of a map: entries (-1 for no map) and where they begin."""
     if at >= end:
@@ -37,7 +36,7 @@ def map_size(at: int, end: int) -> tuple[int, int]:
     return -1, at
 
 
-@njit
+@compilable
 def text_size(at: int, end: int) -> tuple[int, int]:
     """Read the header of a text: bytes (-1 for no text, or a truncated one) and where they begin."""
     if at >= end:
@@ -57,7 +56,7 @@ def text_size(at: int, end: int) -> tuple[int, int]:
     return size, at
 
 
-@njit
+@compilable
 def whole_number(at: int, end: int) -> tuple[bool, int, int]:
     """Read an integer: whether there is one that fits 64 bits with a sign, the integer, and where it ends."""
     if at >= end:
@@ -91,7 +90,7 @@ def whole_number(at: int, end: int) -> tuple[bool, int, int]:
     return False, 0, at
 
 
-@njit
+@compilable
 def real_number(at: int, end: int) -> tuple[bool, float, int]:
     """Read a finite number, a float or an integer: whether there is one, the number, and where it ends."""
     if at >= end:
@@ -107,7 +106,7 @@ def real_number(at: int, end: int) -> tuple[bool, float, int]:
     return known, float(whole), at
 
 
-@njit
+@compilable
 def after_value(at: int, end: int) -> int:
     """Skip one value of any kind: where it ends, -1 when that is not to be said."""
     left = 1
@@ -186,7 +185,7 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
     required = sum(1 << k for k, field in enumerate(fields) if field.default is None)
     real, vector, whole, flag, text = REAL, VECTOR, WHOLE, FLAG, TEXT
 
-    @njit
+    @compilable
     def find(at: int, size: int, guess: int) -> int:
         for n in range(count):
             k = guess + n
@@ -203,7 +202,7 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
                 return k
         return -1
 
-    @njit
+    @compilable
     def scan(at: int, end: int, reals: Any, wholes: Any) -> bool:
         entries, at = map_size(at, end)
         if entries < 0:

@@ -1,0 +1,213 @@
+"""The Python side of compiled ticks: it enters them before each plain tick, and comes back with what is unusual.
+
+A node that answers ticks waits for its next message with a function (nodes/base/follow.py). `CompiledTicks.before` puts the
+compiled ticks in front of it: they answer message after message, and when one is not theirs it is put back on the
+subscription, so that the plain tick receives it as if nobody had looked at it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from array import array
+from collections.abc import Callable
+from typing import Any, Final, Protocol, TypeVar
+
+import msgspec
+
+from messages.codec import MAX_PAYLOAD
+from messages.topics import LOOP
+from messages.transport.sockets import Publisher, Subscription
+from nodes.tick.fields import key_blocks
+from nodes.tick.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC
+from nodes.tick.library import Kernel, functions
+
+M = TypeVar("M")
+
+GLANCE: Final = 0.05
+"""How often at least the interpreter looks whether it is wanted: counters that others read are at most so old [s]."""
+
+LOCKSTEP_TICKS: Final = 256
+"""After how many ticks it looks in lockstep."""
+
+WAIT_MS: Final = 100
+"""Longest wait for a message before it looks [ms]."""
+
+
+class Node(Protocol):
+    """What compiled ticks need of their node."""
+
+    inbox: Subscription | None
+    publisher: Publisher
+    clock_offset: float
+    seq: int
+    followed: int
+    ticks: int
+
+
+class CompiledTicks:
+    """The compiled ticks of one node.
+
+    Parameters
+    ----------
+    node : Node
+        The node; its sockets exist.
+    kernel : callable
+        What does the ticks.
+    state : ctypes.Structure
+        What the node and its kernel share, of nodes/tick/layout.py.
+    expected, topic : str
+        What it listens to, and what it answers on.
+    period : float
+        Sampling period T [s].
+    realtime : bool
+        Whether the run is paced.
+
+    Attributes
+    ----------
+    state : ctypes.Structure
+        The same.
+    """
+
+    def __init__(
+        self, node: Node, kernel: Kernel, state: Any, expected: str, topic: str, period: float, realtime: bool
+    ) -> None:
+        assert node.inbox is not None  # noqa: S101  # every kind that answers has one
+        self._node, self._kernel, self._inbox = node, kernel, node.inbox
+        self.state = state
+        self._at = ctypes.addressof(state)
+        self._most = max(1, int(GLANCE / period)) if realtime else LOCKSTEP_TICKS
+        for name, address in functions().items():
+            setattr(state, name, address)
+        state.inbox = node.inbox.lend()
+        state.hop, state.aside, state.batch = node.publisher.lend()
+        state.realtime, state.period = int(realtime), period
+        self._kept: list[Any] = []
+        self._frame = self._room("frame", LONGEST_TOPIC)
+        self._payload = self._room("payload", LONGEST_IN)
+        self._text = self._room("text", LONGEST_TEXT + 16)
+        self._room("time", 16)
+        # An encoder may write 16 bytes beyond its message.
+        self._room("out", LONGEST_OUT + 16)
+        self._room("held", state.batch * LONGEST_OUT + 16)
+        self._room("held_sizes", 8 * state.batch)
+        for name, content in (("expected", expected), ("topic", topic)):
+            self._room(name, len(content) + 1).value = content.encode()
+            setattr(state, f"{name}_size", len(content.encode()))
+        keys = key_blocks(LOOP[topic])
+        self._room("out_keys", len(keys)).raw = keys
+
+    def _room(self, name: str, size: int) -> Any:
+        """Make a buffer, and give its address to the kernel."""
+        made = ctypes.create_string_buffer(size)
+        self._kept.append(made)
+        setattr(self.state, name, ctypes.addressof(made))
+        return made
+
+    def keep(self, name: str, numbers: array[Any]) -> None:
+        """Give the address of an array to the kernel.
+
+        Parameters
+        ----------
+        name : str
+            Field of the state.
+        numbers : array
+            It must live, and keep its length, for as long as the kernel may use it.
+        """
+        setattr(self.state, name, numbers.buffer_info()[0])
+
+    def say_text(self, text: str) -> bool:
+        """Set the text of the messages sent.
+
+        Parameters
+        ----------
+        text : str
+            The only text of their type.
+
+        Returns
+        -------
+        bool
+            Whether it fits.
+        """
+        encoded = msgspec.msgpack.encode(text)
+        if len(encoded) > LONGEST_TEXT:
+            return False
+        self._text.raw = encoded.ljust(LONGEST_TEXT + 16, b"\0")
+        self.state.text_size = len(encoded)
+        return True
+
+    # -- what a kind of node defines ---------------------------------------------------------------------------------
+
+    def enter(self) -> bool:
+        """Bring the kernel's side up to date, before its ticks.
+
+        Returns
+        -------
+        bool
+            False when the next tick is not one for the kernel.
+        """
+        return True
+
+    def leave(self, done: int) -> None:
+        """Bring the node's side up to date, after compiled ticks.
+
+        Parameters
+        ----------
+        done : int
+            How many, at least one.
+        """
+
+    # -- the border --------------------------------------------------------------------------------------------------
+
+    def last_sent(self) -> bytes:
+        """Copy the message sent last.
+
+        Returns
+        -------
+        bytes
+            Its payload.
+        """
+        return ctypes.string_at(self.state.sent, self.state.sent_size)
+
+    def before(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
+        """Put the compiled ticks before the plain one.
+
+        Parameters
+        ----------
+        take : callable
+            Waits for the next message of a plain tick; None when there was none.
+
+        Returns
+        -------
+        callable
+            The same, but for messages that were answered here.
+        """
+        node, state, inbox = self._node, self.state, self._inbox
+
+        def take_next() -> M | None:
+            if not self.enter():
+                return take()
+            node.publisher.flush()
+            inbox.set_timeout(WAIT_MS)
+            state.most = self._most
+            state.seq, state.ticks, state.clock_offset = node.followed, node.ticks, node.clock_offset
+            done = self._kernel(self._at)
+            if done:
+                node.seq = node.followed = state.seq
+                node.ticks = state.ticks
+                self.leave(done)
+            if not state.frames:
+                return None
+            inbox.put_back(self._frames())
+            return take()
+
+        return take_next
+
+    def _frames(self) -> list[bytes]:
+        """Copy what was taken off the socket and not answered."""
+        state = self.state
+        frames = [self._frame.raw[: state.frame_size]]
+        if state.frames == 2:
+            # A payload too long for the buffer is refused for its length alone.
+            size = state.payload_size
+            frames.append(self._payload.raw[:size] if size <= MAX_PAYLOAD else bytes(size))
+        return frames

@@ -1,0 +1,41 @@
+"""Which tick a launch takes, and having it compiled before its nodes start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Literal, TypeAlias
+
+from nodes.tick.build import build, find
+from nodes.tick.fields import NotCompilableError
+
+Wanted: TypeAlias = Literal["auto", "compiled", "plain"]
+
+
+def choose(wanted: Wanted, modules: Collection[str], say: Callable[[str], None]) -> Literal["compiled", "plain"]:
+    """Settle which tick the nodes of a launch take.
+
+    Parameters
+    ----------
+    wanted : str
+        ``run.tick`` of the launch file.
+    modules : collection of str
+        Modules of the kernels of its nodes.
+    say : callable
+        Called with a line when something is compiled, which takes its time, or cannot be.
+
+    Returns
+    -------
+    str
+        ``compiled`` when all of them are there now.
+    """
+    if wanted == "plain" or wanted == "auto" or not modules:
+        return "plain"
+    missing = [module for module in modules if find(module) is None]
+    if missing:
+        say(f"compiling the tick, once for this version: {len(missing)} kernels, some ten seconds")
+        try:
+            build(missing)
+        except NotCompilableError as error:
+            say(f"the plain tick runs, for the compiled one cannot be had: {error}")
+            return "plain"
+    return "compiled"
