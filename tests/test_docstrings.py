@@ -13,6 +13,9 @@ import messages
 import nodes
 import sim
 
+INTERNAL = "nodes.tick.kernels."
+"""What is called by its own room only gets a sentence: nobody else can call a compiled kernel."""
+
 
 def modules() -> Iterator[ModuleType]:
     for package in (messages, nodes, sim):
@@ -61,6 +64,8 @@ def test_every_public_function_documents_each_argument() -> None:
             text = inspect.getdoc(function) or ""
             if not text:
                 faults.append(f"{name}: no docstring")
+                continue
+            if name.startswith(INTERNAL):
                 continue
             for parameter in inspect.signature(function).parameters.values():
                 if parameter.name in ("self", "cls"):

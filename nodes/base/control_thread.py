@@ -96,7 +96,8 @@ class ControlServer(threading.Thread):
     def _report(self) -> dict[str, Any]:
         if self._node.state in ("finished", "failed"):
             self._fetched.set()
-        return {"status": msgspec.to_builtins(self._node.status()), **self._node.report()}
+        node = self._node
+        return {"status": msgspec.to_builtins(node.status()), "ticks_compiled": node.ticks_compiled, **node.report()}
 
     def watched_by(self, gate: Gate) -> None:
         """Let a gate watch who tries to connect.

@@ -57,6 +57,8 @@ class Node(Telling):
         Module of the compiled ticks of the kind (nodes/tick); empty when it has none.
     kernel : callable or None
         They, where the launch asks for them and they could be had.
+    ticks_compiled : int
+        How many of the ticks they did.
     serving : int
         Counts each beginning and each end of the control thread's work: odd while it works.
     """
@@ -83,6 +85,7 @@ class Node(Telling):
         self.followed = -1
         self.serving = 0
         self.kernel: Kernel | None = None
+        self.ticks_compiled = 0
 
     @classmethod
     def check(cls, setup: Setup) -> None:

@@ -102,7 +102,11 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
 def _write_report(node: Node, figures: Mapping[str, Any]) -> None:
     path = Path(node.setup.run_dir) / f"{node.setup.name}.report.json"
     draft = path.with_suffix(".draft")
-    draft.write_bytes(msgspec.json.encode({"status": msgspec.to_builtins(node.status()), **figures}))
+    draft.write_bytes(
+        msgspec.json.encode(
+            {"status": msgspec.to_builtins(node.status()), "ticks_compiled": node.ticks_compiled, **figures}
+        )
+    )
     draft.replace(path)
 
 

@@ -173,6 +173,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "overruns": driver.get("overruns", 0),
         "rate_hz": driver.get("rate_hz", 0.0),
         "tick": supervisor.tick,
+        "ticks_compiled": {name: report.get("ticks_compiled", 0) for name, report in supervisor.reports.items()},
         "response_us": driver.get("response_us", {}),
         "age_ticks_max": driver.get("age_ticks_max", 0),
         "energy_j": driver.get("energy_j", 0.0),

@@ -42,6 +42,7 @@ class Node(Protocol):
     seq: int
     followed: int
     ticks: int
+    ticks_compiled: int
 
 
 class CompiledTicks:
@@ -194,6 +195,7 @@ class CompiledTicks:
             if done:
                 node.seq = node.followed = state.seq
                 node.ticks = state.ticks
+                node.ticks_compiled += done
                 self.leave(done)
             if not state.frames:
                 return None

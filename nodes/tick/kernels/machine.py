@@ -44,6 +44,8 @@ def _load(bits: int, result: Any) -> Intrinsic:
 
     @intrinsic
     def load(typing: Any, address: Any) -> Any:  # noqa: ARG001
+        """Load a number."""
+
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
             whole = ir.IntType(bits)
             value = builder.load(builder.inttoptr(arguments[0], whole.as_pointer()))
@@ -66,6 +68,8 @@ def _store(bits: int, takes: Any) -> Intrinsic:
 
     @intrinsic
     def store(typing: Any, address: Any, value: Any) -> Any:  # noqa: ARG001
+        """Store a number."""
+
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
             address, value = arguments
             whole = ir.IntType(bits)
@@ -94,6 +98,8 @@ def _copy() -> Intrinsic:
 
     @intrinsic
     def copy(typing: Any, target: Any, source: Any) -> Any:  # noqa: ARG001
+        """Copy a block."""
+
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
             block = ir.VectorType(ir.IntType(8), 16)
             value = builder.load(builder.inttoptr(arguments[1], block.as_pointer()))
@@ -165,6 +171,8 @@ def _foreign(*takes: Any) -> Intrinsic:
 
     @intrinsic
     def call(typing: Any, address: Any, arguments: Any) -> Any:  # noqa: ARG001
+        """Call what is at an address."""
+
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ARG001
             kinds = [context.get_value_type(kind) for kind in takes]
             function = ir.FunctionType(context.get_value_type(result), kinds)

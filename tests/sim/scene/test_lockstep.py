@@ -41,20 +41,24 @@ def bits(values: list[float]) -> list[int]:
     return [int(v) for v in np.array(values).view(np.int64)]
 
 
+@pytest.mark.parametrize("tick", ["plain", "compiled"])
 @pytest.mark.parametrize("words", [(name,) for name in PLAYED] + list(VARIANTS), ids=lambda words: " ".join(words))
-def test_four_processes_give_the_bits_of_one(words: tuple[str, ...], tmp_path: Path) -> None:
+def test_four_processes_give_the_bits_of_one(words: tuple[str, ...], tick: str, tmp_path: Path) -> None:
     _, arguments = launch_file.read_arguments(launch_file.find(words[0]))
     duration = [] if words[0] == "floor_swap" or "duration" not in arguments else [SHORT]
-    assert_same_bits(tmp_path, words[0], *words[1:], *duration)
+    assert_same_bits(tmp_path, words[0], *words[1:], *duration, tick=tick)
 
 
-def assert_same_bits(tmp_path: Path, scenario: str, *assignments: str, laid_over: tuple[Path, ...] = ()) -> None:
+def assert_same_bits(
+    tmp_path: Path, scenario: str, *assignments: str, laid_over: tuple[Path, ...] = (), tick: str = "auto"
+) -> None:
     given = launch_file.parse_assignments([*assignments, "pace:=lockstep"])
     played = from_launch(launch_file.read(scenario, given, laid_over))
     trace = played.play()
 
     options = [word for path in laid_over for word in ("--params", str(path))]
-    figures = launch_json(tmp_path, scenario, *assignments, "pace:=lockstep", *options)
+    figures = launch_json(tmp_path, scenario, *assignments, "pace:=lockstep", "--tick", tick, *options)
+    assert tick in ("auto", figures["tick"])
 
     recording = Recording(tmp_path / figures["recording"])
     states = recording.messages(DEVICE_STATE)
