@@ -38,6 +38,7 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         through attributes, it waits for.
     """
     expected = topic.encode()
+    ticks = node.compiled()
     realtime, period = node.setup.pace == "realtime", node.setup.period
     next_frame, decode, clock = inbox.next_frame, decoder.decode, time.monotonic
     waker = node.waker
@@ -86,4 +87,4 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         return message
 
     inbox.set_timeout(patience)
-    return take
+    return take if ticks is None else ticks.before(take)

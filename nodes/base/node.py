@@ -53,6 +53,8 @@ class Node(Telling):
         Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only what comes on top.
     followed : int
         The tick taken last by a node that follows another one's; -1 before the first.
+    answered, answer : int, bytes
+        The tick answered last, and what was sent; -1 before the first.
     kernel_module : str
         Module of the compiled ticks of the kind (nodes/tick); empty when it has none.
     kernel : callable or None
@@ -82,7 +84,8 @@ class Node(Telling):
         self.changes = Changes(setup.name)
         self.inbox: Subscription | None = None
         self.ticks = self.sent = self.received = self.skipped = self.gaps = 0
-        self.followed = -1
+        self.followed = self.answered = -1
+        self.answer = b""
         self.serving = 0
         self.kernel: Kernel | None = None
         self.ticks_compiled = 0
@@ -213,20 +216,15 @@ class Node(Telling):
             except NotCompilableError as error:
                 self.tell("tick", f"plain: {error}")
 
-    def quicken(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
-        """Let compiled ticks go before the plain one, where there are any.
-
-        Parameters
-        ----------
-        take : callable
-            Waits for the message of a plain tick.
+    def compiled(self) -> CompiledTicks | None:
+        """Make the compiled ticks, where there are any.
 
         Returns
         -------
-        callable
-            The same, but for messages that were answered.
+        CompiledTicks or None
+            Of this node, when its sockets exist.
         """
-        return take if self.kernel is None else self.compiled_ticks(self.kernel).before(take)
+        return None if self.kernel is None else self.compiled_ticks(self.kernel)
 
     def stop(self, reason: str) -> None:
         """Ask the loop to end after the present tick.

@@ -62,8 +62,6 @@ class _Coupling(Node, Protocol):
     _schedule: list[tuple[int, ActiveLaw, int]]
     _delay: float
     _revision: int
-    _answered: int
-    _payload: bytes
 
 
 class CouplingTicks(CompiledTicks):
@@ -136,6 +134,5 @@ class CouplingTicks(CompiledTicks):
         del done
         node = self._coupling
         node._delay = self.state.delay
-        node._answered, node._payload = self.state.seq, self.last_sent()
         for axis in node._renderer.law.axes:
             axis.seen()

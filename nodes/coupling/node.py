@@ -79,7 +79,6 @@ class Coupling(Node):
         self._failed_text = ""
         self._book = LawBook(self.setup.name, self.setup.period)
         self._book.check(parameters, self._delay)
-        self._answered, self._payload = -1, b""
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
         if self.kernel is None:
             self._renderer = Renderer(axes, parameters.memory)
@@ -334,7 +333,7 @@ class Coupling(Node):
         """Answer until stopped."""
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        take = self.quicken(follow(self, self.inbox, Decoder(Proxy), topics.PROXY))
+        take = follow(self, self.inbox, Decoder(Proxy), topics.PROXY)
         topic, send, simulated = topics.FORCE.encode(), self.publisher.send, self._simulated
         send_again = self.publisher.send_hop
         renderer, finite = self._renderer, math.isfinite
@@ -342,23 +341,23 @@ class Coupling(Node):
             proxy = take()
             if proxy is not None:
                 seq = proxy.seq
-                last = self._answered
+                last = self.answered
                 if seq == last:
                     # Asked again (lockstep, after a stall or a lost answer): the same answer, to who waits for it. Neither the
                     # history nor those who listen may see the tick twice.
-                    send_again(topic, self._payload)
+                    send_again(topic, self.answer)
                 else:
                     if 0 <= last < seq - 1:
                         renderer.bridge(proxy, seq - last - 1)
                     if self._schedule:
                         self._follow_schedule(seq)
-                    self._answered = seq
+                    self.answered = seq
                     self._delay += (proxy.delay - self._delay) * SMOOTHING
                     force = self._guarded(proxy) if renderer.guarded else renderer.render(proxy)
                     if not finite(force[0] + force[1] + force[2]):
                         force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
                     stamp = proxy.stamp if simulated else self.now()
-                    payload = self._payload = encode(
+                    payload = self.answer = encode(
                         Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=self._revision)
                     )
                     send(topic, payload)

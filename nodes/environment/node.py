@@ -109,16 +109,16 @@ class Environment(Node):
         """Answer until stopped."""
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        take = self.quicken(follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE))
+        take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
         topic, send, simulated = topics.PROXY.encode(), self.publisher.send, self._simulated
-        send_again, last, payload = self.publisher.send_hop, -1, b""
+        send_again = self.publisher.send_hop
         while not self.stopping:
             state = take()
-            if state is not None and state.seq == last:
+            if state is not None and state.seq == self.answered:
                 # Asked again (lockstep, after a stall or a lost answer): the same answer, to who waits for it only.
-                send_again(topic, payload)
+                send_again(topic, self.answer)
             elif state is not None:
-                position, last = state.position, state.seq
+                position = state.position
                 proxy, normal, distance, contact = self._meet(position)
                 message = Proxy(
                     seq=state.seq,
@@ -130,7 +130,7 @@ class Environment(Node):
                     contact=contact,
                     delay=state.delay,
                 )
-                payload = encode(message)
+                self.answered, self.answer = state.seq, (payload := encode(message))
                 send(topic, payload)
                 self.ticks += 1
             if self.called:

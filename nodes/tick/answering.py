@@ -41,6 +41,8 @@ class Node(Protocol):
     clock_offset: float
     seq: int
     followed: int
+    answered: int
+    answer: bytes
     ticks: int
     ticks_compiled: int
 
@@ -159,16 +161,6 @@ class CompiledTicks:
 
     # -- the border --------------------------------------------------------------------------------------------------
 
-    def last_sent(self) -> bytes:
-        """Copy the message sent last.
-
-        Returns
-        -------
-        bytes
-            Its payload.
-        """
-        return ctypes.string_at(self.state.sent, self.state.sent_size)
-
     def before(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
         """Put the compiled ticks before the plain one.
 
@@ -193,7 +185,8 @@ class CompiledTicks:
             state.seq, state.ticks, state.clock_offset = node.followed, node.ticks, node.clock_offset
             done = self._kernel(self._at)
             if done:
-                node.seq = node.followed = state.seq
+                node.seq = node.followed = node.answered = state.seq
+                node.answer = ctypes.string_at(state.sent, state.sent_size)
                 node.ticks = state.ticks
                 node.ticks_compiled += done
                 self.leave(done)
