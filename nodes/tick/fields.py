@@ -99,6 +99,8 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
             default = float(field.default) if kind in (REAL, WHOLE, FLAG) else 0.0
             if kind == VECTOR and any(field.default):
                 raise NotCompilableError(f"{message.__name__}.{name}: a default that is not zero")
+        if kind == TEXT and used[bank]:
+            raise NotCompilableError(f"{message.__name__}.{name}: a second text")
         fields.append(Field(name, kind, used[bank], low, high, default))
         used[bank] += room
     return tuple(fields)

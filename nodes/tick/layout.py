@@ -29,6 +29,9 @@ REALS: Final = 32
 WHOLES: Final = 16
 """Room for a message's numbers, read or to be written."""
 
+TEXTS: Final = 12
+"""Where among the wholes address and size of a message's text stand; size -1 for one that is absent."""
+
 _ADDRESSES: Final = [
     # C functions
     "zmq_recv",

@@ -11,13 +11,15 @@ from nodes.tick.kernels.encode import make_encode
 from nodes.tick.kernels.follow import in_order
 from nodes.tick.kernels.hop import answer, flush, monotonic, out_at, receive
 from nodes.tick.kernels.machine import compilable, record_at
-from nodes.tick.kernels.scan import make_scan
+from nodes.tick.kernels.scan import make_match, make_scan
 from nodes.tick.kernels.sources import kernel, record_of
 from nodes.tick.layout import ANCHOR, PLANE, EnvironmentState
 
 kernel(plane_distance)
 _look = record_at(record_of(EnvironmentState))
 _scan = make_scan(DeviceState)
+# In a fault the position is no new one; whatever else is not usual is left to the plain tick, too.
+_is_active = make_match("active")
 _encode = make_encode(Proxy)
 _IN, _OUT = fields_of(DeviceState), fields_of(Proxy)
 _SEQ, _STAMP, _POSITION, _DELAY = (slot(_IN, name) for name in ("seq", "stamp", "position", "delay"))
@@ -70,7 +72,7 @@ def ticks(address: int) -> int:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
             break
         seq = s.wholes[_SEQ]
-        if not in_order(s, seq, s.reals[_STAMP]):
+        if not in_order(s, seq, s.reals[_STAMP]) or not _is_active(s.wholes):
             break
         s.frames = 0
         s.seq = seq

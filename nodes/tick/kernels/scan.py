@@ -16,6 +16,7 @@ import numpy as np
 from messages.types import Message
 from nodes.tick.fields import FLAG, REAL, TEXT, VECTOR, WHOLE, Field, fields_of
 from nodes.tick.kernels.machine import be16, be32, be64, byte, compilable, real32, real64
+from nodes.tick.layout import TEXTS
 
 MOST_SKIPPED = 32
 """Arrays and maps under unknown keys that are skipped; deeper ones may be refused for their depth."""
@@ -183,7 +184,7 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
     highs = np.array([field.high for field in fields])
     defaults = np.array([0.0 if field.default is None else field.default for field in fields])
     required = sum(1 << k for k, field in enumerate(fields) if field.default is None)
-    real, vector, whole, flag, text = REAL, VECTOR, WHOLE, FLAG, TEXT
+    real, vector, whole, flag, text, texts = REAL, VECTOR, WHOLE, FLAG, TEXT, TEXTS
 
     @compilable
     def find(at: int, size: int, guess: int) -> int:
@@ -254,6 +255,7 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
                 for m in range(size):
                     if byte(at + m) >= 0x80:
                         return False
+                wholes[texts], wholes[texts + 1] = at, size
                 at += size
         if at != end or seen & required != required:
             return False
@@ -264,9 +266,43 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
                 elif kinds[k] == vector:
                     for i in range(3):
                         reals[slots[k] + i] = 0.0
-                elif kinds[k] != text:
+                elif kinds[k] == text:
+                    wholes[texts + 1] = -1
+                else:
                     wholes[slots[k]] = int(defaults[k])
         return True
 
     done: Callable[[int, int, Any, Any], bool] = scan
+    return done
+
+
+def make_match(text: str) -> Callable[[Any], bool]:
+    """Make the question whether the text of a scanned message is a certain one.
+
+    Parameters
+    ----------
+    text : str
+        The text; it is ASCII, and also what is meant where there is none.
+
+    Returns
+    -------
+    callable
+        Compilable: from the wholes of the message.
+    """
+    letters = np.frombuffer(text.encode(), np.uint8).copy()
+    count, texts = len(letters), TEXTS
+
+    @compilable
+    def match(wholes: Any) -> bool:
+        size = wholes[texts + 1]
+        if size < 0:
+            return True
+        if size != count:
+            return False
+        for m in range(count):  # noqa: SIM110  # numba compiles no generator
+            if byte(wholes[texts] + m) != letters[m]:
+                return False
+        return True
+
+    done: Callable[[Any], bool] = match
     return done
