@@ -21,6 +21,9 @@ from nodes.cli.main import answer
 from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
 from nodes.launcher.wiring import FIFO
 
+DISTRIBUTION = ("/usr",)
+"""Where the interpreters of distributions are installed."""
+
 WAKE_UPS = 250
 PERIOD = 0.002
 """Wake-ups that are measured, and their period [s]: half a second at 500 Hz."""
@@ -231,13 +234,24 @@ def _zeromq() -> Finding:
     return Finding("ZeroMQ", "ok", f"{text} with ipc and CURVE (libsodium)")
 
 
-def _python() -> Finding:
+def interpreter() -> Finding:
+    """Look at how this interpreter was built.
+
+    Returns
+    -------
+    Finding
+        With PGO nodes answer faster.
+    """
     optimised = "-fprofile-use" in (sysconfig.get_config_var("PY_CORE_CFLAGS") or "") or "--enable-optimizations" in (
         sysconfig.get_config_var("CONFIG_ARGS") or ""
     )
-    text = f"{platform.python_implementation()} {platform.python_version()}, built {'with' if optimised else 'without'} PGO"
+    text = f"{platform.python_implementation()} {platform.python_version()}"
     if optimised:
-        return Finding("Python", "ok", text)
+        return Finding("Python", "ok", f"{text}, built with PGO")
+    if sys.base_prefix in DISTRIBUTION:
+        # Distributions run the profiling build by hand, so that its flags are not in the configuration.
+        return Finding("Python", "ok", f"{text}, the distribution's build")
+    text += ", built without PGO"
     return Finding(
         "Python",
         "limited",
@@ -303,7 +317,7 @@ def _punctuality(measured: dict[str, dict[str, float]]) -> Finding:
 
 def _findings(measured: dict[str, dict[str, float]]) -> Iterator[Finding]:
     checks: tuple[Callable[[], Finding], ...] = (
-        _python,
+        interpreter,
         _zeromq,
         _runtime,
         _open_files,

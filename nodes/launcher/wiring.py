@@ -277,6 +277,8 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
         Text by name; parameters of the nodes as JSON.
     """
     uname = os.uname()
+    factories = node_kinds()
+    publishes = {name: load(factories[spec.kind]).publishes for name, spec in launch.nodes.items()}
     return {
         "run": run,
         "scenario": launch.scenario,
@@ -292,5 +294,6 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
         "host": uname.nodename,
         "kernel": f"{uname.sysname} {uname.release} {uname.machine}",
         "launch_file": launch.text,
+        "publishes": msgspec.json.encode(publishes).decode(),
         "nodes": msgspec.json.encode({name: spec.parameters for name, spec in launch.nodes.items()}).decode(),
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from messages.topics import DEVICE_STATE, FORCE, LOOP, PROXY, RECEIPT, message_type
@@ -129,11 +131,15 @@ def clocks(recording: Recording) -> dict[str, Clock]:
     return found
 
 
-def _tick_topics(kind: str) -> tuple[str, ...]:
-    """Topics outside its own name that a kind of node publishes."""
-    if "driver" in kind:
+def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
+    """Topics outside its own name that a node publishes: the manifest's, or for older recordings those of its kind."""
+    publishes = recording.manifest.get("publishes")
+    if publishes is not None:
+        found: dict[str, list[str]] = msgspec.json.decode(publishes)
+        return found.get(status.node, [])
+    if "driver" in status.kind:
         return (DEVICE_STATE,)
-    return {"environment": (PROXY,), "coupling": (FORCE, RECEIPT)}.get(kind, ())
+    return {"environment": (PROXY,), "coupling": (FORCE, RECEIPT)}.get(status.kind, ())
 
 
 def accounts(recording: Recording) -> dict[str, Account]:
@@ -165,7 +171,7 @@ def accounts(recording: Recording) -> dict[str, Account]:
         if message_type(topic) is NodeStatus:
             status = recording.decode(decoder, raw, offset)
             sent.setdefault(status.node, {})[status.pid] = status.sent
-            ticking = _tick_topics(status.kind)
+            ticking = _tick_topics(recording, status)
             own = [t for t in topics if t in ticking or t.startswith(f"/{status.node}/")]
             total, recorded = sum(sent[status.node].values()), sum(counts[t] for t in own)
             lost = max(total - recorded, 0)

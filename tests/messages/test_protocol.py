@@ -14,7 +14,8 @@ from typing import Any
 import msgpack
 import zmq
 
-from messages import topics, types
+from messages import codec, topics, types
+from messages.transport import requests
 from tests.support.launching import running, wait_for
 
 FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
@@ -85,6 +86,13 @@ def test_page_lists_every_field_and_topic() -> None:
         for name in message_type.__struct_fields__:
             if name not in ("seq", "stamp"):
                 assert f"`{name}`" in rows[topic] or f"`{name}?`" in rows[topic], f"{topic}: {name}"
+
+
+def test_page_has_the_limits_of_the_code() -> None:
+    page = (Path(types.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
+    assert f"at most {codec.MAX_PAYLOAD} bytes" in page
+    assert f"Requests and replies are at most {requests.MAX_REQUEST} bytes" in page
+    assert requests.MAX_REPLY == requests.MAX_REQUEST
 
 
 def test_live_traffic_with_zmq_and_msgpack_only(tmp_path: Path) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from nodes.base import realtime
-from nodes.cli.doctor import OPEN_FILES, wake_ups
+from nodes.cli.doctor import OPEN_FILES, interpreter, wake_ups
 from nodes.cli.main import main
 from tests.support.launching import haptic, private_runtime_dir
 
@@ -86,3 +87,20 @@ def test_the_chain_gets_the_processor_that_devices_interrupt_least(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     assert realtime.quietest_processor(str(table)) == expected
     assert realtime.quietest_processor(str(tmp_path / "none")) == 1
+
+
+@pytest.mark.parametrize(
+    ("prefix", "flags", "found"),
+    [
+        ("/usr", "", ("ok", "the distribution's build")),
+        ("/opt/python", "", ("limited", "built without PGO")),
+        ("/opt/python", "'--enable-optimizations'", ("ok", "built with PGO")),
+    ],
+)
+def test_an_interpreter_is_judged_by_what_is_known_of_its_build(
+    prefix: str, flags: str, found: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "base_prefix", prefix)
+    monkeypatch.setattr("sysconfig.get_config_var", {"CONFIG_ARGS": flags, "PY_CORE_CFLAGS": ""}.get)
+    python = interpreter()
+    assert (python.state, python.found.split(", ")[-1]) == found
