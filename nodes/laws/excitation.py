@@ -104,6 +104,8 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Time in which the push grows to its full size [s].
     seed : int
         Of the pseudo-random signs; every axis has its own.
+    load : float
+        Constant force on every axis, for a device whose weight nothing else carries [N]; stays after the push.
     """
 
     kind: ClassVar[str] = "excitation"
@@ -116,6 +118,7 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     reach: Positive = 0.03
     start: NonNegative = 0.2
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
+    load: float = 0.0
 
     def compile(self, period: float) -> CompiledLaw:
         """Turn the spring and the damper into taps; the push is the law's own code.
@@ -135,7 +138,7 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def _push(self, period: float) -> Callable[[Sequence[float], int], float]:
         ticks, growing = max(1, round(self.duration / period)), self.start / period
-        reach = self.reach
+        reach, load = self.reach, self.load
         axes: dict[int, list[Any]] = {}
 
         def push(ring: Sequence[float], head: int) -> float:
@@ -145,11 +148,11 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 axis = axes[id(ring)] = [0, 0, Telegraph(self.amplitude, self.clocks, self.seed + len(axes))]
             k, astray, signal = axis
             if k >= ticks:
-                return 0.0
+                return load
             deflection = ring[head]
             astray = astray + 1 if abs(deflection) > 2.0 * reach else 0
             axis[0], axis[1] = (k + 1, astray) if astray < ASTRAY else (ticks, 0)
             share = (k + 1) / growing if k + 1 < growing else 1.0
-            return share * held_back(signal.next(), deflection, reach)
+            return load + share * held_back(signal.next(), deflection, reach)
 
         return push

@@ -84,7 +84,9 @@ class Identified:
     residual : float
         Root-mean-square distance of the model's positions from the measured ones [m].
     held_out : float or None
-        The same in windows that the fit has not seen [m]; None when there are too few.
+        The same in windows that the fit has not seen, the middle one of them [m]; None when there are none.
+    dropped : int
+        Windows left out because a stall or a knock spoilt them.
     windows, ticks : int
         How many windows of how many ticks.
     axis : str
@@ -106,6 +108,7 @@ class Identified:
     held: bool
     residual: float
     held_out: float | None
+    dropped: int
     windows: int
     ticks: int
     axis: str
@@ -166,7 +169,21 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
     states = np.concatenate([found.states, test.states])[np.argsort(np.concatenate([seen, unseen]))]
     free = tuple(found.free.tolist())
     final = fit(experiment, starts, length, theta, free, scale, states)
-    return _conclude(experiment, final, grid, test.rms)
+    kept = _undisturbed(final)
+    if not kept.all():
+        final = fit(experiment, starts[kept], length, final.theta, free, scale, final.states[kept])
+    return _conclude(experiment, final, grid, test, int(np.sum(~kept)))
+
+
+def _undisturbed(found: Fit) -> NDArray[np.bool_]:
+    """Tell which windows to keep: a stall of the machine or a knock spoils some of them altogether.
+
+    Rounding alone never makes a window four times as bad as the middle one. When more than a third are, it is the model that
+    does not fit, and all of them stay.
+    """
+    errors = np.sqrt(found.errors)
+    kept = np.asarray(errors <= 4.0 * np.median(errors))
+    return kept if np.mean(kept) > 2.0 / 3.0 else np.ones_like(kept)
 
 
 def _nothing(experiment: Experiment, length: int, why: str) -> Identified:
@@ -187,6 +204,7 @@ def _nothing(experiment: Experiment, length: int, why: str) -> Identified:
         held=False,
         residual=math.nan,
         held_out=None,
+        dropped=0,
         windows=0,
         ticks=length,
         axis=experiment.axis,
@@ -250,7 +268,7 @@ def _covariance(found: Fit) -> Array:
     return np.asarray(between * np.outer(wider, wider), dtype=np.float64)
 
 
-def _conclude(experiment: Experiment, found: Fit, grid: Encoder, held_out: float) -> Identified:
+def _conclude(experiment: Experiment, found: Fit, grid: Encoder, test: Fit, dropped: int) -> Identified:
     from scipy.stats import t
 
     covariance = _covariance(found)
@@ -313,7 +331,9 @@ def _conclude(experiment: Experiment, found: Fit, grid: Encoder, held_out: float
         delay_range=(shortest, longest),
         held=STIFFNESS in index and float(found.theta[STIFFNESS]) > 0.0,
         residual=found.rms,
-        held_out=held_out,
+        # The middle one: a window that a stall spoilt says nothing about the model.
+        held_out=math.sqrt(float(np.median(test.errors)) / (test.length - 2)),
+        dropped=dropped,
         windows=len(found.starts),
         ticks=found.length,
         axis=experiment.axis,

@@ -49,6 +49,7 @@ def figures(found: Identified) -> dict[str, Any]:
         "held_out_steps": found.held_out_steps,
         "held_out_m": found.held_out,
         "windows": found.windows,
+        "windows_dropped": found.dropped,
         "window_ticks": found.ticks,
     }
 

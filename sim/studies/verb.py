@@ -21,6 +21,7 @@ STUDIES: dict[str, str] = {
     "needs": "sim.studies.needs",
     "guard": "sim.studies.guard",
     "identify": "sim.studies.identify",
+    "coverage": "sim.studies.coverage",
     "kmax": "sim.studies.kmax",
     "optimise": "sim.studies.optimise",
 }

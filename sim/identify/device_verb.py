@@ -1,0 +1,254 @@
+"""List devices, and identify the one at hand: mass, damping, friction, delay and encoder with 95 % intervals."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nodes.cli.ask import add_run
+from nodes.cli.main import RefusedError, UsageError, answer
+
+if TYPE_CHECKING:
+    from sim.identify.identify import Identified
+    from sim.identify.push import Loop, Pushed
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb ``device``.
+    """
+    sub = parser.add_subparsers(dest="chosen", metavar="list|identify", required=True)
+    listed = sub.add_parser("list", help="which devices can be driven from here")
+    listed.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    listed.set_defaults(run=_list)
+    text = "Push the device of a running launch (or of a scenario, started for it) and identify it."
+    own = sub.add_parser("identify", help=text, description=text)
+    own.add_argument("scenario", nargs="?", help="start this launch file; left out: the running launch, or identify")
+    own.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    add_push(own)
+    add_run(own)
+    own.set_defaults(run=_identify)
+
+
+def add_push(parser: argparse.ArgumentParser) -> None:
+    """Declare how the device is pushed.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of a verb that identifies.
+    """
+    parser.add_argument("--duration", type=float, default=8.0, help="of one push [s] (default: %(default)s)")
+    parser.add_argument("--amplitude", type=float, default=0.7, help="largest push [N] (default: %(default)s)")
+    parser.add_argument("--reach", type=float, default=0.03, help="how far it is pushed [m] (default: %(default)s)")
+    parser.add_argument(
+        "--places",
+        type=float,
+        nargs="+",
+        metavar="OFFSET",
+        help="push at each of these distances from here, along every axis [m] "
+        "(default: -0.02 0 0.02 where the device has three axes, else 0)",
+    )
+    hand = parser.add_mutually_exclusive_group()
+    hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand holds the device")
+    hand.add_argument("--free", dest="held", action="store_false", help="no hand does (default: finds out)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("recordings"), help="directory of files (default: %(default)s)"
+    )
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from sim.identify.devices import figures, text
+
+    answer(arguments.json, {"devices": figures()}, text())
+    return 0
+
+
+def _identify(arguments: argparse.Namespace) -> int:
+    from nodes.launcher.runs import runs
+    from sim.identify.report import figures, text
+
+    if ":=" in (arguments.scenario or ""):
+        arguments.assignments.insert(0, arguments.scenario)
+        arguments.scenario = "identify"
+    excitation(arguments)
+    if arguments.scenario is None and (arguments.run_name or runs()):
+        found = identify_running(arguments, say)
+    else:
+        found = identify_scenario(arguments, arguments.scenario or "identify", arguments.assignments)
+    told = []
+    for pushed, one in found:
+        told.append(
+            {
+                "recording": str(pushed.recording),
+                "place_m": list(pushed.place),
+                "stopped": pushed.reason,
+                **figures(one),
+            }
+        )
+    lines = [
+        f"at {', '.join(f'{x:.3g}' for x in pushed.place)} m, {pushed.recording} ({pushed.reason})\n{text(one)}"
+        for pushed, one in found
+    ]
+    # The first push's figures at the top: one device, one place is the usual case.
+    answer(arguments.json, {**told[0], "places": told}, "\n".join(lines))
+    return 0 if all(one.mass.value is not None for _, one in found) else 1
+
+
+def say(words: str) -> None:
+    """Tell how it goes: one line that is written over, on a terminal only.
+
+    Parameters
+    ----------
+    words : str
+        What to tell.
+    """
+    if sys.stderr.isatty():
+        print(f"\r\x1b[K{words}", end="", file=sys.stderr, flush=True)
+
+
+def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Describe the excitation that was asked for.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With those of `add_push`.
+
+    Returns
+    -------
+    dict
+        A law of kind ``excitation``.
+
+    Raises
+    ------
+    UsageError
+        When it is refused.
+    """
+    from nodes.laws.parse import LawRefusedError, parse_law
+
+    law = {name: getattr(arguments, name) for name in ("duration", "amplitude", "reach")}
+    try:
+        parse_law({"kind": "excitation", **law}, "excitation")
+    except LawRefusedError as error:
+        raise UsageError(str(error)) from error
+    return {"kind": "excitation", **law}
+
+
+def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pushed, Identified]]:
+    """Push the device of a running launch at each place, and identify it there on each axis.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With those of `add_push` and `add_run`.
+    tell : callable
+        Told how it goes.
+
+    Returns
+    -------
+    list of tuple of Pushed and Identified
+        One per place and axis.
+
+    Raises
+    ------
+    RefusedError
+        When nothing could be identified.
+    """
+    from nodes.cli.ask import chosen_run
+    from sim.identify.push import Loop, push
+
+    loop = Loop(chosen_run(arguments))
+    law = excitation(arguments)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    places = arguments.places or ([-0.02, 0.0, 0.02] if len(loop.axes) == 3 else [0.0])
+    here = [float(x) for x in loop.progress()["position_m"]]
+    found: list[tuple[Pushed, Identified]] = []
+    for n, offset in enumerate(places):
+        centre = [x + offset if i in loop.axes else x for i, x in enumerate(here)]
+        out = arguments.out / f"{loop.run.run}-push{n}-{os.getpid()}.mcap"
+        pushed = push(loop, law, out, centre, tell)
+        found += [(pushed, one) for one in _axes(loop, pushed, arguments.held)]
+        if pushed.reason != "done":
+            break
+    return found
+
+
+def _axes(loop: Loop, pushed: Pushed, held: bool | None) -> list[Identified]:
+    from sim.identify.experiment import read
+    from sim.identify.identify import identify
+
+    try:
+        return [identify(read(pushed.recording, "xyz"[i]), held) for i in loop.axes]
+    except ValueError as error:
+        raise RefusedError(f"{pushed.recording}: {error} (the push ended: {pushed.reason})") from error
+
+
+def identify_scenario(
+    arguments: argparse.Namespace, scenario: str, assignments: list[str]
+) -> list[tuple[Pushed, Identified]]:
+    """Start a scenario that pushes by itself, and identify its recording.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With those of `add_push`.
+    scenario : str
+        A launch file whose law is an excitation.
+    assignments : list of str
+        Its arguments.
+
+    Returns
+    -------
+    list of tuple of Pushed and Identified
+        One per axis.
+
+    Raises
+    ------
+    RefusedError
+        When the launch fails or its recording tells nothing.
+    """
+    import json
+    import subprocess
+
+    from nodes.launcher import launch_file
+    from nodes.parameters.store import ParameterError
+    from sim.identify.experiment import read
+    from sim.identify.identify import identify
+    from sim.identify.push import Pushed
+
+    try:
+        launch = launch_file.read(scenario, launch_file.parse_assignments(assignments))
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
+    named = {word.partition(":=")[0] for word in assignments}
+    words = list(assignments)
+    if scenario == "identify":
+        given = {"duration": arguments.duration, "amplitude": arguments.amplitude, "reach": arguments.reach}
+        words += [f"{name}:={value}" for name, value in given.items() if name not in named]
+    command = [sys.executable, "-m", "nodes.cli.main", "launch", scenario, *words, "--json", "--no-plot"]
+    # Ctrl-C reaches the launch too, which ends safely; what it recorded until then counts.
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        while True:
+            try:
+                out, _ = process.communicate()
+                break
+            except KeyboardInterrupt:
+                continue
+    try:
+        figures = json.loads(out.splitlines()[-1])
+        recording = Path(figures["recording"])
+    except (IndexError, KeyError, TypeError, json.JSONDecodeError) as error:
+        raise RefusedError(f"haptic launch {scenario}: exit code {process.returncode}, no recording") from error
+    pushed = Pushed(recording, (0.0, 0.0, 0.0), figures["exit_reason"])
+    try:
+        return [(pushed, identify(read(recording, axis), arguments.held)) for axis in launch.run.axes]
+    except ValueError as error:
+        raise RefusedError(f"{recording}: {error}") from error

@@ -1,0 +1,184 @@
+"""Many random devices, identified and tuned without knowing them, and then compared with what they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.stability.closed_loop import pole_radius
+from sim.design.families import best_pd, designed
+from sim.design.robust import Demand
+from sim.device.model import DeviceModel
+from sim.identify.identify import Identified, identify
+from sim.identify.virtual import draw, excite
+
+PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")
+"""What is compared; the stiffness is a hand's."""
+TAPS = 4
+RADIUS = 0.99
+NYQUIST = 1e4
+"""Largest |H(−1)| of a design [N/m]."""
+SPREAD = 1.25
+"""Factor by which the mass may be off in either direction: the margin of every design here."""
+
+
+def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Draw, push and identify one device; tune a law for it and one for the truth.
+
+    Parameters
+    ----------
+    job : mapping
+        ``number`` and ``seed`` of the device, ``held``, ``seconds`` of the push, ``rate`` [Hz], ``tune``.
+
+    Returns
+    -------
+    dict
+        Per parameter ``truth, value, low, high, why``; residuals; of the tuning the H(1) of the three laws, their pole radius
+        with the true device.
+    """
+    period = 1.0 / job["rate"]
+    model = draw(job["number"], job["seed"], job["held"])
+    found = identify(excite(model, period, job["seconds"], job["number"]))
+    truth = {
+        "mass": model.moving_mass,
+        "damping": model.moving_damping,
+        "friction": model.friction or 0.0,
+        "delay": model.delay,
+        "encoder": model.resolution,
+        "stiffness": model.grip,
+    }
+    row: dict[str, Any] = {
+        name: {
+            "truth": truth[name],
+            "value": getattr(found, name).value,
+            "low": getattr(found, name).low,
+            "high": getattr(found, name).high,
+            "why": getattr(found, name).why,
+        }
+        for name in PARAMETERS
+    }
+    row |= {"held": job["held"], "residual_steps": found.residual_steps, "held_out_steps": found.held_out_steps}
+    if job["tune"]:
+        row["tuned"] = _tuned(model, found, period)
+    return row
+
+
+def demand(found: Identified, spread: float = SPREAD, radius: float = RADIUS, nyquist: float = NYQUIST) -> Demand:
+    """Ask for a law that suits everything that a device may be.
+
+    Parameters
+    ----------
+    found : Identified
+        The device, all of its parameters known.
+    spread : float
+        Factor by which the mass may be off besides, in either direction.
+    radius : float
+        Largest pole radius.
+    nyquist : float
+        Largest |H(−1)| [N/m].
+
+    Returns
+    -------
+    Demand
+        Mass interval widened by `spread`, least damping, whole range of delay, range of a hand's stiffness.
+
+    Raises
+    ------
+    ValueError
+        When mass, damping or delay could not be told; the text says why.
+    """
+    _, lightest, heaviest = found.mass.known()
+    _, damping, _ = found.damping.known()
+    found.delay.known()
+    _, softest, stiffest = found.stiffness.known()
+    return Demand(
+        mass=(lightest / spread, heaviest * spread),
+        damping=damping,
+        delay=found.delay_range,
+        period=found.period,
+        radius=radius,
+        nyquist=nyquist,
+        stiffness=(softest, stiffest),
+    )
+
+
+def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, Any]:
+    try:
+        asked = demand(found)
+    except ValueError as error:
+        return {"why": str(error)}
+    # In lockstep the delay is one number, known to a thousandth of a tick: its upper end stands for the interval.
+    latest = (found.delay_range[1] if found.delay.high is None else found.delay.high,) * 2
+    grip = (found.stiffness.value or 0.0,) * 2
+    asked = Demand(asked.mass, asked.damping, latest, period, RADIUS, NYQUIST, grip)
+    known = Demand(
+        mass=(model.moving_mass / SPREAD, model.moving_mass * SPREAD),
+        damping=model.moving_damping,
+        delay=(model.delay, model.delay),
+        period=period,
+        radius=RADIUS,
+        nyquist=NYQUIST,
+        stiffness=(model.grip, model.grip),
+    )
+    told: dict[str, Any] = {}
+    for name, law in (("tuned", designed(asked, TAPS)), ("known", designed(known, TAPS)), ("pd", best_pd(asked))):
+        told[name] = None
+        if law.found is not None:
+            taps = CompiledLaw(tuple(law.found.taps.tolist()))
+            told[name] = {
+                "h1_n_per_m": taps.h1,
+                "radius": pole_radius(taps, period, model.moving_mass, model.moving_damping, model.delay, model.grip),
+            }
+    return told
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Count over a population.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        From `study_device`.
+
+    Returns
+    -------
+    dict
+        Per parameter how many intervals hold the truth, how often it could not be told, median relative error and relative
+        width; of the tuning the ratios of H(1) and how many are unstable.
+    """
+    told: dict[str, Any] = {"devices": len(rows), "parameters": {}}
+    for name in PARAMETERS:
+        known = [row[name] for row in rows if row[name]["value"] is not None]
+        if name == "stiffness":
+            known = [one for one in known if one["truth"] > 0.0]
+        holds = [one["low"] <= one["truth"] <= one["high"] for one in known]
+        errors = [abs(one["value"] - one["truth"]) for one in known]
+        relative = [e / one["truth"] for e, one in zip(errors, known, strict=True) if one["truth"] > 0.0]
+        told["parameters"][name] = {
+            "told": len(known),
+            "cannot_tell": sum(row[name]["value"] is None for row in rows),
+            "coverage": sum(holds) / len(known) if known else None,
+            "median_error": float(np.median(errors)) if errors else None,
+            "median_relative_error": float(np.median(relative)) if relative else None,
+        }
+    told["residual_steps_median"] = float(np.median([row["residual_steps"] for row in rows]))
+    laws = [row["tuned"] for row in rows if row.get("tuned") and row["tuned"].get("tuned")]
+    if laws:
+        both = [law for law in laws if law["known"]]
+        share = [law["tuned"]["h1_n_per_m"] / law["known"]["h1_n_per_m"] for law in both]
+        gain = [law["tuned"]["h1_n_per_m"] / law["pd"]["h1_n_per_m"] for law in laws if law["pd"]]
+        told["tuned"] = {
+            "laws": len(laws),
+            "unstable": sum(not law["tuned"]["radius"] < 1.0 for law in laws),
+            "of_known_min": min(share, default=math.nan),
+            "of_known_median": float(np.median(share)),
+            "of_known_at_least_90_percent": sum(s >= 0.9 for s in share) / len(share),
+            "of_pd_min": min(gain, default=math.nan),
+            "of_pd_median": float(np.median(gain)),
+            "of_pd_at_least_1_2": sum(g >= 1.2 for g in gain) / len(gain),
+        }
+    return told

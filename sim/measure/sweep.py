@@ -1,0 +1,258 @@
+"""Sweeps: many independent jobs on all cores, or on a cluster, with results kept as they come.
+
+A sweep is written against `concurrent.futures.Executor`: processes of this machine by default, the workers of a Dask
+scheduler with ``--cluster tcp://HOST:PORT``. Every result is one line of a ledger file, keyed by the job's parameters: a sweep
+that was interrupted goes on where it stopped, and one that is complete is only read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from nodes.cli.main import RefusedError, UsageError
+
+Row = dict[str, Any]
+Job = Callable[[Mapping[str, Any]], Row]
+"""From the parameters of a job to its figures; a function of a module, so that other processes find it by name."""
+
+TLS = ("tls-ca-file", "tls-cert", "tls-key")
+"""Options that hold the certificates of a cluster off this machine."""
+RETRIES = 3
+"""How often a job is given to another worker when one dies."""
+
+
+def add_cluster(parser: argparse.ArgumentParser) -> None:
+    """Declare where a sweep runs.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of a study that sweeps.
+    """
+    parser.add_argument("--workers", type=int, default=0, help="processes on this machine (default: one per core)")
+    parser.add_argument(
+        "--cluster", metavar="ADDRESS", help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786"
+    )
+    for option in TLS:
+        parser.add_argument(f"--{option}", type=Path, help="of a scheduler on another machine")
+
+
+@contextlib.contextmanager
+def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
+    """Open what the jobs run on.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With those of `add_cluster`.
+
+    Yields
+    ------
+    Executor
+        Processes, or the workers of the cluster.
+
+    Raises
+    ------
+    UsageError
+        When the cluster's address is refused, or Dask is not installed.
+    RefusedError
+        When the cluster does not answer.
+    """
+    if arguments.cluster is None:
+        # Spawned, not forked: this process may have threads of its own by now.
+        with ProcessPoolExecutor(
+            arguments.workers or os.cpu_count() or 1, mp_context=multiprocessing.get_context("spawn")
+        ) as pool:
+            yield pool
+        return
+    security = check_cluster(arguments)
+    try:
+        import distributed
+    except ImportError as error:
+        raise UsageError("--cluster needs Dask: pip install 'haptic-nodes[cluster]'") from error
+    dask: Any = distributed
+    try:
+        client = dask.Client(arguments.cluster, security=dask.Security(**security) if security else None, timeout="10s")
+    except (OSError, TimeoutError) as error:
+        raise RefusedError(f"--cluster {arguments.cluster}: no scheduler answers ({error})") from error
+    try:
+        yield client.get_executor(retries=RETRIES, pure=False)
+    finally:
+        client.close()
+
+
+def check_cluster(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Refuse a cluster that is reached over a network without TLS: its workers run whatever they are sent.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With those of `add_cluster`.
+
+    Returns
+    -------
+    dict
+        What Dask's ``Security`` takes; empty on this machine.
+
+    Raises
+    ------
+    UsageError
+        With what is wrong and what to do.
+    """
+    address = urlsplit(arguments.cluster)
+    if address.scheme not in ("tcp", "tls") or not address.hostname or not address.port:
+        raise UsageError(f"--cluster {arguments.cluster}: expected tcp://127.0.0.1:PORT or tls://HOST:PORT")
+    given = {name: getattr(arguments, name.replace("-", "_")) for name in TLS}
+    if address.scheme == "tcp":
+        if not _loopback(address.hostname):
+            raise UsageError(
+                f"--cluster {arguments.cluster}: workers run what they are sent, so off this machine TLS is required: "
+                f"tls://{address.hostname}:{address.port} with --{', --'.join(TLS)}"
+            )
+        return {}
+    missing = [name for name, path in given.items() if path is None or not path.is_file()]
+    if missing:
+        raise UsageError(f"--cluster {arguments.cluster}: needs the files --{', --'.join(missing)}")
+    return {
+        "require_encryption": True,
+        "tls_ca_file": str(given["tls-ca-file"]),
+        "tls_client_cert": str(given["tls-cert"]),
+        "tls_client_key": str(given["tls-key"]),
+    }
+
+
+def _loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def key_of(parameters: Mapping[str, Any]) -> str:
+    """Name a job by its parameters.
+
+    Parameters
+    ----------
+    parameters : mapping
+        JSON-able.
+
+    Returns
+    -------
+    str
+        The same for the same parameters in any order.
+    """
+    return json.dumps(dict(parameters), sort_keys=True)
+
+
+def read_ledger(path: Path) -> dict[str, Row]:
+    """Read the results that there are.
+
+    Parameters
+    ----------
+    path : Path
+        The ledger; need not exist.
+
+    Returns
+    -------
+    dict of str to dict
+        Key of a job to its figures. A last line that was cut off is left out: its job is done again.
+    """
+    found: dict[str, Row] = {}
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            try:
+                entry = json.loads(line)
+                found[key_of(entry["job"])] = entry["row"]
+            except (json.JSONDecodeError, KeyError, TypeError):
+                continue
+    return found
+
+
+def run_chunk(job: Job, chunk: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Do some jobs one after another, in one process.
+
+    Parameters
+    ----------
+    job : callable
+        The job.
+    chunk : sequence of mapping
+        Parameters of each.
+
+    Returns
+    -------
+    list of dict
+        Figures of each.
+    """
+    return [job(parameters) for parameters in chunk]
+
+
+def sweep(
+    job: Job,
+    jobs: Sequence[Mapping[str, Any]],
+    pool: Executor,
+    ledger: Path,
+    chunk: int = 1,
+    step: Callable[[str, int], None] | None = None,
+) -> list[Row]:
+    """Do all jobs that the ledger has no result of.
+
+    Parameters
+    ----------
+    job : callable
+        A function of a module.
+    jobs : sequence of mapping
+        Parameters of each job, JSON-able and all different.
+    pool : Executor
+        What runs them.
+    ledger : Path
+        Where results are kept as they come.
+    chunk : int
+        Jobs that go to a worker together: a second of work or more.
+    step : callable, optional
+        Told what was done, and how many jobs that was.
+
+    Returns
+    -------
+    list of dict
+        Figures of each job, in the order of `jobs`.
+    """
+    done = read_ledger(ledger)
+    left = [parameters for parameters in jobs if key_of(parameters) not in done]
+    if step is not None and len(left) < len(jobs):
+        step(f"{len(jobs) - len(left)} of {len(jobs)} were done before", len(jobs) - len(left))
+    ledger.parent.mkdir(parents=True, exist_ok=True)
+    whole = not ledger.exists() or ledger.read_bytes().endswith(b"\n") or not ledger.stat().st_size
+    pending: dict[Future[list[Row]], Sequence[Mapping[str, Any]]] = {}
+    with open(ledger, "a", encoding="utf-8") as file:
+        if not whole:
+            file.write("\n")
+        for first in range(0, len(left), chunk):
+            part = left[first : first + chunk]
+            pending[pool.submit(run_chunk, job, part)] = part
+        try:
+            for future in as_completed(pending):
+                did = pending[future]
+                for parameters, row in zip(did, future.result(), strict=True):
+                    file.write(json.dumps({"job": dict(parameters), "row": row}) + "\n")
+                    done[key_of(parameters)] = row
+                file.flush()
+                if step is not None:
+                    step(f"{len(done)} of {len(jobs)}", len(did))
+        except BaseException:
+            # Ctrl-C too: what has not begun need not begin; the ledger holds what is done.
+            for future in pending:
+                future.cancel()
+            raise
+    return [done[key_of(parameters)] for parameters in jobs]

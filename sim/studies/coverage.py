@@ -1,0 +1,144 @@
+"""Identify and tune hundreds of random devices: whether the intervals hold the truth, and what the laws are worth."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from nodes.cli.main import UsageError, answer
+from sim.measure.sweep import add_cluster
+from sim.studies import arguments as shared
+
+WANTED = 0.90
+"""Least coverage of a 95 % interval that counts as kept."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument("--devices", type=int, default=200, help="how many, half of them held (default: %(default)s)")
+    parser.add_argument("--seconds", type=shared.positive, default=8.0, help="of each push (default: %(default)s)")
+    parser.add_argument("--rate", type=shared.positive, default=500.0, help="of the loop [Hz] (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="of the population (default: %(default)s)")
+    parser.add_argument("--tune", action="store_true", help="tune a law for each device too: seconds per device")
+    parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
+    add_cluster(parser)
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Sweep over the devices.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0 when every parameter's intervals hold the truth often enough and no tuned law is unstable; else 1.
+
+    Raises
+    ------
+    UsageError
+        When the number of devices is out of range.
+    """
+    from sim.identify.population import study_device, summary
+    from sim.measure.stopwatch import Progress
+    from sim.measure.sweep import executor, sweep
+
+    if not 1 <= arguments.devices <= 100_000:
+        raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")
+    jobs: list[dict[str, Any]] = [
+        {
+            "number": number,
+            "held": number % 2 == 1,
+            "seed": arguments.seed,
+            "seconds": arguments.seconds,
+            "rate": arguments.rate,
+            "tune": arguments.tune,
+        }
+        for number in range(arguments.devices)
+    ]
+    ledger = arguments.out / "coverage.jsonl"
+    if arguments.fresh:
+        ledger.unlink(missing_ok=True)
+    with executor(arguments) as pool:
+        rows = sweep(study_device, jobs, pool, ledger, 1 if arguments.tune else 8, Progress(len(jobs)).step)
+    found = summary(rows)
+    picture = arguments.out / "coverage.png"
+    draw(picture, rows)
+    answer(arguments.json, found | {"ledger": str(ledger), "plot": str(picture)}, _text(found, ledger, picture))
+    kept = all((one["coverage"] or 0.0) >= WANTED for one in found["parameters"].values() if one["told"])
+    return 0 if kept and not found.get("tuned", {}).get("unstable") else 1
+
+
+def _text(found: Mapping[str, Any], ledger: Path, picture: Path) -> str:
+    lines = [
+        f"{found['devices']} devices, residual {found['residual_steps_median']:.3f} encoder steps (rounding: 0.289)"
+    ]
+    lines.append(f"{'parameter':10} {'told':>5} {'cannot':>7} {'in 95 %':>8} {'median error':>13}")
+    for name, one in found["parameters"].items():
+        if one["told"]:
+            error = one["median_relative_error"]
+            shown = "—" if error is None else f"{100 * error:.2g} %"
+            lines.append(
+                f"{name:10} {one['told']:5d} {one['cannot_tell']:7d} {100 * one['coverage']:6.1f} % {shown:>13}"
+            )
+    tuned = found.get("tuned")
+    if tuned:
+        lines.append(
+            f"{tuned['laws']} tuned laws, {tuned['unstable']} unstable; H(1) of the law for the true device: "
+            f"median {100 * tuned['of_known_median']:.1f} %, least {100 * tuned['of_known_min']:.1f} %; "
+            f"of PD tuned alike: median x {tuned['of_pd_median']:.2f}, least x {tuned['of_pd_min']:.2f}"
+        )
+    return "\n".join([*lines, str(ledger), str(picture)])
+
+
+def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw estimates against the truth, and errors in units of their own interval.
+
+    Parameters
+    ----------
+    path : Path
+        PNG to write.
+    rows : sequence of mapping
+        From `sim.identify.population.study_device`.
+    """
+    from matplotlib.figure import Figure
+
+    named = {"mass": "kg", "damping": "N s/m", "friction": "N", "delay": "ticks"}
+    figure = Figure(figsize=(10.0, 5.0), layout="constrained")
+    panels = figure.subplots(2, len(named), height_ratios=(1.4, 1.0))
+    for column, (name, unit) in enumerate(named.items()):
+        top, bottom = panels[0][column], panels[1][column]
+        for held, colour in ((False, "tab:blue"), (True, "tab:orange")):
+            known = [row[name] for row in rows if row["held"] == held and row[name]["value"] is not None]
+            if not known:
+                continue
+            label = "held" if held else "free"
+            top.plot(
+                [one["truth"] for one in known], [one["value"] for one in known], ".", color=colour, ms=3, label=label
+            )
+            half = [max(0.5 * (one["high"] - one["low"]), 1e-300) for one in known]
+            off = [(one["value"] - one["truth"]) / h for one, h in zip(known, half, strict=True)]
+            bottom.hist(off, bins=25, range=(-2.5, 2.5), histtype="step", color=colour)
+        ends = top.get_xlim()
+        top.plot(ends, ends, "k-", lw=0.5)
+        top.set(title=f"{name} [{unit}]", xlabel="truth", ylabel="identified" if column == 0 else "")
+        if name in ("mass", "damping"):
+            top.set(xscale="log", yscale="log")
+        bottom.axvspan(-1.0, 1.0, alpha=0.12)
+        bottom.set(xlabel="error / half width of the 95 % interval")
+    panels[0][0].legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)

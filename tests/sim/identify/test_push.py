@@ -1,0 +1,143 @@
+"""Identification on a running launch: the push takes over, everything is put back, whatever happens in between."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nodes.laws import CompiledLaw
+from nodes.laws.excitation import ASTRAY, Excitation, held_back
+from nodes.laws.parse import parse_law
+from tests.support.launching import HAPTIC, RunningLaunch, haptic, running, wait_for
+
+T = 0.002
+SCENE = ("floor_buzz", "duration:=0")
+
+
+def parameters(launch: RunningLaunch) -> tuple[str, Any]:
+    law = json.loads(launch.haptic("law", "list", "--json").stdout.splitlines()[-1])["active"]
+    surface = json.loads(launch.haptic("param", "get", "environment", "surface", "--json").stdout.splitlines()[-1])
+    return law, surface["value"]
+
+
+def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) -> None:
+    with running(tmp_path, *SCENE) as launch:
+        before = parameters(launch)
+        done = launch.haptic("device", "identify", "--duration", "6", "--json")
+        figures = json.loads(done.stdout.splitlines()[-1])
+        assert parameters(launch) == before
+        assert before[0] == "pd"
+        launch.finish(signal.SIGINT, code=None)
+    assert figures["stopped"] == "done"
+    # The scenario's device; the floor carried its weight, the push does now. Real time on a loaded machine: 5 %.
+    for key, truth in (("mass_kg", 0.1), ("damping_n_s_per_m", 1.0), ("friction_n", 0.06), ("load_n", -0.981)):
+        assert figures[key]["value"] == pytest.approx(truth, rel=0.05), key
+    assert figures["encoder_m"]["value"] == pytest.approx(2.3e-5, rel=1e-9)
+    assert len(figures["places"]) == 1
+
+
+def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> None:
+    with running(tmp_path, *SCENE) as launch:
+        before = parameters(launch)
+        process = subprocess.Popen(
+            [*HAPTIC, "device", "identify", "--duration", "600", "--json"],
+            cwd=tmp_path,
+            env=launch.environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            process_group=0,
+        )
+        wait_for(lambda: parameters(launch)[0] == "identify", "the push to take over")
+        wait_for(lambda: list((tmp_path / "recordings").glob("*push*")), "the recording to begin")
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=60.0)
+        assert parameters(launch) == before
+        launch.finish(signal.SIGINT, code=None)
+    # What was recorded until then is told, or why it is too little.
+    if process.returncode == 0:
+        assert json.loads(out.splitlines()[-1])["stopped"] == "Ctrl-C"
+    else:
+        assert "Ctrl-C" in err
+
+
+def test_without_a_launch_a_scenario_is_started(tmp_path: Path) -> None:
+    words = ("device", "identify", "identify", "pace:=lockstep", "mass:=0.2", "--duration", "5", "--json")
+    figures = json.loads(haptic(tmp_path, *words).stdout.splitlines()[-1])
+    assert figures["mass_kg"]["value"] == pytest.approx(0.2, rel=0.01)
+    assert figures["stopped"] == "done"
+
+
+def test_device_list_tells_where_it_looked(tmp_path: Path) -> None:
+    listed = json.loads(haptic(tmp_path, "device", "list", "--json").stdout.splitlines()[-1])["devices"]
+    kinds = {entry["kind"]: entry for entry in listed}
+    assert kinds["sim_driver"]["found"] is True
+    assert kinds["touch_driver"]["library"]
+    assert kinds["touch_driver"]["searched"]
+    for entry in listed:
+        assert set(entry) == {"kind", "found", "library", "searched", "checked"}
+
+
+def test_a_wrong_push_is_refused_by_its_path(tmp_path: Path) -> None:
+    done = haptic(tmp_path, "device", "identify", "identify", "--amplitude", "-1", "--run", "none", code=2)
+    assert "amplitude" in done.stderr
+
+
+# -- the law itself ----------------------------------------------------------------------------------------------------
+
+
+def compiled(**values: Any) -> CompiledLaw:
+    return parse_law({"kind": "excitation", "start": 0.0, **values}).compile(T)
+
+
+def pushes(law: CompiledLaw, ring: Sequence[float], ticks: int) -> list[float]:
+    assert law.evaluate is not None
+    return [law.evaluate(ring, 0) for _ in range(ticks)]
+
+
+def test_the_push_stays_within_its_amplitude_and_ends() -> None:
+    forces = pushes(compiled(amplitude=0.5, duration=1.0), [0.0, 0.0], 600)
+    assert max(map(abs, forces[:500])) <= 0.5
+    assert len(set(forces[:500])) == 3  # two signs in equal shares: −, 0, +
+    assert set(forces[500:]) == {0.0}
+
+
+@pytest.mark.parametrize(("deflection", "sign"), [(0.0300001, 1.0), (-0.0300001, -1.0)])
+def test_beyond_the_reach_it_only_pushes_back(deflection: float, sign: float) -> None:
+    """A deflection is from the device to its centre, so a force of its sign goes back."""
+    assert all(sign * force >= 0.0 for force in pushes(compiled(), [deflection, 0.0], 300))
+    inside = pushes(compiled(), [0.0299999 * sign, 0.0], 300)
+    assert min(inside) < 0.0 < max(inside)
+    assert held_back(-0.2, 0.01, 0.03) == -0.2
+
+
+def test_a_device_that_stays_away_ends_it_for_good() -> None:
+    law = compiled(reach=0.01)
+    away = [0.0201, 0.0]
+    assert any(pushes(law, away, ASTRAY)[:-1])
+    assert set(pushes(law, away, 50)) == {0.0}
+    away[0] = 0.0
+    assert set(pushes(law, away, 50)) == {0.0}
+
+
+def test_every_axis_has_a_push_of_its_own() -> None:
+    law = compiled()
+    assert law.evaluate is not None
+    x, y = [0.0, 0.0], [0.0, 0.0]
+    both = [(law.evaluate(x, 0), law.evaluate(y, 0)) for _ in range(300)]
+    alone = pushes(compiled(), x, 300)
+    assert [first for first, _ in both] == alone
+    assert [second for _, second in both] != alone
+
+
+def test_the_weight_goes_on_being_carried() -> None:
+    forces = pushes(compiled(duration=0.1, load=0.98), [0.0, 0.0], 80)
+    assert set(forces[50:]) == {0.98}
+    assert Excitation().load == 0.0

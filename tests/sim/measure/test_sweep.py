@@ -1,0 +1,209 @@
+"""Sweeps go on where they stopped, lose nothing when a worker dies, and refuse a cluster without TLS off this machine."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nodes.cli.main import RefusedError, UsageError
+from sim.measure.sweep import add_cluster, check_cluster, executor, key_of, read_ledger, sweep
+from tests.support import ROOT
+from tests.support.launching import wait_for
+
+
+def square(job: Mapping[str, Any]) -> dict[str, Any]:
+    return {"square": job["x"] ** 2, "pid": os.getpid()}
+
+
+def slow_square(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Begin, say so, and wait for the word to go on: a job that is under way whenever the test looks."""
+    folder = Path(job["folder"])
+    (folder / f"{job['x']}-{os.getpid()}").touch()
+    wait_for((folder / "go").exists, "the word to go on")
+    return {"square": job["x"] ** 2, "pid": os.getpid()}
+
+
+JOBS = [{"x": x} for x in range(7)]
+SQUARES = [x**2 for x in range(7)]
+
+
+def arguments(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_cluster(parser)
+    return parser.parse_args(list(words))
+
+
+def squares(rows: list[dict[str, Any]]) -> list[int]:
+    return [row["square"] for row in rows]
+
+
+class Counting(ThreadPoolExecutor):
+    """Counts what it is given."""
+
+    given = 0
+
+    def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Count, and do it."""
+        self.given += 1
+        return super().submit(*args, **kwargs)
+
+
+def test_results_come_in_the_order_of_the_jobs(tmp_path: Path) -> None:
+    with executor(arguments("--workers", "2")) as pool:
+        assert squares(sweep(square, JOBS, pool, tmp_path / "l.jsonl", chunk=2)) == SQUARES
+    assert len(read_ledger(tmp_path / "l.jsonl")) == 7
+
+
+def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    ledger = tmp_path / "l.jsonl"
+    with Counting(1) as pool:
+        sweep(square, JOBS[:3], pool, ledger)
+        # Killed while it wrote: the last line is cut, and that job is done again.
+        ledger.write_text(ledger.read_text()[:-9])
+        assert len(read_ledger(ledger)) == 2
+        pool.given = 0
+        assert squares(sweep(square, JOBS, pool, ledger)) == SQUARES
+        assert pool.given == 5
+        pool.given = 0
+        assert squares(sweep(square, list(reversed(JOBS)), pool, ledger)) == SQUARES[::-1]
+        assert pool.given == 0
+    # Other parameters are another job.
+    assert key_of({"x": 1, "y": 2}) == key_of({"y": 2, "x": 1}) != key_of({"x": 1})
+
+
+def test_what_is_done_is_kept_when_a_job_fails(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(1) as pool, pytest.raises(TypeError):
+        sweep(square, [*JOBS[:3], {"x": "three"}], pool, tmp_path / "l.jsonl")
+    assert len(read_ledger(tmp_path / "l.jsonl")) == 3
+
+
+@pytest.mark.parametrize(
+    ("address", "message"),
+    [
+        ("tcp://192.0.2.7:8786", r"off this machine TLS is required: tls://192\.0\.2\.7:8786"),
+        ("tcp://scheduler:8786", "TLS is required"),
+        ("tls://scheduler:8786", r"needs the files --tls-ca-file, --tls-cert, --tls-key"),
+        ("http://127.0.0.1:80", r"expected tcp://127\.0\.0\.1:PORT"),
+        ("tcp://127.0.0.1", "expected tcp"),
+    ],
+)
+def test_a_cluster_off_this_machine_needs_tls(address: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        check_cluster(arguments("--cluster", address))
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:8786", "tcp://localhost:8786", "tcp://[::1]:8786"])
+def test_on_this_machine_it_does_not(address: str) -> None:
+    assert check_cluster(arguments("--cluster", address)) == {}
+
+
+def test_tls_files_are_handed_on(tmp_path: Path) -> None:
+    files = {name: tmp_path / name for name in ("tls-ca-file", "tls-cert", "tls-key")}
+    for file in files.values():
+        file.touch()
+    words = [word for name, file in files.items() for word in (f"--{name}", str(file))]
+    security = check_cluster(arguments("--cluster", "tls://scheduler:8786", *words))
+    assert security["require_encryption"] is True
+    assert security["tls_ca_file"] == str(files["tls-ca-file"])
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Start a real scheduler and two workers, each a process of one thread."""
+    port = free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "3"}
+    python = [sys.executable, "-m"]
+    started = [
+        subprocess.Popen(
+            [*python, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"],
+            env=environment,
+            **quiet,  # type: ignore[call-overload]
+        )
+    ]
+    for _ in range(2):
+        words = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(tmp_path)]
+        started.append(
+            subprocess.Popen(
+                [*python, "distributed.cli.dask_worker", address, *words],
+                env=environment,
+                **quiet,  # type: ignore[call-overload]
+            )
+        )
+    try:
+        yield address, started[1:]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+def open_when_there(address: str) -> Any:
+    """Wait for the scheduler, which takes seconds to import."""
+    until = time.monotonic() + 60.0
+    while True:
+        opened = executor(arguments("--cluster", address))
+        try:
+            return opened, opened.__enter__()
+        except RefusedError:
+            assert time.monotonic() < until
+
+
+def test_a_cluster_of_two_workers_of_which_one_is_killed(
+    cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
+) -> None:
+    address, workers = cluster
+    opened, pool = open_when_there(address)
+    assert isinstance(pool, Executor)
+    (tmp_path / "marks").mkdir()
+    jobs = [{"x": x, "folder": str(tmp_path / "marks")} for x in range(6)]
+
+    def begun() -> set[int]:
+        return {int(mark.name.split("-")[1]) for mark in (tmp_path / "marks").glob("*-*")}
+
+    with ThreadPoolExecutor(1) as beside:
+        result = beside.submit(sweep, slow_square, jobs, pool, tmp_path / "l.jsonl")
+        wait_for(lambda: len(begun()) == 2, "both workers to be at work")
+        workers[0].send_signal(signal.SIGKILL)
+        workers[0].wait()
+        (tmp_path / "marks" / "go").touch()
+        rows = result.result(timeout=120.0)
+    opened.__exit__(None, None, None)
+    assert squares(rows) == SQUARES[:6]
+    # All by the one that is left.
+    assert {row["pid"] for row in rows} == {workers[1].pid}
+    assert len(read_ledger(tmp_path / "l.jsonl")) == 6
+
+
+def test_no_scheduler_is_told() -> None:
+    with (
+        pytest.raises(RefusedError, match="no scheduler answers"),
+        executor(arguments("--cluster", f"tcp://127.0.0.1:{free_port()}")),
+    ):
+        pass
+
+
+def test_ledger_lines_are_json(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(1) as pool:
+        sweep(square, JOBS[:1], pool, tmp_path / "l.jsonl")
+    (line,) = (tmp_path / "l.jsonl").read_text().splitlines()
+    assert json.loads(line)["job"] == {"x": 0}
