@@ -34,8 +34,19 @@ _LIMITS = {
 }
 
 
-def _attributes(docstring: str) -> dict[str, str]:
-    """Text of each entry in the Attributes section of a numpydoc docstring."""
+def attributes(docstring: str) -> dict[str, str]:
+    """Read the Attributes section of a numpydoc docstring.
+
+    Parameters
+    ----------
+    docstring : str
+        As it stands in the source.
+
+    Returns
+    -------
+    dict of str to str
+        Text of each entry, on one line.
+    """
     found: dict[str, str] = {}
     names: list[str] = []
     _, _, section = docstring.partition("Attributes\n")
@@ -71,7 +82,7 @@ def _schema(message_type: type[Message]) -> dict[str, Any]:
         raise TypeError(f"{message_type!r} is not a message type")
     told: dict[str, str] = {}
     for base in reversed(message_type.__mro__):
-        told.update(_attributes(base.__doc__ or "") if issubclass(base, Message) else {})
+        told.update(attributes(base.__doc__ or "") if issubclass(base, Message) else {})
     properties: dict[str, Any] = {}
     for field in info.fields:
         properties[field.encode_name] = _inline(field.type, f"{message_type.__name__}.{field.name}")

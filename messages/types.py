@@ -74,6 +74,8 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     guard : float
         Energy that the passivity guard counts as given out: what is negative is in store and may be given back, what is
         positive is owed [J]; 0 without a guard.
+    target : tuple of float, shape (3,)
+        Where a hand pulls the device to during the tick that begins here [m]; zero without a simulated hand.
     """
 
     position: Vector
@@ -88,6 +90,7 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     energy: Real = 0.0
     delay: Real = 0.0
     guard: Real = 0.0
+    target: Vector = ZERO
 
 
 class Proxy(Message, frozen=True, kw_only=True, gc=False):

@@ -74,6 +74,11 @@ class Driver(Node):
             )
         check_workspace(convert(setup.parameters, cls.Parameters, setup.name).safety.workspace, setup.name)
 
+    @property
+    def target(self) -> Vector:
+        """Where a simulated hand pulls the device to during this tick [m]; zero without one."""
+        return ZERO
+
     def make_device(self) -> Device:
         """Make the device from the parameters; do not open it yet.
 
@@ -222,6 +227,7 @@ class Driver(Node):
                 energy=self._energy,
                 delay=self._delay,
                 guard=guard.energy if guard is not None else 0.0,
+                target=self.target,
             )
         )
         self.sent += 1

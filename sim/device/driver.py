@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Annotated, Any, ClassVar
+from collections.abc import Sequence
+from typing import Annotated, ClassVar
 
 import msgspec
 
-from messages.types import Vector
+from messages.types import ZERO, Vector
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.driver.device import Device, DeviceLimits
 from nodes.driver.node import Driver, DriverParameters
-from sim.device.model import DeviceModel
+from nodes.parameters.store import ParameterError, convert
+from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
+from sim.device.model import DeviceModel, Hand, path_position
 from sim.device.state import VirtualDevice
 
 
@@ -26,10 +29,61 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
     hold : float or None
         The device's own deadline, as a servo thread has one: without a new force for so long it lets go [s]. Real time
         only; None holds for ever.
+    pointer : PointerParameters or None
+        Lets a page drag the target of the device's hand (nodes/view/pointer.py). Real time only: in lockstep the hand keeps to
+        its path. None for a hand that nobody drags.
     """
 
     device: DeviceModel
     hold: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+    pointer: PointerParameters | None = None
+
+
+class DraggedHand:
+    """The target of a hand that a page may drag away from its path, at a limited speed.
+
+    Parameters
+    ----------
+    hand : Hand
+        The hand, with its path.
+    parameters : PointerParameters
+        Speed and silence.
+    setup : Setup
+        Run directory, period and axis.
+    """
+
+    def __init__(self, hand: Hand, parameters: PointerParameters, setup: Setup) -> None:
+        self._path = hand.path
+        self._period = setup.period
+        self._axis = AXIS_INDEX[setup.axes[0]]
+        self._farthest = parameters.speed * setup.period
+        self._reader = PointerReader(pointer_file(setup.run_dir, setup.name), parameters.silence)
+        self._target: float | None = None
+
+    def target(self, seq: int) -> float:
+        """Move the target by one tick.
+
+        Parameters
+        ----------
+        seq : int
+            The tick.
+
+        Returns
+        -------
+        float
+            Where the hand pulls to during this tick [m].
+        """
+        rest = path_position(self._path, seq * self._period)
+        held = self._reader.read()
+        if held is None and self._target is None:
+            return rest
+        wanted = rest if held is None else held[self._axis]
+        before = rest if self._target is None else self._target
+        farthest = self._farthest
+        target = min(max(wanted, before - farthest), before + farthest)
+        # Back on its path the hand is its own again.
+        self._target = None if held is None and target == rest else target
+        return target
 
 
 class TimedDevice:
@@ -43,9 +97,21 @@ class TimedDevice:
         Pace, period and axis of the run.
     hold : float or None
         The device's own deadline [s].
+    dragged : DraggedHand or None
+        What may move the target of its hand.
+
+    Attributes
+    ----------
+    target : tuple of float, shape (3,)
+        Where its hand pulls to during this tick [m]; zero without a hand.
     """
 
-    def __init__(self, model: DeviceModel, setup: Setup, hold: float | None = None) -> None:
+    def __init__(
+        self, model: DeviceModel, setup: Setup, hold: float | None = None, dragged: DraggedHand | None = None
+    ) -> None:
+        self._path = None if model.hand is None else model.hand.path
+        self._dragged = dragged
+        self.target: Vector = ZERO
         self._hold = math.inf if hold is None else hold
         self._axis = AXIS_INDEX[setup.axes[0]]
         self._period = setup.period
@@ -85,9 +151,21 @@ class TimedDevice:
                 self._tick = self._device.ticks = seq
             while self._tick < seq:
                 self._pass_tick()
+        if self._path is not None:
+            self._move_hand(seq, self._path)
+        return self._on_axis(self._device.measured())
+
+    def _on_axis(self, value: float) -> Vector:
         vector = [0.0, 0.0, 0.0]
-        vector[self._axis] = self._device.measured()
+        vector[self._axis] = value
         return vector[0], vector[1], vector[2]
+
+    def _move_hand(self, seq: int, path: Sequence[tuple[float, float]]) -> None:
+        if self._dragged is None:
+            target = path_position(path, seq * self._period)
+        else:
+            target = self._device.target = self._dragged.target(seq)
+        self.target = self._on_axis(target)
 
     def _pass_tick(self) -> None:
         start, now = float(self._tick), 0.0
@@ -132,6 +210,28 @@ class SimDriver(Driver):
     Parameters: ClassVar[type[msgspec.Struct]] = SimDriverParameters
     virtual: ClassVar[bool] = True
 
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Check that a pointer has a hand to drag, beside what every driver checks.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With path, value, limit and remedy.
+        """
+        super().check(setup)
+        parameters: SimDriverParameters = convert(setup.parameters, SimDriverParameters, setup.name)
+        if parameters.pointer is not None and parameters.device.hand is None:
+            raise ParameterError(
+                f"{setup.name}.pointer: needs {setup.name}.device.hand, whose target a page can drag; declare its stiffness "
+                "and path, or leave the pointer out"
+            )
+
     def make_device(self) -> Device:
         """Make the virtual device.
 
@@ -140,5 +240,15 @@ class SimDriver(Driver):
         Device
             In the driver's time.
         """
-        parameters: Any = self.store.current
-        return TimedDevice(parameters.device, self.setup, parameters.hold)
+        parameters: SimDriverParameters = self.store.current
+        hand = parameters.device.hand
+        dragged = None
+        if hand is not None and parameters.pointer is not None and self.setup.pace == "realtime":
+            dragged = DraggedHand(hand, parameters.pointer, self.setup)
+        self._timed = TimedDevice(parameters.device, self.setup, parameters.hold, dragged)
+        return self._timed
+
+    @property
+    def target(self) -> Vector:
+        """Where the hand pulls the device to during this tick [m]; zero without one."""
+        return self._timed.target

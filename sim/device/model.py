@@ -284,7 +284,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         """Stiffness of the hand [N/m], 0 without one."""
         return 0.0 if self.hand is None else self.hand.stiffness
 
-    def load(self, tick: int, period: float) -> float:
+    def load(self, tick: int, period: float, target: float | None = None) -> float:
         """Force on the device that is not the motor's: gravity, and the pull of the hand's path.
 
         Parameters
@@ -293,6 +293,8 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             Tick number.
         period : float
             Sampling period [s].
+        target : float, optional
+            Where the hand pulls to instead of along its path [m].
 
         Returns
         -------
@@ -303,7 +305,8 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         if self.gravity is not None:
             load -= self.mass * self.gravity
         if self.hand is not None:
-            load += self.hand.stiffness * path_position(self.hand.path, tick * period)
+            point = path_position(self.hand.path, tick * period) if target is None else target
+            load += self.hand.stiffness * point
         return load
 
 

@@ -32,6 +32,8 @@ class VirtualDevice:
         True velocity [m/s].
     ticks : int
         Ticks done so far.
+    target : float or None
+        Where a hand pulls to instead of along its path [m].
     """
 
     def __init__(self, model: DeviceModel, period: float, next_tick: bool = False) -> None:
@@ -40,6 +42,7 @@ class VirtualDevice:
         self.position = model.position
         self.velocity = model.velocity
         self.ticks = 0
+        self.target: float | None = None
         self._mass = model.moving_mass
         self._damping = model.moving_damping
         self._grip = model.grip
@@ -64,7 +67,7 @@ class VirtualDevice:
         return quantise(self.position, self.model.resolution)
 
     def _load(self) -> float:
-        return self.model.load(self.ticks, self.period) if self._weight is None else self._weight
+        return self.model.load(self.ticks, self.period, self.target) if self._weight is None else self._weight
 
     def tick(self, force: float) -> None:
         """Go through one whole tick with the model's own delay.

@@ -1,0 +1,224 @@
+"""What a page may ask for: what ``haptic param`` and ``haptic law`` can, the end of the run, a recording, and undo.
+
+Each request becomes one control request to a node, which validates it as it does everybody's; its receipt or its refusal goes
+back to the page as it came. The page cannot name an operation, a file or a program.
+"""
+
+from __future__ import annotations
+
+import inspect
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import zmq
+
+from messages.topics import DEVICE_STATE, FORCE
+from messages.transport.requests import ControlError, Line
+from nodes.base.kinds import load
+from nodes.launcher.runs import RunInfo
+
+TIMEOUT = 10.0
+"""Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
+
+TOGETHER = 1.0
+"""Changes of the same parameters in so short a time are one step of undo: a slider that is drawn [s]."""
+
+STEPS = 100
+"""Steps of undo that are kept."""
+
+
+class CommandError(ValueError):
+    """A request that was refused; the text is for the page."""
+
+
+def _publisher(run: RunInfo, topic: str) -> str:
+    return next((name for name, setup in run.nodes.items() if topic in load(setup.factory).publishes), "")
+
+
+class Commander:
+    """Asks the nodes of a run on behalf of its pages. One thread uses it.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The run.
+    context : zmq.Context
+        For the sockets.
+
+    Attributes
+    ----------
+    driver, coupling : str
+        Names of the nodes that publish position and force; empty for a run without.
+    """
+
+    def __init__(self, run: RunInfo, context: zmq.Context[zmq.Socket[bytes]]) -> None:
+        self._run = run
+        self._context = context
+        self._lines: dict[str, Line] = {}
+        self._undo: list[tuple[str, dict[str, Any], dict[str, Any], float]] = []
+        self._recorder: subprocess.Popen[bytes] | None = None
+        self._recordings = 0
+        self.driver = _publisher(run, DEVICE_STATE)
+        self.coupling = _publisher(run, FORCE)
+
+    def ask(self, node: str, op: str, **args: object) -> Any:
+        """Ask one node.
+
+        Parameters
+        ----------
+        node : str
+            Its name.
+        op : str
+            Operation.
+        **args : object
+            Its arguments.
+
+        Returns
+        -------
+        object
+            The answer.
+
+        Raises
+        ------
+        CommandError
+            When there is no such node, or it refuses or does not answer.
+        """
+        if node not in self._run.nodes:
+            raise CommandError(f"{self._run.run}: no node is named {node!r}; there is: {', '.join(self._run.nodes)}")
+        if node not in self._lines:
+            self._lines[node] = Line(self._context, self._run.nodes[node].control)
+        try:
+            return self._lines[node].call(op, TIMEOUT, **args)
+        except (ControlError, ValueError, OverflowError, TypeError) as error:
+            # Beside refusals: an endpoint or key that cannot be used, a value that no message can carry.
+            raise CommandError(str(error)) from error
+
+    # -- what a page can ask -----------------------------------------------------------------------------------------
+
+    def do(self, request: Mapping[str, Any]) -> Any:
+        """Do what a page asks.
+
+        Parameters
+        ----------
+        request : mapping
+            ``op``: ``set`` (``node``, ``values``), ``law`` (``field``, ``value``: of the active law), ``switch`` (``law``,
+            ``ramp``), ``undo``, ``stop``, ``record`` (``on``).
+
+        Returns
+        -------
+        dict
+            The receipt, or what else there is to tell.
+
+        Raises
+        ------
+        CommandError
+            When it is refused; the text says why.
+        """
+        known = {
+            "set": self._set,
+            "law": self._set_law,
+            "switch": self._switch,
+            "undo": self._undo_last,
+            "stop": self._stop,
+            "record": self._record,
+        }
+        op = request.get("op")
+        if op not in known:
+            raise CommandError(f"view: unknown request {op!r}; a page can ask: {', '.join(known)}")
+        arguments = {key: value for key, value in request.items() if key not in ("op", "id")}
+        try:
+            inspect.signature(known[op]).bind(**arguments)
+        except TypeError as error:
+            raise CommandError(f"view: {op}: {error}") from error
+        return known[op](**arguments)
+
+    def _set(self, node: str, values: dict[str, Any]) -> dict[str, Any]:
+        before = {}
+        for name in values:
+            try:
+                before[name] = self.ask(node, "param.get", name=name)
+            except CommandError:
+                # Not stated so far: its branch is what undo puts back.
+                upper = name.rpartition(".")[0]
+                before[upper] = self.ask(node, "param.get", name=upper)
+        receipt: dict[str, Any] = self.ask(node, "param.set", values=values)
+        self._remember(node, before, values)
+        return {"node": node, "values": values, "receipt": receipt}
+
+    def _set_law(self, field: str, value: Any) -> dict[str, Any]:
+        """Change one parameter of the active law; a preset that is used as it stands becomes a law of that name."""
+        name = self.ask(self.coupling, "law.list")["active"]
+        laws = self.ask(self.coupling, "param.get", name="laws")
+        if isinstance(laws.get(name), dict):
+            return self._set(self.coupling, {f"laws.{name}.{field}": value})
+        return self._set(self.coupling, {f"laws.{name}": {"kind": name, field: value}})
+
+    def _switch(self, law: str, ramp: int | None = None) -> dict[str, Any]:
+        before = self.ask(self.coupling, "law.list")["active"]
+        receipt = self.ask(self.coupling, "law.switch", law=law, **({} if ramp is None else {"ramp": ramp}))
+        self._remember(self.coupling, {"law": before}, {"law": law})
+        return {"node": self.coupling, "values": {"law": law}, "receipt": receipt}
+
+    def _remember(self, node: str, before: dict[str, Any], values: dict[str, Any]) -> None:
+        now = time.monotonic()
+        if self._undo:
+            last_node, last_before, last_values, when = self._undo[-1]
+            if last_node == node and set(last_values) == set(values) and now - when < TOGETHER:
+                self._undo[-1] = (node, last_before, values, now)
+                return
+        self._undo = [*self._undo[1 - STEPS :], (node, before, values, now)]
+
+    def _undo_last(self) -> dict[str, Any]:
+        if not self._undo:
+            raise CommandError("view: nothing to undo")
+        node, before, values, _ = self._undo[-1]
+        if set(before) == {"law"}:
+            receipt = self.ask(node, "law.switch", law=before["law"])
+        else:
+            receipt = self.ask(node, "param.set", values=before)
+        self._undo.pop()
+        return {"node": node, "undone": values, "values": before, "receipt": receipt}
+
+    def _stop(self) -> dict[str, Any]:
+        """End the run as its own end would: the driver brings the force down to zero, recordings are completed."""
+        self.ask(self.driver, "stop")
+        return {"stopping": True}
+
+    def _record(self, on: bool) -> dict[str, Any]:
+        recorder = self._recorder
+        if recorder is not None and recorder.poll() is not None:
+            recorder = self._recorder = None
+        if on and recorder is None:
+            self._recordings += 1
+            path = f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
+            self._recorder = subprocess.Popen(
+                [sys.executable, "-m", "nodes.cli.main", "bag", "record", "--run", self._run.run, "--out", path],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+            )
+            self._path = path
+        elif not on:
+            self._end_recorder()
+        return {"recording": on, "path": self._path if self._recordings else ""}
+
+    def _end_recorder(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            return
+        recorder.send_signal(signal.SIGINT)
+        _, told = recorder.communicate(timeout=TIMEOUT)
+        if recorder.returncode not in (0, 130):
+            raise CommandError(f"recording failed: {told.decode(errors='replace')[-500:].strip()}")
+
+    def close(self) -> None:
+        """Complete a recording that is under way, and close the connections."""
+        try:
+            self._end_recorder()
+        finally:
+            for line in self._lines.values():
+                line.drop()

@@ -1,0 +1,250 @@
+"""What a page draws: the loop's messages in bins of one or a few ticks, each with its least and largest value.
+
+A spike of one tick is never lost, however many ticks a bin holds. The bins of the last minute are kept, so a page that opens
+late sees what was, and one that is slow takes more at a time; older ones are gone, so memory is bounded whatever a page does.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from messages import topics
+from messages.types import DeviceState, Force, Message, Proxy, Vector
+from nodes.base.setup import AXIS_INDEX
+
+BINS_PER_SECOND = 500.0
+"""Most bins in a second of the run: more than a screen has columns in the shortest useful span."""
+
+GRACE = 0.06
+"""How long a bin waits for messages that are still on their way [s]."""
+
+HEAD = struct.Struct("<4I22d")
+"""Kind 1, bins, series, 1 when earlier bins are void; then what the scene shows now, see `Feed.frame`."""
+
+_FIELDS = ("position", "proxy", "target", "law_force", "force")
+_SCALARS = ("energy", "response")
+_EMPTY = float("inf")
+
+
+def series_names(axes: Sequence[str]) -> list[str]:
+    """List what is plotted.
+
+    Parameters
+    ----------
+    axes : sequence of str
+        Axes that the scene computes.
+
+    Returns
+    -------
+    list of str
+        ``position.x`` and so on, then ``energy`` and ``response``; in SI units.
+    """
+    return [f"{field}.{axis}" for field in _FIELDS for axis in axes] + list(_SCALARS)
+
+
+class Feed:
+    """Bins of the last minute, and the latest message of each topic.
+
+    Parameters
+    ----------
+    axes : sequence of str
+        Axes that the scene computes.
+    period : float
+        Sampling period T [s].
+    seconds : float
+        How much is kept.
+
+    Attributes
+    ----------
+    names : list of str
+        Series, see `series_names`.
+    per_bin : int
+        Ticks in a bin.
+    head : int
+        Bins filed so far; the newest is number ``head`` − 1.
+    late : int
+        Messages that came after their bin was filed.
+    state, proxy, force : Message or None
+        The latest ones.
+    """
+
+    def __init__(self, axes: Sequence[str], period: float, seconds: float = 60.0) -> None:
+        self.names = series_names(axes)
+        self.per_bin = max(1, math.ceil(1.0 / (period * BINS_PER_SECOND) - 1e-9))
+        self._period = period
+        self._axes = [AXIS_INDEX[axis] for axis in axes]
+        self._grace = max(2, math.ceil(GRACE / (self.per_bin * period)))
+        self._size = max(64, math.ceil(seconds / (self.per_bin * period)))
+        count = len(self.names)
+        self._times = np.full(self._size, np.nan)
+        self._values: NDArray[np.float32] = np.full((2 * count, self._size), np.nan, dtype=np.float32)
+        self._open: dict[int, list[float]] = {}
+        self._fresh = [_EMPTY] * count + [-_EMPTY] * count
+        self._filed = -1
+        self._newest: dict[str, int] = dict.fromkeys(topics.LOOP, -1)
+        self.head = 0
+        self.late = 0
+        self.state: DeviceState | None = None
+        self.proxy: Proxy | None = None
+        self.force: Force | None = None
+        width = len(axes)
+        self._at = {field: i * width for i, field in enumerate(_FIELDS)}
+        self._energy = len(_FIELDS) * width
+        self._response = self._energy + 1
+
+    def take(self, topic: str, message: Message) -> None:
+        """Take one message of the loop into its bin.
+
+        Parameters
+        ----------
+        topic : str
+            Its topic.
+        message : Message
+            The message; those that are not of the loop are not plotted.
+        """
+        number = message.seq // self.per_bin
+        if isinstance(message, DeviceState):
+            self.state = message
+        elif isinstance(message, Proxy):
+            self.proxy = message
+        elif isinstance(message, Force):
+            self.force = message
+        else:
+            return
+        if number > self._newest[topic]:
+            self._newest[topic] = number
+        if number <= self._filed:
+            self.late += 1
+            return
+        row = self._open.get(number)
+        if row is None:
+            row = self._open[number] = self._fresh.copy()
+        if isinstance(message, DeviceState):
+            self._put_vector(row, "position", message.position)
+            self._put_vector(row, "force", message.force)
+            self._put_vector(row, "target", message.target)
+            self._put(row, self._energy, message.energy)
+            if message.response > 0.0:
+                self._put(row, self._response, message.response)
+        elif isinstance(message, Proxy):
+            self._put_vector(row, "proxy", message.proxy)
+        else:
+            self._put_vector(row, "law_force", message.force)
+
+    def _put_vector(self, row: list[float], field: str, value: Vector) -> None:
+        at = self._at[field]
+        for i, axis in enumerate(self._axes):
+            self._put(row, at + i, value[axis])
+
+    def _put(self, row: list[float], at: int, value: float) -> None:
+        if value < row[at]:
+            row[at] = value
+        at += len(self.names)
+        if value > row[at]:
+            row[at] = value
+
+    def file(self, all_of_them: bool = False) -> None:
+        """File the bins to which no more messages can come.
+
+        Parameters
+        ----------
+        all_of_them : bool
+            Whether to file what is still under way too: at the end of a run.
+        """
+        newest = self._newest.values()
+        # Complete when every topic is past it; or given up when the newest one is well past it.
+        until = max(min(newest) - 1, max(newest) - self._grace)
+        if all_of_them:
+            until = max(newest)
+        for number in sorted(number for number in self._open if number <= until):
+            row = self._open.pop(number)
+            slot = self.head % self._size
+            self._times[slot] = number * self.per_bin * self._period
+            values = np.array(row)
+            values[np.isinf(values)] = np.nan
+            # What is beyond float32 is drawn at its edge: a loop that explodes is still a picture.
+            self._values[:, slot] = np.clip(values, -3e38, 3e38)
+            self._filed = number
+            self.head += 1
+
+    def oldest(self, seconds: float = math.inf) -> int:
+        """Number of the oldest bin that is kept.
+
+        Parameters
+        ----------
+        seconds : float, optional
+            And not older than that.
+
+        Returns
+        -------
+        int
+            Where a page that opens now begins.
+        """
+        kept = max(0, self.head - self._size)
+        if math.isinf(seconds):
+            return kept
+        return max(kept, self.head - math.ceil(seconds / (self.per_bin * self._period)))
+
+    def until(self, time: float) -> int:
+        """Number of the first bin after a time.
+
+        Parameters
+        ----------
+        time : float
+            Since tick 0 [s].
+
+        Returns
+        -------
+        int
+            Bin number, between the oldest kept and `head`.
+        """
+        low, high = self.oldest(), self.head
+        while low < high:
+            middle = (low + high) // 2
+            if self._times[middle % self._size] <= time:
+                low = middle + 1
+            else:
+                high = middle
+        return low
+
+    def frame(self, first: int, end: int, void: bool = False) -> bytes:
+        """Encode bins for the page: little endian, times as float64, then each series' least and largest values as float32.
+
+        Parameters
+        ----------
+        first, end : int
+            Bins, the second one excluded; those that are gone are left out.
+        void : bool
+            Whether the page must forget what it had.
+
+        Returns
+        -------
+        bytes
+            `HEAD`, times, least values series by series, largest values likewise. The scene's now: time, then position,
+            proxy, normal, force of the law, force handed over, target (three each), distance, contact, delay.
+        """
+        first = max(first, self.oldest())
+        slots = np.arange(first, max(end, first)) % self._size
+        head = HEAD.pack(1, len(slots), len(self.names), int(void), *self._now())
+        return b"".join((head, self._times[slots].tobytes(), self._values[:, slots].tobytes()))
+
+    def _now(self) -> tuple[float, ...]:
+        nowhere = (math.nan, math.nan, math.nan)
+        state, proxy, force = self.state, self.proxy, self.force
+        return (
+            state.seq * self._period if state else math.nan,
+            *(state.position if state else nowhere),
+            *(proxy.proxy if proxy else nowhere),
+            *(proxy.normal if proxy else nowhere),
+            *(force.force if force else nowhere),
+            *(state.force if state else nowhere),
+            *(state.target if state else nowhere),
+            proxy.distance if proxy else math.nan,
+            float(proxy.contact) if proxy else math.nan,
+            state.delay if state else math.nan,
+        )

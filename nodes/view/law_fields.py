@@ -1,0 +1,97 @@
+"""What a law's parameters are, for a page that draws a slider for each: from the law's own types, limits and docstring.
+
+Nothing here knows any law: a new one gets its sliders by being registered.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import entry_points
+from typing import Any
+
+from msgspec import inspect
+
+from messages.schema import attributes
+from nodes.laws import Law, law_kinds
+
+_UNIT = re.compile(r"\[([^\]]*)\]")
+_GROUP = re.compile(r"entry points ``(haptic\.\w+)``")
+_LIMITS = ("gt", "ge", "lt", "le")
+
+
+def _typed(info: inspect.Type, told: str) -> dict[str, Any] | None:
+    """Describe one type; None for what no page can edit."""
+    limits = {name: value for name in _LIMITS if (value := getattr(info, name, None)) is not None}
+    if isinstance(info, inspect.FloatType):
+        return {"type": "number", **limits}
+    if isinstance(info, inspect.IntType):
+        return {"type": "integer", **limits}
+    if isinstance(info, inspect.BoolType):
+        return {"type": "choice", "choices": [False, True]}
+    if isinstance(info, inspect.LiteralType):
+        return {"type": "choice", "choices": list(info.values)}
+    if isinstance(info, inspect.StrType):
+        group = _GROUP.search(told)
+        # A registered name can only be one that is installed.
+        return (
+            {"type": "choice", "choices": sorted({point.name for point in entry_points(group=group[1])})}
+            if group
+            else None
+        )
+    if isinstance(info, inspect.UnionType):
+        usual = [kind for kind in info.types if not isinstance(kind, inspect.NoneType)]
+        return _typed(usual[0], told) if len(usual) == 1 else None
+    if isinstance(info, inspect.ListType | inspect.VarTupleType):
+        item = info.item_type
+        if isinstance(item, inspect.StructType):
+            return {"type": "list", "fields": _fields(item)}
+        inner = _typed(item, told)
+        return {"type": "numbers"} if inner is not None and inner["type"] == "number" else None
+    return None
+
+
+def _fields(info: inspect.StructType) -> list[dict[str, Any]]:
+    told = attributes(info.cls.__doc__ or "")
+    found = []
+    for field in info.fields:
+        text = told.get(field.name, "")
+        described = _typed(field.type, text)
+        if described is None:
+            continue
+        unit = _UNIT.search(text)
+        entry = {"name": field.encode_name, "unit": unit[1] if unit else "", "told": text, **described}
+        if isinstance(field.default, int | float | str):
+            entry["default"] = field.default
+        found.append(entry)
+    return found
+
+
+def law_fields(law: type[Law]) -> list[dict[str, Any]]:
+    """Describe the parameters of a law.
+
+    Parameters
+    ----------
+    law : type of Law
+        Any registered law.
+
+    Returns
+    -------
+    list of dict
+        One per parameter that a page can edit, in the law's own order: ``name``, ``unit``, ``told`` (the docstring's text),
+        ``type`` (``number``, ``integer``, ``choice``, ``numbers`` or ``list``), limits ``gt`` ``ge`` ``lt`` ``le`` where
+        there are any, ``choices`` of a choice, and the ``fields`` of a list's entries.
+    """
+    info = inspect.type_info(law)
+    assert isinstance(info, inspect.StructType)  # noqa: S101  # every Law is a struct
+    return _fields(info)
+
+
+def all_law_fields() -> dict[str, list[dict[str, Any]]]:
+    """Describe the parameters of all installed laws.
+
+    Returns
+    -------
+    dict of str to list of dict
+        By kind, see `law_fields`.
+    """
+    return {kind: law_fields(law) for kind, law in law_kinds().items()}

@@ -1,0 +1,186 @@
+"""The view node: one page over the run, in a process of its own, off the chain's core. It only listens; the loop never waits."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+
+from messages.transport.sockets import Subscription, new_context
+from nodes.base.node import Node
+from nodes.base.setup import Setup
+from nodes.launcher.runs import RunInfo
+from nodes.parameters.store import convert
+from nodes.recording.logger import QUEUE
+from nodes.view.live import LiveRun
+from nodes.view.run_pages import RunPages
+from nodes.view.server import ADDRESS, check_address
+
+PATIENCE = 10.0
+"""How long the launcher may take to say what the run consists of [s]."""
+
+
+class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of a view node.
+
+    Attributes
+    ----------
+    address : str
+        Where the page is served: 127.0.0.1, and nothing else.
+    port : int
+        Port; 0 takes a free one.
+    foxglove : int or None
+        Port on which Foxglove and Lichtblick find the run live (nodes/view/foxglove.py); None for no such port.
+    """
+
+    address: str = ADDRESS
+    port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0
+    foxglove: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
+
+
+class Place(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a run's page is: ``NAME.page.json`` in the run's private directory.
+
+    Attributes
+    ----------
+    url : str
+        What to open, token included.
+    port : int
+        Port.
+    token : str
+        What the URL must hold: kept when the node is started again, so that an open page finds it.
+    """
+
+    url: str
+    port: int
+    token: str
+
+
+def place_file(run_dir: str | Path, name: str) -> Path:
+    """File that tells where a run's page is.
+
+    Parameters
+    ----------
+    run_dir : str or Path
+        Private directory of the run.
+    name : str
+        Name of the view node.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
+    return Path(run_dir) / f"{name}.page.json"
+
+
+def read_place(run_dir: str | Path, name: str) -> Place | None:
+    """Read where a run's page is.
+
+    Parameters
+    ----------
+    run_dir : str or Path
+        Private directory of the run.
+    name : str
+        Name of the view node.
+
+    Returns
+    -------
+    Place or None
+        None while it is not served yet.
+    """
+    try:
+        return msgspec.json.decode(place_file(run_dir, name).read_bytes(), type=Place)
+    except FileNotFoundError:
+        return None
+
+
+class View(Node):
+    """Serves the page of a launch from its first message to its last."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = ViewParameters
+    listens_to: ClassVar[tuple[str, ...]] = ("*",)
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Refuse any address but this machine's own.
+
+        Parameters
+        ----------
+        setup : Setup
+            The node as it would be started.
+
+        Raises
+        ------
+        ParameterError
+            With the ssh line that does it safely.
+        """
+        parameters: ViewParameters = convert(setup.parameters, ViewParameters, setup.name)
+        check_address(parameters.address, parameters.port)
+
+    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
+        """Listen to all publishers of the run.
+
+        Parameters
+        ----------
+        subscribe : callable
+            Makes a subscription from endpoints, topics and queue length.
+        """
+        self._listening = subscribe(set(self.setup.sources.values()), [""], QUEUE)
+
+    def _run_info(self) -> RunInfo:
+        path = Path(self.setup.run_dir) / "run.json"
+        deadline = time.monotonic() + PATIENCE
+        while not path.exists():
+            if time.monotonic() > deadline or self.stopping:
+                raise OSError(f"{path}: the launcher has not told what the run consists of within {PATIENCE:g} s")
+            time.sleep(0.005)
+        return msgspec.json.decode(path.read_bytes(), type=RunInfo)
+
+    def loop(self) -> None:
+        """Serve until stopped."""
+        self.state = "running"
+        context = new_context()
+        try:
+            asyncio.run(self._serve(RunPages(LiveRun(self._run_info()), self._listening, context, self._token())))
+        finally:
+            context.term()
+
+    def _token(self) -> str:
+        place = read_place(self.setup.run_dir, self.setup.name)
+        return place.token if place else ""
+
+    async def _serve(self, pages: RunPages) -> None:
+        self._pages = pages
+        before = read_place(self.setup.run_dir, self.setup.name)
+        parameters: ViewParameters = self.store.current
+        await pages.server.start(parameters.port or (before.port if before else 0))
+        server = pages.server
+        place = Place(url=server.url, port=server.port, token=server.token)
+        path = place_file(self.setup.run_dir, self.setup.name)
+        draft = path.with_suffix(".draft")
+        draft.write_bytes(msgspec.json.encode(place))
+        draft.replace(path)
+        await pages.run(lambda: self.stopping, self._between)
+
+    def _between(self) -> None:
+        self.received = self.ticks = self._pages.live.feed.head
+        self.between_ticks(0)
+
+    def finish(self) -> None:
+        """Stop listening."""
+        self._listening.close()
+
+    def report(self) -> dict[str, Any]:
+        """Tell what was served.
+
+        Returns
+        -------
+        dict
+            ``turned_away``: requests without the token or from another origin.
+        """
+        return {"turned_away": self._pages.server.turned_away} if hasattr(self, "_pages") else {}

@@ -1,0 +1,232 @@
+"""The mouse as a hand: a page writes where the hand's target should be, a sim driver reads it every tick.
+
+Both map one small file in the run's private directory. The value is sequence-locked: the writer counts up before and after,
+in the order of memory, and the reader takes it only when both counts agree. So a tick pays under a microsecond and nobody
+waits for anybody. A value that is not renewed expires: a page that falls silent lets go.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import os
+import struct
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+
+from messages.types import ZERO, Vector
+
+_VALUE = struct.Struct("<QddddQ")
+"""Count after the value, target [m], when it was written [s], count before it: the reader reads in this order."""
+
+_COUNT = struct.Struct("<Q")
+_TARGET = struct.Struct("<dddd")
+
+
+SILENCE = 0.3
+"""After so long without a new value a pointer counts as let go [s]."""
+
+
+class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How a hand follows a pointer.
+
+    Attributes
+    ----------
+    speed : float
+        Fastest movement of the hand's target [m/s].
+    silence : float
+        Without a new value for so long the hand lets go: its target goes back to its path [s].
+    """
+
+    speed: Annotated[float, msgspec.Meta(gt=0.0)] = 0.5
+    silence: Annotated[float, msgspec.Meta(gt=0.0)] = SILENCE
+
+
+def pointer_file(run_dir: str | Path, driver: str) -> Path:
+    """Place of a driver's pointer file.
+
+    Parameters
+    ----------
+    run_dir : str or Path
+        Private directory of the run.
+    driver : str
+        Name of the driver node.
+
+    Returns
+    -------
+    Path
+        The file; it exists only where a hand can be dragged.
+    """
+    return Path(run_dir) / f"{driver}.pointer"
+
+
+def _mapped(path: Path, flags: int) -> mmap.mmap:
+    descriptor = os.open(path, os.O_RDWR | flags, 0o600)
+    try:
+        if flags & os.O_CREAT:
+            os.truncate(descriptor, _VALUE.size)
+        return mmap.mmap(descriptor, _VALUE.size)
+    finally:
+        os.close(descriptor)
+
+
+class PointerReader:
+    """The driver's end; it makes the file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    silence : float
+        When a value expires [s].
+
+    Raises
+    ------
+    OSError
+        When the file cannot be made.
+    """
+
+    def __init__(self, path: Path, silence: float) -> None:
+        self._map = _mapped(path, os.O_CREAT)
+        self._silence = silence
+        self._unpack = _VALUE.unpack_from
+        self._last: tuple[float, float, float, float] = (0.0, 0.0, 0.0, -math.inf)
+
+    def read(self) -> Vector | None:
+        """Read the target.
+
+        Returns
+        -------
+        tuple of float, shape (3,), or None
+            Where the hand's target should be [m]; None while nobody holds it.
+        """
+        after, x, y, z, when, before = self._unpack(self._map)
+        if after == before:
+            self._last = x, y, z, when
+        else:
+            # Being written this moment: the value before is at most a frame of the page old.
+            x, y, z, when = self._last
+        return (x, y, z) if time.monotonic() - when < self._silence else None
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._map.close()
+
+
+class PointerWriter:
+    """The page's end.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    FileNotFoundError
+        When no driver has made it: there is no hand to drag.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._map = _mapped(path, 0)
+        self._count = _COUNT.unpack_from(self._map, 0)[0]
+
+    def write(self, target: Vector) -> None:
+        """Set the target; it holds until it expires.
+
+        Parameters
+        ----------
+        target : tuple of float, shape (3,)
+            Where the hand's target should be [m].
+
+        Raises
+        ------
+        ValueError
+            When it is not finite.
+        """
+        if not all(map(math.isfinite, target)):
+            raise ValueError(f"pointer: {target} m, expected three finite numbers")
+        self._write(target, time.monotonic())
+
+    def let_go(self) -> None:
+        """Give the hand back to its path at once."""
+        self._write(ZERO, -math.inf)
+
+    def _write(self, target: Vector, when: float) -> None:
+        self._count += 1
+        _COUNT.pack_into(self._map, _VALUE.size - _COUNT.size, self._count)
+        _TARGET.pack_into(self._map, _COUNT.size, *target, when)
+        _COUNT.pack_into(self._map, 0, self._count)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._map.close()
+
+
+class SharedHand:
+    """The hand's target among several pages: whoever takes it first has it until it lets go or falls silent.
+
+    Parameters
+    ----------
+    path : Path
+        The driver's pointer file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._writer: PointerWriter | None = PointerWriter(path)
+        except FileNotFoundError:
+            self._writer = None
+        self._owner = 0
+        self._moved = -math.inf
+
+    @property
+    def there(self) -> bool:
+        """Whether there is a hand that can be dragged."""
+        return self._writer is not None
+
+    def move(self, owner: int, target: Sequence[float] | None) -> str:
+        """Move the target.
+
+        Parameters
+        ----------
+        owner : int
+            Who moves it.
+        target : sequence of float, shape (3,), or None
+            Where to [m]; None lets go.
+
+        Returns
+        -------
+        str
+            Why it is refused; empty when it is not.
+        """
+        if self._writer is None:
+            return (
+                ""
+                if target is None
+                else "hand: nothing can be dragged here; haptic launch touch_wall --view has a hand"
+            )
+        now = time.monotonic()
+        held = now - self._moved < SILENCE
+        if target is None:
+            if self._owner == owner and held:
+                self._writer.let_go()
+                self._moved = -math.inf
+            return ""
+        if held and self._owner != owner:
+            return "hand: another page holds it"
+        try:
+            self._writer.write((float(target[0]), float(target[1]), float(target[2])))
+        except (ValueError, OverflowError) as error:
+            return f"hand: {error}"
+        self._owner, self._moved = owner, now
+        return ""
+
+    def close(self) -> None:
+        """Let go of the file."""
+        if self._writer is not None:
+            self._writer.close()

@@ -1,0 +1,301 @@
+"""Pages over a running launch: messages in, bins and documents out, requests to the nodes, the hand's target to the driver."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import zmq
+
+from messages.transport.sockets import Subscription
+from messages.types import Message
+from nodes.laws.parse import LawRefusedError, parse_law
+from nodes.parameters.store import ParameterError
+from nodes.view.commands import Commander, CommandError
+from nodes.view.law_fields import all_law_fields
+from nodes.view.live import HISTORY, LiveRun
+from nodes.view.pointer import SharedHand, pointer_file
+from nodes.view.server import PageServer
+from nodes.view.stability_map import plant_of, stability_map
+
+DRAIN_PERIOD = 1.0 / 60.0
+"""Messages are taken in as often as a screen shows them: being woken for each would cost the machine more [s]."""
+
+AT_ONCE = 5000
+"""Most messages that are taken in before pages have their turn."""
+
+MAP_PERIOD = 0.25
+"""Shortest time between two maps of stability [s]."""
+
+FINAL = 0.5
+"""How long pages may take to receive the end of a run [s]."""
+
+
+class RunPage:
+    """One open page over a running launch.
+
+    Parameters
+    ----------
+    pages : RunPages
+        All of them.
+    """
+
+    def __init__(self, pages: RunPages) -> None:
+        self._pages = pages
+        self._feed = pages.live.feed
+        self._version = self._logged = 0
+        self._cursor = self._feed.oldest(HISTORY)
+        self._seq = -1
+        self._void = True
+
+    def news(self) -> list[str | bytes]:
+        """List what it has not been sent yet.
+
+        Returns
+        -------
+        list of str or bytes
+            Documents and log as JSON, bins as `Feed.frame`.
+        """
+        texts, self._version, self._logged = self._pages.live.board.since(self._version, self._logged)
+        found: list[str | bytes] = list(texts)
+        state = self._feed.state
+        if state is not None and (state.seq != self._seq or self._feed.head > self._cursor):
+            found.append(self._feed.frame(self._cursor, self._feed.head, self._void))
+            self._cursor, self._seq, self._void = self._feed.head, state.seq, False
+        return found
+
+    def hand(self, target: list[float] | None) -> str:
+        """Move the hand's target.
+
+        Parameters
+        ----------
+        target : list of float, shape (3,), or None
+            Where [m]; None lets go.
+
+        Returns
+        -------
+        str
+            Why it is refused; empty when it is not.
+        """
+        return self._pages.hand.move(id(self), target)
+
+    async def ask(self, request: dict[str, Any]) -> Any:
+        """Do what it asks.
+
+        Parameters
+        ----------
+        request : dict
+            See `Commander.do`.
+
+        Returns
+        -------
+        object
+            The receipt.
+
+        Raises
+        ------
+        CommandError
+            When it is refused.
+        """
+        return await self._pages.command(request)
+
+    def close(self) -> None:
+        """Let go of the hand."""
+        self._pages.hand.move(id(self), None)
+
+
+class RunPages:
+    """Everything behind the pages of one run.
+
+    Parameters
+    ----------
+    live : LiveRun
+        What the run tells.
+    inbox : Subscription
+        Connected to all its publishers.
+    context : zmq.Context
+        For requests to its nodes.
+    token : str
+        What the URL must hold; empty for a new one.
+
+    Attributes
+    ----------
+    live : LiveRun
+        What the run tells.
+    server : PageServer
+        Serves the pages.
+    hand : SharedHand
+        The hand's target.
+    listeners : list of callable
+        Each is called with topic and message of all that comes in.
+    """
+
+    def __init__(
+        self, live: LiveRun, inbox: Subscription, context: zmq.Context[zmq.Socket[bytes]], token: str = ""
+    ) -> None:
+        self.live = live
+        self._inbox = inbox
+        self._commander = Commander(live.run, context)
+        run_dir = next(iter(live.run.nodes.values())).run_dir
+        self.hand = SharedHand(pointer_file(run_dir, self._commander.driver))
+        self.server = PageServer(self._open_page, token)
+        self.listeners: list[Callable[[str, Message], None]] = []
+        # One thread asks the nodes, one computes maps: neither holds up the pages.
+        self._asking = ThreadPoolExecutor(1, "ask")
+        self._mapping = ThreadPoolExecutor(1, "map")
+        self._laws: dict[str, Any] = {}
+        self._jobs: set[asyncio.Task[None]] = set()
+        self._busy: set[str] = set()
+        self._mapped: tuple[str, float] = ("", -1.0)
+        self._mapped_at = 0.0
+        live.board.put("hello", {**live.hello(), "fields": all_law_fields(), "hand": self.hand.there})
+
+    def _open_page(self) -> RunPage:
+        return RunPage(self)
+
+    async def command(self, request: dict[str, Any]) -> Any:
+        """Do what a page asks, off the pages' thread.
+
+        Parameters
+        ----------
+        request : dict
+            See `Commander.do`.
+
+        Returns
+        -------
+        object
+            The receipt.
+
+        Raises
+        ------
+        CommandError
+            When it is refused.
+        """
+        if self.live.ended:
+            raise CommandError(f"view: the run has ended: {self.live.ended}")
+        result = await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.do, request)
+        if request.get("op") == "record":
+            self.live.board.put("record", result)
+        self.live.changed = True
+        return result
+
+    async def run(self, stopping: Callable[[], bool], between: Callable[[], None]) -> None:
+        """Take in messages and look after laws and map until told to stop; the server is started by the caller.
+
+        Parameters
+        ----------
+        stopping : callable
+            Whether to stop.
+        between : callable
+            Called between two drains.
+        """
+        try:
+            while not stopping():
+                await self._drain()
+                self._refresh()
+                between()
+                await asyncio.sleep(DRAIN_PERIOD)
+            await self._finish()
+        finally:
+            await self.server.stop()
+            for job in self._jobs:
+                job.cancel()
+            await asyncio.gather(*self._jobs, return_exceptions=True)
+            await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.close)
+            self._asking.shutdown()
+            self._mapping.shutdown(cancel_futures=True)
+            self.hand.close()
+
+    async def _drain(self) -> int:
+        taken = 0
+        while (frames := self._inbox.receive(0)) is not None:
+            found = self.live.take(frames, time.monotonic())
+            if found is not None:
+                for listener in self.listeners:
+                    listener(*found)
+            taken += 1
+            if taken % AT_ONCE == 0:
+                await asyncio.sleep(0)
+        self.live.tick(time.monotonic())
+        return taken
+
+    async def _finish(self) -> None:
+        """Take in what is still under way, and let the pages have it."""
+        while await self._drain():
+            await asyncio.sleep(DRAIN_PERIOD)
+        self.live.ended = self.live.ended or "the view was stopped"
+        self.live.tick(time.monotonic())
+        if self.server.pages:
+            await asyncio.sleep(FINAL)
+
+    # -- laws and map ------------------------------------------------------------------------------------------------
+
+    def _refresh(self) -> None:
+        """Start what is due and not under way."""
+        live = self.live
+        if live.ended or not self._commander.coupling:
+            return
+        if live.changed:
+            self._start("laws", self._read_laws)
+        wanted = self._laws.get("active", "")
+        described = self._laws.get("laws", {}).get(wanted)
+        if self.server.pages and described is not None and time.monotonic() - self._mapped_at > MAP_PERIOD:
+            key, delay = repr((wanted, described, self._laws.get("plant"))), self._mapped[1]
+            # A delay that merely trembles draws no new map.
+            if key != self._mapped[0] or abs(live.delay - delay) > 0.02 + 0.05 * delay:
+                self._mapped, self._mapped_at = (key, live.delay), time.monotonic()
+                self._start("map", self._draw_map)
+
+    def _start(self, name: str, job: Callable[[], Any]) -> None:
+        if name in self._busy:
+            # Once more when it is done.
+            if name == "map":
+                self._mapped = ("", -1.0)
+            return
+        if name == "laws":
+            self.live.changed = False
+        self._busy.add(name)
+
+        async def work() -> None:
+            try:
+                await job()
+            finally:
+                self._busy.discard(name)
+
+        task = asyncio.get_running_loop().create_task(work())
+        self._jobs.add(task)
+        task.add_done_callback(self._jobs.discard)
+
+    async def _read_laws(self) -> None:
+        def ask() -> dict[str, Any]:
+            node = self._commander.coupling
+            parameters = self._commander.ask(node, "param.dump")
+            chosen = {name: parameters.get(name) for name in ("ramp", "plant", "stability")}
+            return {"node": node, **self._commander.ask(node, "law.list"), **chosen}
+
+        # A coupling that is being started again does not answer; its next receipt or status asks again.
+        with contextlib.suppress(CommandError):
+            self._laws = await asyncio.get_running_loop().run_in_executor(self._asking, ask)
+            self.live.board.put("laws", self._laws)
+
+    async def _draw_map(self) -> None:
+        described, delay = self._laws["laws"][self._laws["active"]], self.live.delay
+
+        def draw() -> dict[str, Any]:
+            plant, own = plant_of(self._laws.get("plant"), self.live.run.nodes[self._commander.driver].parameters)
+            if plant is None:
+                return {
+                    "why": "No map: the device is not declared. Give the coupling plant: {mass: …, damping: …} in the "
+                    "launch file, or haptic param set coupling plant '{mass: 0.1, damping: 1}'."
+                }
+            try:
+                return stability_map(parse_law(described, "law"), self.live.period, plant, delay + own)
+            except (LawRefusedError, ParameterError, ValueError) as error:
+                return {"why": f"No map: {error}"}
+
+        found = await asyncio.get_running_loop().run_in_executor(self._mapping, draw)
+        self.live.board.put("map", {"law": self._laws["active"], **found})

@@ -1,0 +1,299 @@
+"""Serves the page and its stream on one port of this machine: plain files, one WebSocket, a token in the URL, same origin only.
+
+The URL is ``http://127.0.0.1:PORT/TOKEN/``; everything the page loads lies below it, so nothing is found without the token. A
+browser that is slow holds up nobody: what it is sent next is made when it has taken what came before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import getpass
+import importlib.resources
+import logging
+import mimetypes
+import secrets
+import socket
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import Any, Protocol
+from urllib.parse import urlsplit
+
+import msgspec
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from nodes.parameters.store import ParameterError
+from nodes.view.commands import CommandError
+
+ADDRESS = "127.0.0.1"
+"""The one address that is bound."""
+
+LOCAL = ("127.0.0.1", "localhost")
+"""Names under which a browser of this machine, or behind an ssh tunnel, asks for it."""
+
+SEND_PERIOD = 1.0 / 50.0
+"""Pause between two messages to a page [s]."""
+
+MAX_REQUEST = 1 << 18
+"""Longest request of a page [bytes]: a law of thousands of taps fits."""
+
+MAX_PAGES = 16
+"""Most pages that are served at once."""
+
+MAX_WAITING = 8
+"""Most requests of one page that wait for their answers."""
+
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; connect-src 'self'; frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class Page(Protocol):
+    """What one open page is shown, and what it asks."""
+
+    def news(self) -> list[str | bytes]:
+        """List what it has not been sent yet."""
+        ...
+
+    def hand(self, target: list[float] | None) -> str:
+        """Move the hand's target, or let go with None; why it is refused, or nothing."""
+        ...
+
+    async def ask(self, request: dict[str, Any]) -> Any:
+        """Do what it asks, or raise CommandError."""
+        ...
+
+    def close(self) -> None:
+        """Forget it."""
+        ...
+
+
+def check_address(address: str, port: int) -> None:
+    """Refuse every address but this machine's own: who reaches the page can command the loop.
+
+    Parameters
+    ----------
+    address : str
+        Where somebody wants the page served.
+    port : int
+        Port, for the remedy; 0 when any will do.
+
+    Raises
+    ------
+    ParameterError
+        With the ssh line that does it safely.
+    """
+    if address in LOCAL:
+        return
+    shown = port or 8080
+    raise ParameterError(
+        f"view.address: {address} is refused: whoever reaches the page can command the loop, so it is served on {ADDRESS} "
+        f"only. From another machine, set view.port to {shown}, run ssh -L {shown}:{ADDRESS}:{shown} "
+        f"{getpass.getuser()}@{socket.gethostname()} there, and open the printed URL"
+    )
+
+
+def _files() -> dict[str, tuple[str, bytes]]:
+    """Read the page's files: a few, and small."""
+    found: dict[str, tuple[str, bytes]] = {}
+
+    def walk(folder: Any, prefix: str) -> None:
+        for entry in folder.iterdir():
+            if entry.is_dir():
+                walk(entry, f"{prefix}{entry.name}/")
+            else:
+                kind = mimetypes.guess_type(entry.name)[0] or "text/plain"
+                found[prefix + entry.name] = (f"{kind}; charset=utf-8", entry.read_bytes())
+
+    walk(importlib.resources.files("nodes.view") / "web", "")
+    return found
+
+
+def _text(status: HTTPStatus, text: str) -> Response:
+    return _response(status, "text/plain; charset=utf-8", text.encode())
+
+
+def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
+    headers = Headers({**_HEADERS, "Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"})
+    return Response(status.value, status.phrase, headers, body)
+
+
+class PageServer:
+    """Serves pages.
+
+    Parameters
+    ----------
+    open_page : callable
+        Makes what a newly opened page is shown.
+    token : str
+        What the URL must hold; empty for a new one.
+
+    Attributes
+    ----------
+    token : str
+        What the URL must hold.
+    port : int
+        Where it is served, once started.
+    pages : int
+        Pages that are open.
+    turned_away : int
+        Requests without the token, or from another origin.
+    """
+
+    def __init__(self, open_page: Callable[[], Page], token: str = "") -> None:
+        self.token = token or secrets.token_urlsafe(12)
+        self.port = 0
+        self.pages = 0
+        self.turned_away = 0
+        self._open_page = open_page
+        self._files = _files()
+        self._server: Server | None = None
+
+    @property
+    def url(self) -> str:
+        """What to open."""
+        return f"http://{ADDRESS}:{self.port}/{self.token}/"
+
+    async def start(self, port: int = 0) -> None:
+        """Begin to serve.
+
+        Parameters
+        ----------
+        port : int
+            Port; 0 takes a free one.
+
+        Raises
+        ------
+        OSError
+            When the port is taken.
+        """
+        quiet = logging.getLogger("nodes.view.server")
+        # A browser opens connections ahead and never uses them: no news to anybody.
+        quiet.addHandler(logging.NullHandler())
+        quiet.propagate = False
+        self._server = await serve(
+            self._page,
+            ADDRESS,
+            port,
+            process_request=self._request,
+            compression=None,
+            max_size=MAX_REQUEST,
+            max_queue=64,
+            ping_interval=5.0,
+            ping_timeout=15.0,
+            close_timeout=1.0,
+            server_header=None,
+            logger=quiet,
+        )
+        self.port = next(iter(self._server.sockets)).getsockname()[1]
+
+    async def stop(self) -> None:
+        """Close all pages and stop serving."""
+        if self._server is not None:
+            self._server.close(code=1001, reason="the run has ended")
+            await self._server.wait_closed()
+
+    # -- one request -------------------------------------------------------------------------------------------------
+
+    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
+        del connection
+        host = request.headers.get("Host", "")
+        if (urlsplit(f"//{host}").hostname or "") not in LOCAL:
+            # A name of somebody else's that leads here: DNS rebinding.
+            self.turned_away += 1
+            return _text(HTTPStatus.FORBIDDEN, f"haptic view is served to {ADDRESS} only, not to {host[:100]}\n")
+        origin = request.headers.get("Origin")
+        if origin is not None and origin != f"http://{host}":
+            self.turned_away += 1
+            return _text(HTTPStatus.FORBIDDEN, f"haptic view takes no requests from {origin[:100]}\n")
+        token, slash, name = urlsplit(request.path).path.lstrip("/").partition("/")
+        if not secrets.compare_digest(token.encode(), self.token.encode()):
+            self.turned_away += 1
+            return _text(HTTPStatus.FORBIDDEN, "Wrong or missing token: open the whole URL that haptic has printed.\n")
+        if not slash:
+            moved = _text(HTTPStatus.PERMANENT_REDIRECT, "")
+            moved.headers["Location"] = f"/{self.token}/"
+            return moved
+        if name == "live":
+            if self.pages >= MAX_PAGES:
+                return _text(HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_PAGES} pages are open already; close one.\n")
+            return None
+        found = self._files.get(name or "index.html")
+        if found is None:
+            return _text(HTTPStatus.NOT_FOUND, f"There is no {name[:100]}.\n")
+        return _response(HTTPStatus.OK, *found)
+
+    async def _page(self, connection: ServerConnection) -> None:
+        self.pages += 1
+        page = self._open_page()
+        waiting: set[asyncio.Task[None]] = set()
+        sender = asyncio.create_task(self._send(connection, page))
+        try:
+            async for text in connection:
+                request = _decoded(text)
+                if request is None:
+                    await connection.close(1003, "a request is a JSON object")
+                elif request.get("op") == "hand":
+                    refused = _moved(page, request.get("target"))
+                    if refused:
+                        await _answer(connection, request, error=refused)
+                elif len(waiting) >= MAX_WAITING:
+                    await _answer(connection, request, error=f"view: {MAX_WAITING} requests wait already; try again")
+                else:
+                    task = asyncio.create_task(_do(connection, page, request))
+                    waiting.add(task)
+                    task.add_done_callback(waiting.discard)
+        except ConnectionClosed:
+            # Gone without a word, as browsers go.
+            pass
+        finally:
+            sender.cancel()
+            self.pages -= 1
+            page.close()
+            with contextlib.suppress(asyncio.CancelledError):
+                await sender
+            if waiting:
+                await asyncio.wait(waiting)
+
+    async def _send(self, connection: ServerConnection, page: Page) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                for item in page.news():
+                    await connection.send(item)
+                await asyncio.sleep(SEND_PERIOD)
+
+
+def _decoded(text: str | bytes) -> dict[str, Any] | None:
+    try:
+        request = msgspec.json.decode(text)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None
+    return request if isinstance(request, dict) else None
+
+
+def _moved(page: Page, target: Any) -> str:
+    fits = isinstance(target, list) and len(target) == 3 and all(isinstance(part, int | float) for part in target)
+    if target is not None and not fits:
+        return "hand: the target is three numbers [m], or null to let go"
+    return page.hand(target)
+
+
+async def _do(connection: ServerConnection, page: Page, request: dict[str, Any]) -> None:
+    try:
+        result = await page.ask(request)
+    except CommandError as error:
+        await _answer(connection, request, error=str(error))
+    else:
+        await _answer(connection, request, result=result)
+
+
+async def _answer(connection: ServerConnection, request: dict[str, Any], result: Any = None, error: str = "") -> None:
+    answer = {"type": "answer", "id": request.get("id"), "ok": not error, "result": result, "error": error}
+    with contextlib.suppress(ConnectionClosed):
+        await connection.send(msgspec.json.encode(answer).decode())

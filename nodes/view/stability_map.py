@@ -1,0 +1,168 @@
+"""The map of stability beside the sliders: which K and B of the present kind of law the loop bears, and how far the edge is.
+
+Computed with the project's own exact methods (sim/THEORY.md §3), for the device as declared and the delay as measured. It
+runs in the view's process, off the chain's core: a map takes some 50 ms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from nodes.coupling.parameters import Plant
+from nodes.laws import Law
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.k_max import Device, KMax, k_max, without_spring
+
+NEAR, FAR = 33, 24
+"""Points of the edge: evenly spaced around the present gain, then in equal ratios to where nothing is stable any more."""
+
+FARTHEST = 4096.0
+"""How far beyond the near part the far end is looked for, as a ratio."""
+
+MOST_DELAY = 20.0
+"""Longest delay that the margin is looked for [ticks]."""
+
+
+def plant_of(declared: Any, driver: Mapping[str, Any]) -> tuple[Plant | None, float]:
+    """Find the device that a map is drawn for.
+
+    Parameters
+    ----------
+    declared : mapping or None
+        ``plant`` of the coupling.
+    driver : mapping
+        Parameters of the driver; a virtual device stands in them.
+
+    Returns
+    -------
+    tuple of Plant or None, and float
+        The device, None when nobody says what it is; and the delay that it has beside the loop's [ticks].
+    """
+    device = driver.get("device")
+    device = device if isinstance(device, Mapping) else {}
+    own = float(device.get("delay", 0.0))
+    if declared is not None:
+        return msgspec.convert(declared, Plant), own
+    if "mass" not in device:
+        return None, own
+    hand = device.get("hand") or {}
+    mass, damping = (float(device.get(part, 0.0)) + float(hand.get(part, 0.0)) for part in ("mass", "damping"))
+    return Plant(mass=mass, damping=damping, stiffness=float(hand.get("stiffness", 0.0))), own
+
+
+def _edge(law: Law, period: float, device: Device) -> KMax:
+    return k_max(without_spring(law, period), period, device)
+
+
+def _at(law: Law, damping: float) -> Law:
+    return msgspec.structs.replace(law, damping=damping)
+
+
+def _bounds(law: Law, period: float, device: Device, dampings: list[float]) -> list[list[float | None]]:
+    found: list[list[float | None]] = []
+    for damping in dampings:
+        edge = _edge(_at(law, damping), period, device)
+        low, high = edge.stable[0] if edge.stable else (None, None)
+        found.append([damping, low, high if high is None or math.isfinite(high) else None])
+    return found
+
+
+def delay_margin(law: Law, period: float, device: Device) -> float | None:
+    """How much longer the loop's delay may get until a stable loop is no longer stable.
+
+    Parameters
+    ----------
+    law : Law
+        The present law.
+    period : float
+        Sampling period T [s].
+    device : Device
+        Mass, damping, delay and hand.
+
+    Returns
+    -------
+    float or None
+        Further delay [ticks], 0 for a loop that is unstable as it is; None when there is no limit up to `MOST_DELAY`.
+    """
+    compiled = law.compile(period)
+
+    def stable(delay: float) -> bool:
+        return pole_radius(compiled, period, device.mass, device.damping, delay, device.stiffness) < 1.0
+
+    if not stable(device.delay):
+        return 0.0
+    inside = device.delay
+    for delay in np.arange(1, round(MOST_DELAY / 0.1) + 1) * 0.1 + device.delay:
+        if not stable(float(delay)):
+            outside = float(delay)
+            for _ in range(30):
+                middle = 0.5 * (inside + outside)
+                inside, outside = (middle, outside) if stable(middle) else (inside, middle)
+            return inside - device.delay
+        inside = float(delay)
+    return None
+
+
+def stability_map(law: Law, period: float, plant: Plant, delay: float) -> dict[str, Any]:
+    """Draw the (B, K) plane of a law's kind.
+
+    Parameters
+    ----------
+    law : Law
+        The present law; its other parameters (order, terms, taps) are kept.
+    period : float
+        Sampling period T [s].
+    plant : Plant
+        The device as declared.
+    delay : float
+        Delay of the loop as measured; the plant's own goes before it [ticks].
+
+    Returns
+    -------
+    dict
+        ``delay_ticks`` and ``plant``; ``pole_radius`` and ``stable`` of the present law, and whether it has
+        ``own_code`` beside its taps, which no map tells; ``k_n_per_m``, ``k_max_n_per_m`` and
+        ``delay_margin_ticks`` where they can be told; and, for a law that has both ``stiffness`` and ``damping``,
+        ``b_n_s_per_m``, ``near`` (largest B of the near part) and ``edge``: rows of B, least and largest stable K, both None
+        where none is stable.
+
+    Raises
+    ------
+    ValueError
+        When the law cannot be realised.
+    """
+    delay = delay if plant.delay is None else plant.delay
+    device = Device(plant.mass, plant.damping, delay, plant.stiffness)
+    compiled = law.compile(period)
+    radius = pole_radius(compiled, period, device.mass, device.damping, device.delay, device.stiffness)
+    edge = _edge(law, period, device)
+    k = float(getattr(law, "stiffness", compiled.h1))
+    found: dict[str, Any] = {
+        "delay_ticks": delay,
+        "plant": msgspec.to_builtins(plant),
+        "pole_radius": radius,
+        "stable": radius < 1.0,
+        "own_code": compiled.evaluate is not None,
+        "k_n_per_m": k,
+        "k_max_n_per_m": edge.k_max_n_per_m
+        if edge.k_max_n_per_m is None or math.isfinite(edge.k_max_n_per_m)
+        else None,
+        "delay_margin_ticks": delay_margin(law, period, device),
+    }
+    b = getattr(law, "damping", None)
+    if not isinstance(b, float) or not hasattr(law, "stiffness"):
+        return found
+    # In powers of two, so that the picture stays where it is while a slider moves within it.
+    near = 2.0 ** math.ceil(math.log2(max(2.0 * b, plant.damping, 1e-3)))
+    rows = _bounds(law, period, device, np.linspace(0.0, near, NEAR).tolist())
+    end = near
+    while end < near * FARTHEST and _edge(_at(law, end), period, device).stable:
+        end *= 2.0
+    if end > near:
+        rows += _bounds(law, period, device, np.geomspace(near, end, FAR)[1:].tolist())
+    return found | {"b_n_s_per_m": b, "near": near, "edge": rows}

@@ -1,0 +1,88 @@
+"""Why there is a force, or none, in words: the question that everybody asks who feels nothing."""
+
+from __future__ import annotations
+
+import math
+
+from messages.types import DeviceState, Force, Proxy
+
+SILENT = 0.5
+"""Without a state for so long the driver counts as silent [s]."""
+
+LITTLE = 1e-9
+"""A force below this is none [N]."""
+
+_STATES = {
+    "waiting": "the driver waits for the first force of the coupling",
+    "damping": "the coupling is late; the driver damps the device meanwhile",
+    "zero": "the coupling is silent; the watchdog has let go until a fresh force comes",
+    "fault": "the device is outside its workspace; bring it back inside",
+}
+
+
+def size(vector: tuple[float, float, float]) -> float:
+    """Length of a vector.
+
+    Parameters
+    ----------
+    vector : tuple of float, shape (3,)
+        Any.
+
+    Returns
+    -------
+    float
+        In its unit.
+    """
+    return math.sqrt(sum(part * part for part in vector))
+
+
+def explain(
+    state: DeviceState | None, proxy: Proxy | None, force: Force | None, silent: float, told: str = ""
+) -> tuple[str, str]:
+    """Say why there is a force or none.
+
+    Parameters
+    ----------
+    state, proxy, force : Message or None
+        The latest of each topic.
+    silent : float
+        How long ago the latest state came [s].
+    told : str
+        The driver's last word on its safety.
+
+    Returns
+    -------
+    tuple of str
+        How it stands (``ok``, ``rest``, ``warn`` or ``stop``), and one sentence.
+    """
+    if state is None:
+        return "rest", "No force: the driver has not ticked yet."
+    if silent > SILENT:
+        return "stop", f"No force: nothing has come from the driver for {silent:.1f} s."
+    because = f" ({told})" if told else ""
+    given = size(state.force)
+    if state.safety in ("waiting", "zero", "fault") and given <= LITTLE:
+        return "stop", f"No force: {_STATES[state.safety]}{because}."
+    if state.safety in _STATES:
+        return "warn", f"{given:.2f} N: {_STATES[state.safety]}{because}."
+    law = force.law if force is not None else ""
+    asked = size(force.force) if force is not None else 0.0
+    if law == "fallback":
+        return "warn", f"{given:.2f} N: the law failed, so the fallback renders; choose a law to go on."
+    if state.safety == "ramp":
+        return "warn", f"{given:.2f} N: the driver lets the force in slowly after a start."
+    if proxy is None:
+        return "warn", "No force: the environment has not answered yet."
+    if not proxy.contact:
+        if any(proxy.normal):
+            return "rest", f"No force: nothing is touched; the surface is {abs(proxy.distance) * 1e3:.1f} mm away."
+        return "rest", "No force: there is nothing to touch."
+    if asked > given + 0.02 * asked + LITTLE and state.force_seq >= 0 and state.age == 0 and asked > 0.05:
+        return (
+            "warn",
+            f"{given:.2f} N of the {asked:.2f} N that the law asks for: the driver's limits hold the rest back.",
+        )
+    if given <= LITTLE:
+        return "rest", f"No force: {law or 'the law'} renders none at this deflection."
+    depth = f", {abs(proxy.distance) * 1e3:.2f} mm deep" if any(proxy.normal) else ""
+    return "ok", f"{given:.2f} N: {law or 'the law'} pushes back{depth}."
