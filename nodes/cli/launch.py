@@ -16,6 +16,7 @@ from typing import Any
 from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError, call
 from nodes.cli.main import UsageError, answer
+from nodes.cli.page import PageAnnouncer, with_view
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.runs import RunError
@@ -53,6 +54,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="how the loop's nodes take their ticks: compiled, or by the interpreter; tick:= does the same",
     )
     parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
+    parser.add_argument(
+        "--view", action="store_true", help="serve a page to see and touch it; its URL is printed first"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
     parser.set_defaults(run=run)
 
@@ -262,8 +266,10 @@ def run(arguments: argparse.Namespace) -> int:
         given = launch_file.parse_assignments(arguments.assignments)
         if arguments.tick is not None:
             given["tick"] = arguments.tick
-        launch = launch_file.read(arguments.scenario, given, arguments.params)
-        return _launch(launch_file.without(launch, arguments.without), arguments)
+        launch = launch_file.without(
+            launch_file.read(arguments.scenario, given, arguments.params), arguments.without
+        )
+        return _launch(with_view(launch) if arguments.view else launch, arguments)
     except (ParameterError, RunError) as error:
         raise UsageError(str(error)) from error
 
@@ -275,10 +281,16 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         status.clear()
         print(f"[launch] {text}", file=sys.stderr, flush=True)
 
+    page = PageAnnouncer(arguments.json)
+
+    def progress(supervisor: Supervisor) -> None:
+        page(supervisor)
+        status(supervisor)
+
     supervisor = Supervisor(launch, say)
     with _signals(supervisor):
         try:
-            supervisor.supervise(status)
+            supervisor.supervise(progress)
         except LaunchFailedError as error:
             supervisor.failed = True
             supervisor.exit_reason = str(error)

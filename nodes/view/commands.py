@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import zmq
@@ -118,7 +118,7 @@ class Commander:
         CommandError
             When it is refused; the text says why.
         """
-        known = {
+        known: dict[str, Callable[..., Any]] = {
             "set": self._set,
             "law": self._set_law,
             "switch": self._switch,

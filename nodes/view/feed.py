@@ -24,7 +24,7 @@ GRACE = 0.06
 """How long a bin waits for messages that are still on their way [s]."""
 
 HEAD = struct.Struct("<4I22d")
-"""Kind 1, bins, series, 1 when earlier bins are void; then what the scene shows now, see `Feed.frame`."""
+"""Kind 1, bins, series, 1 when earlier bins are void; then what the scene shows now, see `Feed.now`."""
 
 _FIELDS = ("position", "proxy", "target", "law_force", "force")
 _SCALARS = ("energy", "response")
@@ -58,6 +58,8 @@ class Feed:
         Sampling period T [s].
     seconds : float
         How much is kept.
+    bins_per_second : float
+        Most bins in a second.
 
     Attributes
     ----------
@@ -73,9 +75,11 @@ class Feed:
         The latest ones.
     """
 
-    def __init__(self, axes: Sequence[str], period: float, seconds: float = 60.0) -> None:
+    def __init__(
+        self, axes: Sequence[str], period: float, seconds: float = 60.0, bins_per_second: float = BINS_PER_SECOND
+    ) -> None:
         self.names = series_names(axes)
-        self.per_bin = max(1, math.ceil(1.0 / (period * BINS_PER_SECOND) - 1e-9))
+        self.per_bin = max(1, math.ceil(1.0 / (period * bins_per_second) - 1e-9))
         self._period = period
         self._axes = [AXIS_INDEX[axis] for axis in axes]
         self._grace = max(2, math.ceil(GRACE / (self.per_bin * period)))
@@ -173,7 +177,7 @@ class Feed:
             self.head += 1
 
     def oldest(self, seconds: float = math.inf) -> int:
-        """Number of the oldest bin that is kept.
+        """Tell the number of the oldest bin that is kept.
 
         Parameters
         ----------
@@ -191,7 +195,7 @@ class Feed:
         return max(kept, self.head - math.ceil(seconds / (self.per_bin * self._period)))
 
     def until(self, time: float) -> int:
-        """Number of the first bin after a time.
+        """Find the number of the first bin after a time.
 
         Parameters
         ----------
@@ -212,7 +216,7 @@ class Feed:
                 high = middle
         return low
 
-    def frame(self, first: int, end: int, void: bool = False) -> bytes:
+    def frame(self, first: int, end: int, void: bool = False, now: Sequence[float] | None = None) -> bytes:
         """Encode bins for the page: little endian, times as float64, then each series' least and largest values as float32.
 
         Parameters
@@ -221,19 +225,28 @@ class Feed:
             Bins, the second one excluded; those that are gone are left out.
         void : bool
             Whether the page must forget what it had.
+        now : sequence of float, shape (22,), optional
+            What the scene shows, as from `now`; what it is now when left out.
 
         Returns
         -------
         bytes
-            `HEAD`, times, least values series by series, largest values likewise. The scene's now: time, then position,
-            proxy, normal, force of the law, force handed over, target (three each), distance, contact, delay.
+            `HEAD`, times, least values series by series, largest values likewise.
         """
         first = max(first, self.oldest())
         slots = np.arange(first, max(end, first)) % self._size
-        head = HEAD.pack(1, len(slots), len(self.names), int(void), *self._now())
+        head = HEAD.pack(1, len(slots), len(self.names), int(void), *(self.now() if now is None else now))
         return b"".join((head, self._times[slots].tobytes(), self._values[:, slots].tobytes()))
 
-    def _now(self) -> tuple[float, ...]:
+    def now(self) -> tuple[float, ...]:
+        """Tell what the scene shows now.
+
+        Returns
+        -------
+        tuple of float, shape (22,)
+            Time [s]; position, proxy, normal, force of the law, force handed over, target (three each); distance [m], contact,
+            delay [ticks]. NaN for what is not known yet.
+        """
         nowhere = (math.nan, math.nan, math.nan)
         state, proxy, force = self.state, self.proxy, self.force
         return (

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
 from messages.codec import Decoder, MessageRefusedError
-from messages.topics import DEVICE_STATE, message_type
+from messages.topics import message_type
 from messages.types import DeviceState, Event, Message, NodeStatus, Receipt
 from nodes.launcher.runs import RunInfo
 from nodes.view.board import Board
-from nodes.view.feed import Feed
+from nodes.view.feed import BINS_PER_SECOND, Feed
 from nodes.view.words import explain
 
 STATUS_PERIOD = 0.2
@@ -26,6 +26,9 @@ SILENT_NODE = 1.5
 
 HISTORY = 30.0
 """How much a page that opens sees of what was before [s]."""
+
+KEPT = 60.0
+"""How much is kept for pages that are slow [s]."""
 
 
 def quantiles_us(responses: deque[float]) -> dict[str, float]:
@@ -48,13 +51,82 @@ def quantiles_us(responses: deque[float]) -> dict[str, float]:
     return {name: ordered[round(last * part)] * 1e6 for name, part in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
 
 
-class LiveRun:
-    """Takes a run's messages and keeps what pages are told. One thread uses it.
+class Facts(NamedTuple):
+    """What does not change about a run.
+
+    Attributes
+    ----------
+    run, scenario, summary : str
+        Its name, that of its launch file, and what that shows.
+    period : float
+        Sampling period T [s].
+    pace, apply : str
+        See nodes/base/setup.py.
+    axes : list of str
+        Axes that the scene computes.
+    driver : str
+        Name of the driver node.
+    """
+
+    run: str
+    scenario: str
+    summary: str
+    period: float
+    pace: str
+    apply: str
+    axes: list[str]
+    driver: str
+
+    def hello(self) -> dict[str, Any]:
+        """Tell a page what run this is.
+
+        Returns
+        -------
+        dict
+            What every page is told first.
+        """
+        return {
+            "run": self.run,
+            "scenario": self.scenario,
+            "summary": self.summary,
+            "rate_hz": 1.0 / self.period,
+            "pace": self.pace,
+            "axes": self.axes,
+            "kept_s": HISTORY,
+        }
+
+
+def facts_of(run: RunInfo, driver: str) -> Facts:
+    """Tell what does not change about a launch.
 
     Parameters
     ----------
     run : RunInfo
         The run.
+    driver : str
+        Name of its driver node.
+
+    Returns
+    -------
+    Facts
+        Name, rate, pace and axes.
+    """
+    setup = next(iter(run.nodes.values()))
+    summary = run.manifest.get("summary", "")
+    return Facts(run.run, run.scenario, summary, setup.period, setup.pace, setup.apply, list(setup.axes), driver)
+
+
+class LiveRun:
+    """Takes a run's messages and keeps what pages are told. One thread uses it.
+
+    Parameters
+    ----------
+    facts : Facts
+        What does not change about the run.
+    kept : float
+        How many seconds of bins are kept.
+    bins_per_second : float
+        Most bins in a second.
 
     Attributes
     ----------
@@ -63,54 +135,32 @@ class LiveRun:
     board : Board
         Everything else.
     delay : float
-        Measured delay of the loop, a mean over a few ticks [ticks].
+        Measured delay of the loop, a mean over some 64 ticks [ticks].
     changed : bool
-        Whether a receipt or an event asks for the laws to be read again; who does that sets it back.
+        Whether a receipt asks for the laws to be read again; who does that sets it back.
     ended : str
         Why the run is over; empty while it goes on.
+    refused : int
+        Messages that were not of the protocol.
     """
 
-    def __init__(self, run: RunInfo) -> None:
-        self.run = run
-        first = next(iter(run.nodes.values()))
-        self.period = first.period
-        self.axes = list(first.axes)
-        self.pace = first.pace
-        self.feed = Feed(self.axes, self.period)
+    def __init__(self, facts: Facts, kept: float = KEPT, bins_per_second: float = BINS_PER_SECOND) -> None:
+        self._period = facts.period
+        self._driver_status = f"/{facts.driver}/status"
+        self.feed = Feed(facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND))
         self.board = Board()
-        self.delay = 1.0 if first.apply == "next_tick" else 0.0
+        self.delay = 1.0 if facts.apply == "next_tick" else 0.0
         self.changed = True
         self.ended = ""
         self.refused = 0
         self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
-        self._responses: deque[float] = deque(maxlen=max(100, round(RECENT / self.period)))
+        self._responses: deque[float] = deque(maxlen=max(100, round(RECENT / facts.period)))
         self._heard: dict[str, tuple[NodeStatus, float]] = {}
         self._state_at = -1.0
         self._told = ""
         self._status_at = -1.0
         self._rate: tuple[float, int] = (0.0, 0)
         self._rate_hz = 0.0
-
-    def hello(self) -> dict[str, Any]:
-        """Tell a page what run this is.
-
-        Returns
-        -------
-        dict
-            Name, scenario, rate, axes and series.
-        """
-        return {
-            "run": self.run.run,
-            "scenario": self.run.scenario,
-            "summary": self.run.manifest.get("summary", ""),
-            "rate_hz": 1.0 / self.period,
-            "pace": self.pace,
-            "axes": self.axes,
-            "series": self.feed.names,
-            "bin_s": self.feed.per_bin * self.period,
-            "kept_s": HISTORY,
-            "replay": False,
-        }
 
     def take(self, frames: tuple[bytes, bytes], now: float) -> tuple[str, Message] | None:
         """Take one message.
@@ -162,12 +212,12 @@ class LiveRun:
             self.delay += (message.delay - self.delay) / 64.0
         elif isinstance(message, NodeStatus):
             self._heard[message.node] = (message, now)
-            if topic == f"/{self._driver}/status" and message.state in ("finished", "failed"):
+            if topic == self._driver_status and message.state in ("finished", "failed"):
                 self.ended = message.reason or message.state
             return
         elif isinstance(message, Receipt):
             self.changed = True
-            self.board.log({"kind": "receipt", "t": message.seq * self.period, **_told_receipt(message)})
+            self.board.log({"kind": "receipt", "t": message.seq * self._period, **_told_receipt(message)})
             return
         elif isinstance(message, Event):
             if message.kind == "safety":
@@ -175,7 +225,7 @@ class LiveRun:
             self.board.log(
                 {
                     "kind": "event",
-                    "t": message.seq * self.period,
+                    "t": message.seq * self._period,
                     "node": message.node,
                     "event": message.kind,
                     "text": message.reason,
@@ -183,10 +233,6 @@ class LiveRun:
             )
             return
         self.feed.take(topic, message)
-
-    @property
-    def _driver(self) -> str:
-        return next((name for name, setup in self.run.nodes.items() if DEVICE_STATE in _publishes(setup.factory)), "")
 
     def tick(self, now: float) -> None:
         """File bins and tell the status when it is time.
@@ -199,9 +245,21 @@ class LiveRun:
         self.feed.file(bool(self.ended))
         if now - self._status_at >= STATUS_PERIOD or self.ended:
             self._status_at = now
-            self.board.put("status", self._status(now))
+            self.board.put("status", self.status(now))
 
-    def _status(self, now: float) -> dict[str, Any]:
+    def status(self, now: float) -> dict[str, Any]:
+        """Tell how the run stands.
+
+        Parameters
+        ----------
+        now : float
+            Time on the monotonic clock [s].
+
+        Returns
+        -------
+        dict
+            Level and words, figures of the loop, nodes, and why it ended.
+        """
         state, force = self.feed.state, self.feed.force
         silent = now - self._state_at
         nodes = {
@@ -225,7 +283,7 @@ class LiveRun:
             "words": text,
             "safety": state.safety if state else "",
             "tick": ticks,
-            "t": ticks * self.period,
+            "t": ticks * self._period,
             "rate_hz": round(self._rate_hz, 1),
             "missed": state.missed if state else 0,
             "overruns": state.overruns if state else 0,
@@ -236,12 +294,6 @@ class LiveRun:
             "nodes": nodes,
             "ended": self.ended,
         }
-
-
-def _publishes(factory: str) -> tuple[str, ...]:
-    from nodes.base.kinds import load
-
-    return load(factory).publishes
 
 
 def _told_receipt(receipt: Receipt) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The view node: one page over the run, in a process of its own, off the chain's core. It only listens; the loop never waits."""
+"""The view node: one page over the run, in a process of its own, off the chain's core. It only listens."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from nodes.base.setup import Setup
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import convert
 from nodes.recording.logger import QUEUE
-from nodes.view.live import LiveRun
 from nodes.view.run_pages import RunPages
 from nodes.view.server import ADDRESS, check_address
 
@@ -146,7 +145,7 @@ class View(Node):
         self.state = "running"
         context = new_context()
         try:
-            asyncio.run(self._serve(RunPages(LiveRun(self._run_info()), self._listening, context, self._token())))
+            asyncio.run(self._serve(RunPages(self._run_info(), self._listening, context, self._token())))
         finally:
             context.term()
 

@@ -7,20 +7,20 @@ import contextlib
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import zmq
 
 from messages.transport.sockets import Subscription
 from messages.types import Message
-from nodes.laws.parse import LawRefusedError, parse_law
-from nodes.parameters.store import ParameterError
+from nodes.launcher.runs import RunInfo
 from nodes.view.commands import Commander, CommandError
 from nodes.view.law_fields import all_law_fields
-from nodes.view.live import HISTORY, LiveRun
+from nodes.view.live import HISTORY, LiveRun, facts_of
 from nodes.view.pointer import SharedHand, pointer_file
 from nodes.view.server import PageServer
-from nodes.view.stability_map import plant_of, stability_map
+from nodes.view.stability_map import drawn_map
 
 DRAIN_PERIOD = 1.0 / 60.0
 """Messages are taken in as often as a screen shows them: being woken for each would cost the machine more [s]."""
@@ -113,8 +113,8 @@ class RunPages:
 
     Parameters
     ----------
-    live : LiveRun
-        What the run tells.
+    run : RunInfo
+        The run.
     inbox : Subscription
         Connected to all its publishers.
     context : zmq.Context
@@ -135,12 +135,15 @@ class RunPages:
     """
 
     def __init__(
-        self, live: LiveRun, inbox: Subscription, context: zmq.Context[zmq.Socket[bytes]], token: str = ""
+        self, run: RunInfo, inbox: Subscription, context: zmq.Context[zmq.Socket[bytes]], token: str = ""
     ) -> None:
-        self.live = live
+        self._run = run
         self._inbox = inbox
-        self._commander = Commander(live.run, context)
-        run_dir = next(iter(live.run.nodes.values())).run_dir
+        self._commander = Commander(run, context)
+        facts = facts_of(run, self._commander.driver)
+        self._period = facts.period
+        self.live = LiveRun(facts)
+        run_dir = next(iter(run.nodes.values())).run_dir
         self.hand = SharedHand(pointer_file(run_dir, self._commander.driver))
         self.server = PageServer(self._open_page, token)
         self.listeners: list[Callable[[str, Message], None]] = []
@@ -152,7 +155,9 @@ class RunPages:
         self._busy: set[str] = set()
         self._mapped: tuple[str, float] = ("", -1.0)
         self._mapped_at = 0.0
-        live.board.put("hello", {**live.hello(), "fields": all_law_fields(), "hand": self.hand.there})
+        feed = self.live.feed
+        told = {"series": feed.names, "bin_s": feed.per_bin * facts.period, "replay": False, "hand": self.hand.there}
+        self.live.board.put("hello", {**facts.hello(), **told, "fields": all_law_fields()})
 
     def _open_page(self) -> RunPage:
         return RunPage(self)
@@ -285,17 +290,7 @@ class RunPages:
     async def _draw_map(self) -> None:
         described, delay = self._laws["laws"][self._laws["active"]], self.live.delay
 
-        def draw() -> dict[str, Any]:
-            plant, own = plant_of(self._laws.get("plant"), self.live.run.nodes[self._commander.driver].parameters)
-            if plant is None:
-                return {
-                    "why": "No map: the device is not declared. Give the coupling plant: {mass: …, damping: …} in the "
-                    "launch file, or haptic param set coupling plant '{mass: 0.1, damping: 1}'."
-                }
-            try:
-                return stability_map(parse_law(described, "law"), self.live.period, plant, delay + own)
-            except (LawRefusedError, ParameterError, ValueError) as error:
-                return {"why": f"No map: {error}"}
-
+        driver = self._run.nodes[self._commander.driver].parameters
+        draw = partial(drawn_map, described, self._period, self._laws.get("plant"), driver, delay)
         found = await asyncio.get_running_loop().run_in_executor(self._mapping, draw)
         self.live.board.put("map", {"law": self._laws["active"], **found})

@@ -15,6 +15,7 @@ import numpy as np
 
 from nodes.coupling.parameters import Plant
 from nodes.laws import Law
+from nodes.laws.parse import LawRefusedError, parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import Device, KMax, k_max, without_spring
 
@@ -70,6 +71,23 @@ def _bounds(law: Law, period: float, device: Device, dampings: list[float]) -> l
         low, high = edge.stable[0] if edge.stable else (None, None)
         found.append([damping, low, high if high is None or math.isfinite(high) else None])
     return found
+
+
+def _end(law: Law, period: float, device: Device, near: float) -> float:
+    """Largest B with any stable K, from `near` on; at most so many times as far."""
+    inside = near
+    while inside < near * FARTHEST:
+        outside = 2.0 * inside
+        if not _edge(_at(law, outside), period, device).stable:
+            for _ in range(10):
+                middle = 0.5 * (inside + outside)
+                if _edge(_at(law, middle), period, device).stable:
+                    inside = middle
+                else:
+                    outside = middle
+            break
+        inside = outside
+    return inside
 
 
 def delay_margin(law: Law, period: float, device: Device) -> float | None:
@@ -160,9 +178,42 @@ def stability_map(law: Law, period: float, plant: Plant, delay: float) -> dict[s
     # In powers of two, so that the picture stays where it is while a slider moves within it.
     near = 2.0 ** math.ceil(math.log2(max(2.0 * b, plant.damping, 1e-3)))
     rows = _bounds(law, period, device, np.linspace(0.0, near, NEAR).tolist())
-    end = near
-    while end < near * FARTHEST and _edge(_at(law, end), period, device).stable:
-        end *= 2.0
+    end = _end(law, period, device, near)
     if end > near:
         rows += _bounds(law, period, device, np.geomspace(near, end, FAR)[1:].tolist())
     return found | {"b_n_s_per_m": b, "near": near, "edge": rows}
+
+
+def drawn_map(
+    described: Mapping[str, Any], period: float, declared: Any, driver: Mapping[str, Any], delay: float
+) -> dict[str, Any]:
+    """Draw the map for a page, or say why there is none.
+
+    Parameters
+    ----------
+    described : mapping
+        The present law: ``kind`` and parameters.
+    period : float
+        Sampling period T [s].
+    declared : mapping or None
+        ``plant`` of the coupling.
+    driver : mapping
+        Parameters of the driver.
+    delay : float
+        Delay of the loop as measured [ticks].
+
+    Returns
+    -------
+    dict
+        See `stability_map`; ``why`` when there is no map.
+    """
+    plant, own = plant_of(declared, driver)
+    if plant is None:
+        return {
+            "why": "No map: the device is not declared. Give the coupling its plant in the launch file, for example "
+            "plant: {mass: 0.1, damping: 1.0}."
+        }
+    try:
+        return stability_map(parse_law(described, "law"), period, plant, delay + own)
+    except (LawRefusedError, ValueError) as error:
+        return {"why": f"No map: {error}"}

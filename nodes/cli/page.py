@@ -1,0 +1,87 @@
+"""What ``launch --view`` and ``view`` share: a view node in a launch, and telling where the page is."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from nodes.launcher.launch_spec import Launch, NodeSpec
+
+if TYPE_CHECKING:
+    from nodes.launcher.supervisor import Supervisor
+
+KIND = "view"
+"""The kind of node that serves a page."""
+
+
+def with_view(launch: Launch) -> Launch:
+    """Add a view node to a launch that has none.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch.
+
+    Returns
+    -------
+    Launch
+        The same launch with a page; the run goes on without it, and it is started again when it dies.
+    """
+    if any(spec.kind == KIND for spec in launch.nodes.values()):
+        return launch
+    name = next(name for name in (KIND, *(f"{KIND}_{i}" for i in range(2, 100))) if name not in launch.nodes)
+    spec = NodeSpec(kind=KIND, required=False, respawn=True)
+    return msgspec.structs.replace(launch, nodes={**launch.nodes, name: spec})
+
+
+def announce(url: str, as_json: bool) -> None:
+    """Print where the page is, and open it where somebody sits at a screen.
+
+    Parameters
+    ----------
+    url : str
+        What to open, token included.
+    as_json : bool
+        Whether a program reads this; it gets ``{"url": …}`` on a line of its own, and no browser is opened.
+    """
+    print(json.dumps({"url": url}) if as_json else f"page  {url}", flush=True)
+    screen = "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
+    if screen and not as_json and sys.stdout.isatty():
+        import webbrowser
+
+        webbrowser.open(url)
+
+
+class PageAnnouncer:
+    """Tells once where the pages of a launch are.
+
+    Parameters
+    ----------
+    as_json : bool
+        See `announce`.
+    """
+
+    def __init__(self, as_json: bool) -> None:
+        self._as_json = as_json
+        self._told: set[str] = set()
+
+    def __call__(self, supervisor: Supervisor) -> None:
+        """Look for pages that are served by now.
+
+        Parameters
+        ----------
+        supervisor : Supervisor
+            Of the launch.
+        """
+        for name, child in supervisor.children.items():
+            if child.setup.kind == KIND and name not in self._told:
+                # Read as it stands: the view's own modules are none of the launcher's business.
+                path = Path(supervisor.run_dir) / f"{name}.page.json"
+                if path.exists():
+                    self._told.add(name)
+                    announce(msgspec.json.decode(path.read_bytes())["url"], self._as_json)

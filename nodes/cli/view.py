@@ -1,0 +1,125 @@
+"""See and touch a running launch in a browser, or replay a recording there: haptic view [--replay FILE]."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import signal
+from pathlib import Path
+from types import FrameType
+
+from nodes.base import realtime
+from nodes.cli.ask import chosen_run
+from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.cli.page import announce
+from nodes.launcher.runs import RunInfo, alive
+from nodes.parameters.store import ParameterError
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of this verb.
+    """
+    parser.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
+    parser.add_argument("--replay", type=Path, metavar="FILE", help="a recording instead of a running launch")
+    parser.add_argument("--port", type=int, default=0, help="port of the page (default: a free one)")
+    parser.add_argument(
+        "--address", default="127.0.0.1", help="only 127.0.0.1; others are refused with what to do instead"
+    )
+    parser.add_argument(
+        "--foxglove",
+        type=int,
+        nargs="?",
+        const=8765,
+        metavar="PORT",
+        help="let Foxglove or Lichtblick connect too, at ws://127.0.0.1:PORT (default 8765); needs haptic-nodes[foxglove]",
+    )
+    parser.add_argument("--json", action="store_true", help='the URL as {"url": …} on the first line')
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0 when the run has ended, or Ctrl-C came.
+    """
+    from nodes.view.server import check_address
+
+    try:
+        check_address(arguments.address, arguments.port)
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
+    ended: list[int] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del frame
+        ended.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, on_signal)
+    try:
+        if arguments.replay is not None:
+            return _replay(arguments, ended)
+        found = chosen_run(arguments)
+        # The sockets' and workers' threads inherit it.
+        with realtime.off(found.processors):
+            return _beside(found, arguments, ended)
+    except OSError as error:
+        raise RefusedError(f"port {arguments.port}: {error.strerror or error}") from error
+
+
+def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> int:
+    from messages.transport.sockets import Subscription, new_context
+    from nodes.recording.logger import QUEUE
+    from nodes.view.run_pages import RunPages
+
+    context = new_context()
+    inbox = Subscription(context, set(found.publishers().values()), [""], QUEUE)
+    try:
+        pages = RunPages(found, inbox, context)
+
+        async def serve() -> None:
+            await pages.server.start(arguments.port)
+            announce(pages.server.url, arguments.json)
+            # A launch tells its end; one that was killed does not.
+            await pages.run(lambda: bool(ended or pages.live.ended or not alive(found.launcher)), lambda: None)
+
+        asyncio.run(serve())
+    finally:
+        inbox.close()
+        context.term()
+    answer(arguments.json, {"run": found.run, "ended": pages.live.ended}, f"{found.run}: {pages.live.ended}")
+    return 0
+
+
+def _replay(arguments: argparse.Namespace, ended: list[int]) -> int:
+    from nodes.recording.writer import RecordError
+    from nodes.view.replay import ReplayPages
+
+    try:
+        pages = ReplayPages(arguments.replay)
+    except RecordError as error:
+        raise UsageError(str(error)) from error
+
+    async def serve() -> None:
+        await pages.server.start(arguments.port)
+        announce(pages.server.url, arguments.json)
+        await pages.run(lambda: bool(ended))
+
+    asyncio.run(serve())
+    if arguments.json:
+        print(json.dumps({"replay": str(arguments.replay), "duration_s": pages.duration}), flush=True)
+    return 0

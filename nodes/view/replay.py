@@ -1,0 +1,368 @@
+"""Pages over a recording: the same page as over a running launch, with a time slider.
+
+The recording is played once through the very code that watches a running launch, and what a page would have been told is
+kept with its time. Each page then has its own place in it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from bisect import bisect_right
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
+from messages.types import DeviceState, Receipt
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
+from nodes.parameters.store import ParameterError, convert
+from nodes.recording.reader import Recording
+from nodes.recording.writer import RecordError
+from nodes.view.commands import CommandError
+from nodes.view.law_fields import all_law_fields
+from nodes.view.live import HISTORY, Facts, LiveRun
+from nodes.view.server import PageServer
+from nodes.view.stability_map import drawn_map
+
+SCENES = 60.0
+"""Pictures of the scene that are kept per second of the run."""
+
+MOST_BINS, MOST_SCENES = 400_000.0, 40_000.0
+"""Most bins and pictures that a recording is kept in: of a longer one, each holds more ticks."""
+
+IDLE = 0.05
+"""How often the server looks whether to end [s]."""
+
+
+class Timeline:
+    """What pages are told, each with the time since tick 0 from which it holds [s]."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.items: list[Any] = []
+
+    def add(self, at: float, item: Any) -> None:
+        """Add the next one.
+
+        Parameters
+        ----------
+        at : float
+            Time, not before the last one [s].
+        item : object
+            What holds from then on.
+        """
+        self.times.append(max(at, self.times[-1]) if self.times else at)
+        self.items.append(item)
+
+    def until(self, at: float) -> int:
+        """Count what has come by a time.
+
+        Parameters
+        ----------
+        at : float
+            Time [s].
+
+        Returns
+        -------
+        int
+            How many items.
+        """
+        return bisect_right(self.times, at)
+
+
+def _facts(recording: Recording) -> Facts:
+    manifest = recording.manifest
+    try:
+        period = 1.0 / float(manifest["rate_hz"])
+        axes = manifest["axes"].split(",")
+    except (KeyError, ValueError, ZeroDivisionError) as error:
+        raise RecordError(f"{recording.path}: its manifest tells no rate_hz and axes: it cannot be replayed") from error
+    driver = next((topic.split("/")[1] for topic in recording.topics if topic == "/driver/status"), "")
+    summary, run = manifest.get("summary", ""), manifest.get("run", recording.path.stem)
+    return Facts(run, manifest.get("scenario", ""), summary, period, manifest.get("pace", ""), "", axes, driver)
+
+
+class ReplayPages:
+    """A recording behind pages.
+
+    Parameters
+    ----------
+    path : Path
+        An MCAP file.
+
+    Attributes
+    ----------
+    server : PageServer
+        Serves the pages.
+    begin, duration : float
+        First tick's time since tick 0, and from there to the last one [s].
+
+    Raises
+    ------
+    RecordError
+        When it cannot be read, or holds no ticks.
+    """
+
+    def __init__(self, path: Path) -> None:
+        recording = Recording(path)
+        if DEVICE_STATE not in recording.topics:
+            raise RecordError(f"{path}: holds nothing on {DEVICE_STATE}, so there is nothing to replay")
+        self._facts = _facts(recording)
+        span = recording.topics[DEVICE_STATE]
+        ticks = span.last_seq - span.first_seq + 1
+        self.begin = span.first_seq * self._facts.period
+        self.duration = (ticks - 1) * self._facts.period
+        self._scene_period = max(1.0 / SCENES, self.duration / MOST_SCENES)
+        self.live = LiveRun(self._facts, self.duration + 10.0, MOST_BINS / max(self.duration, 1.0))
+        self.scenes, self.statuses, self.log, self.laws = Timeline(), Timeline(), Timeline(), Timeline()
+        self._driver: dict[str, Any] = {}
+        self._plant: Any = None
+        self._delay = 0.0
+        self._read(recording)
+        feed = self.live.feed
+        told = {
+            "series": feed.names,
+            "bin_s": feed.per_bin * self._facts.period,
+            "replay": True,
+            "hand": False,
+            "has_hand": any(scene[16:19] != (0.0, 0.0, 0.0) for scene in self.scenes.items),
+            "begin_s": self.begin,
+            "end_s": self.begin + self.duration,
+            "fields": all_law_fields(),
+        }
+        self.hello = msgspec.json.encode({"type": "hello", **self._facts.hello(), **told}).decode()
+        self.server = PageServer(lambda: ReplayPage(self))
+        self._mapping = ThreadPoolExecutor(1, "map")
+        self._maps: dict[str, dict[str, Any]] = {}
+
+    # -- reading -----------------------------------------------------------------------------------------------------
+
+    def _read(self, recording: Recording) -> None:
+        self._read_parameters(recording)
+        live, period = self.live, self._facts.period
+        known = [
+            topic
+            for topic in recording.topics
+            if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) or topic.count("/") == 2
+        ]
+        delays = states = 0.0
+        next_scene = next_status = self.begin
+        for topic, log_time, message in recording.entries(known):
+            live.keep(topic, message, log_time)
+            if isinstance(message, Receipt):
+                self._read_receipt(message)
+            while live.board.logged > len(self.log.items):
+                texts, _, _ = live.board.since(1 << 62, len(self.log.items))
+                self.log.add(message.seq * period, texts[0])
+            if not isinstance(message, DeviceState):
+                continue
+            at = message.seq * period
+            delays, states = delays + message.delay, states + 1.0
+            if at >= next_scene:
+                next_scene = at + self._scene_period
+                self.scenes.add(at, live.feed.now())
+                live.feed.file()
+            if at >= next_status:
+                next_status = at + 0.2
+                live.board.put("status", live.status(log_time))
+                texts, _, _ = live.board.since(0, live.board.logged)
+                self.statuses.add(at, texts[0])
+        live.feed.file(all_of_them=True)
+        self._delay = delays / states if states else 0.0
+
+    def _read_parameters(self, recording: Recording) -> None:
+        """Take the laws that the run began with from what was recorded with it."""
+        for name, text in recording.metadata.get("parameters", {}).items():
+            parameters = msgspec.json.decode(text)
+            if "law" in parameters:
+                self._read_coupling(name, parameters)
+            elif "device" in parameters:
+                self._driver = parameters
+
+    def _read_coupling(self, name: str, parameters: dict[str, Any]) -> None:
+        try:
+            coupling: CouplingParameters = convert(parameters, CouplingParameters, name)
+            book = LawBook(name, self._facts.period)
+            laws = {law: book.description(coupling, law) for law in book.names(coupling)}
+        except ParameterError:
+            # Recorded with a law that is not installed here: it is shown by what its receipts tell.
+            return
+        self._plant = parameters.get("plant")
+        self.laws.add(self.begin, {"node": name, "active": coupling.law, "laws": laws, "ramp": coupling.ramp})
+
+    def _read_receipt(self, receipt: Receipt) -> None:
+        try:
+            after = msgspec.json.decode(receipt.after)
+            law = after.pop("law")
+        except (msgspec.DecodeError, KeyError, AttributeError):
+            return
+        before: dict[str, Any] = self.laws.items[-1] if self.laws.items else {"node": "", "laws": {}, "ramp": 0}
+        laws = {**before["laws"], law: after} if "kind" in after else before["laws"]
+        self.laws.add(receipt.seq * self._facts.period, {**before, "active": law, "laws": laws})
+
+    # -- serving -----------------------------------------------------------------------------------------------------
+
+    async def run(self, stopping: Callable[[], bool]) -> None:
+        """Serve until told to stop; the server is started by the caller.
+
+        Parameters
+        ----------
+        stopping : callable
+            Whether to stop.
+        """
+        try:
+            while not stopping():
+                await asyncio.sleep(IDLE)
+        finally:
+            await self.server.stop()
+            self._mapping.shutdown(cancel_futures=True)
+
+    def map_of(self, laws: dict[str, Any], tell: Callable[[str], None]) -> None:
+        """Have the map of the active law drawn, and told when it is there.
+
+        Parameters
+        ----------
+        laws : dict
+            Of one moment.
+        tell : callable
+            Called with the page's message, at once or later.
+        """
+        active = laws["active"]
+        described = laws["laws"].get(active)
+        if described is None:
+            return
+        key = repr((active, described))
+        if key in self._maps:
+            tell(msgspec.json.encode({"type": "map", "law": active, **self._maps[key]}).decode())
+            return
+
+        async def draw() -> None:
+            work = partial(drawn_map, described, self._facts.period, self._plant, self._driver, self._delay)
+            self._maps[key] = await asyncio.get_running_loop().run_in_executor(self._mapping, work)
+            tell(msgspec.json.encode({"type": "map", "law": active, **self._maps[key]}).decode())
+
+        self._job = asyncio.get_running_loop().create_task(draw())
+
+
+class ReplayPage:
+    """One open page over a recording, with its own place in time.
+
+    Parameters
+    ----------
+    pages : ReplayPages
+        The recording.
+    """
+
+    def __init__(self, pages: ReplayPages) -> None:
+        self._pages = pages
+        self._end = pages.begin + pages.duration
+        self._at = pages.begin
+        self._since = time.monotonic()
+        self._speed = 1.0
+        self._playing = True
+        self._told: list[str | bytes] = [pages.hello]
+        self._go(pages.begin)
+
+    def _go(self, at: float) -> None:
+        """Begin anew at a time."""
+        self._at, self._since = min(max(at, self._pages.begin), self._end), time.monotonic()
+        self._cursor = self._pages.live.feed.until(self._at - HISTORY)
+        self._logged = 0
+        self._status = self._law = 0
+        self._void = True
+        self._told.append('{"type":"reset"}')
+
+    def _time(self) -> float:
+        now = time.monotonic()
+        if self._playing:
+            self._at = min(self._end, self._at + (now - self._since) * self._speed)
+        self._since = now
+        return self._at
+
+    def news(self) -> list[str | bytes]:
+        """List what it has not been sent yet.
+
+        Returns
+        -------
+        list of str or bytes
+            Documents and log as JSON, bins as `Feed.frame`.
+        """
+        pages, at = self._pages, self._time()
+        found, self._told = self._told, []
+        logged = pages.log.until(at)
+        found += pages.log.items[self._logged : logged]
+        self._logged = logged
+        status, law = pages.statuses.until(at), pages.laws.until(at)
+        if status != self._status and status:
+            found.append(pages.statuses.items[status - 1])
+        if law != self._law and law:
+            laws = pages.laws.items[law - 1]
+            found.append(msgspec.json.encode({"type": "laws", **laws}).decode())
+            pages.map_of(laws, self._told.append)
+        self._status, self._law = status, law
+        end, scene = pages.live.feed.until(at), pages.scenes.until(at)
+        if (end > self._cursor or self._void) and scene:
+            now = (at, *pages.scenes.items[scene - 1][1:])
+            found.append(pages.live.feed.frame(self._cursor, end, self._void, now))
+            self._cursor, self._void = end, False
+        return found
+
+    def hand(self, target: list[float] | None) -> str:
+        """Refuse the hand: what was is past.
+
+        Parameters
+        ----------
+        target : list of float, shape (3,), or None
+            Where [m].
+
+        Returns
+        -------
+        str
+            Why it is refused.
+        """
+        return "" if target is None else "hand: this is a recording"
+
+    async def ask(self, request: dict[str, Any]) -> Any:
+        """Move in time.
+
+        Parameters
+        ----------
+        request : dict
+            ``op``: ``play``, ``pause``, ``seek`` (``t`` [s]) or ``speed`` (``factor``).
+
+        Returns
+        -------
+        dict
+            ``t`` [s] and ``playing``.
+
+        Raises
+        ------
+        CommandError
+            For everything else: a recording cannot be commanded.
+        """
+        op = request.get("op")
+        self._time()
+        if op == "play":
+            self._playing = True
+            if self._at >= self._end:
+                self._go(self._pages.begin)
+        elif op == "pause":
+            self._playing = False
+        elif op == "seek" and isinstance(request.get("t"), int | float):
+            self._go(float(request["t"]))
+        elif op == "speed" and isinstance(request.get("factor"), int | float) and 0.0 < request["factor"] <= 100.0:
+            self._speed = float(request["factor"])
+        else:
+            raise CommandError(
+                f"view: {op!r} is refused: this is a recording; it can play, pause, seek and change speed"
+            )
+        return {"t": self._at, "playing": self._playing}
+
+    def close(self) -> None:
+        """Forget it; there is nothing to let go of."""

@@ -1,0 +1,199 @@
+// The law: which one renders, and a control for each of its parameters, made from the law's own types and limits.
+const WAIT = 60;
+
+export class Laws {
+  constructor(places, ask) {
+    Object.assign(this, places);
+    this.ask = ask;
+    this.fields = {};
+    this.state = null;
+    this.edge = null;
+    this.controls = new Map();
+    this.wanted = new Map();
+    this.busy = false;
+    this.ramp.addEventListener("change", () => this.send({ op: "set", node: this.state.node, values: { ramp: Math.round(Number(this.ramp.value)) } }));
+    this.undo.addEventListener("click", () => this.takeBack());
+    addEventListener("keydown", (event) => {
+      if ((event.ctrlKey || event.metaKey) && event.key === "z" && !event.target.matches("input, textarea")) { event.preventDefault(); this.takeBack(); }
+    });
+  }
+
+  start(fields, replay) {
+    this.fields = fields;
+    this.off = replay;
+    this.picker.classList.toggle("off", replay);
+    this.sliders.classList.toggle("off", replay);
+    this.undo.hidden = replay;
+    this.ramp.disabled = replay;
+  }
+
+  takeBack() { if (!this.off) this.send({ op: "undo" }); }
+
+  async send(request) {
+    const answer = await this.ask(request);
+    this.refusal.hidden = answer.ok;
+    if (!answer.ok) {
+      this.refusal.textContent = answer.error;
+      this.refused?.(answer.error);
+      this.fill();
+    }
+    return answer;
+  }
+
+  // A new state of the coupling: rebuild what changed in kind, refill what changed in value.
+  show(state) {
+    const before = this.state;
+    this.state = state;
+    const names = Object.keys(state.laws);
+    if (!before || Object.keys(before.laws).join() !== names.join()) this.build(names);
+    for (const input of this.picker.querySelectorAll("input")) input.checked = input.value === state.active;
+    const law = state.laws[state.active];
+    const shape = law && JSON.stringify([state.active, law.kind, Object.entries(law).map(([key, value]) => [key, Array.isArray(value) ? value.length : 0])]);
+    if (shape !== this.shape) {
+      this.shape = shape;
+      this.controls.clear();
+      this.sliders.replaceChildren();
+      if (law) for (const field of this.fields[law.kind] ?? []) this.control(field, law[field.name], field.name, (value) => this.change(field.name, value));
+    }
+    if (document.activeElement !== this.ramp && state.ramp !== undefined) this.ramp.value = state.ramp;
+    this.fill();
+  }
+
+  build(names) {
+    this.picker.replaceChildren(...names.map((name) => {
+      const label = document.createElement("label"), input = document.createElement("input");
+      Object.assign(input, { type: "radio", name: "law", value: name });
+      input.addEventListener("change", () => this.send({ op: "switch", law: name }).then((answer) => { if (!answer.ok) this.show(this.state); }));
+      label.title = this.state.laws[name].kind;
+      label.append(input, name);
+      return label;
+    }));
+  }
+
+  // -- controls ---------------------------------------------------------------------------------------------------
+
+  control(field, value, path, change) {
+    if (field.type === "list") {
+      for (const [k, item] of (value ?? []).entries()) {
+        for (const inner of field.fields) {
+          this.control(inner, item[inner.name], `${path}[${k}].${inner.name}`, (now) => {
+            const law = this.state.laws[this.state.active];
+            const pending = this.wanted.get(field.name) ?? law[field.name];
+            change(pending.map((old, i) => i === k ? { ...old, [inner.name]: now } : old));
+          });
+        }
+      }
+      return;
+    }
+    const row = document.createElement("label"), name = document.createElement("span");
+    row.className = "slider";
+    row.title = field.told;
+    name.append(path, Object.assign(document.createElement("small"), { textContent: field.unit ? `  ${field.unit}` : "" }));
+    row.append(name);
+    const made = (field.type === "choice" ? choice : field.type === "numbers" ? numbers : slider)(field, row, change);
+    this.sliders.append(row);
+    this.controls.set(path, { ...made, row });
+  }
+
+  fill() {
+    const law = this.state?.laws[this.state.active];
+    if (!law) return;
+    for (const [path, { set, row }] of this.controls) {
+      // Not under somebody's hand.
+      if (row.contains(document.activeElement) && row.dataset.moving) continue;
+      set(path.split(/[.[\]]+/).filter(Boolean).reduce((value, step) => value?.[step], law), path === "stiffness" ? this.edge : null);
+    }
+  }
+
+  // Of a slider that is drawn only the newest value is sent, one at a time.
+  change(name, value) {
+    this.wanted.set(name, value);
+    if (!this.busy) this.flush();
+  }
+
+  async flush() {
+    this.busy = true;
+    while (this.wanted.size) {
+      const [[name, value]] = this.wanted;
+      this.wanted.delete(name);
+      const answer = await this.send({ op: "law", field: name, value });
+      this.controls.get(name)?.row.classList.toggle("refused", !answer.ok);
+      await new Promise((done) => setTimeout(done, WAIT));
+    }
+    this.busy = false;
+  }
+}
+
+// -- one parameter ------------------------------------------------------------------------------------------------
+
+// From 0…1 to a value: straight where both limits are near each other, else ever finer towards zero.
+function mapping(field, value, edge) {
+  const least = field.ge ?? field.gt, most = field.le ?? field.lt;
+  const whole = field.type === "integer";
+  if (least !== undefined && most !== undefined) {
+    const wide = least > 0 && most / least > 100;
+    return wide
+      ? { to: (s) => least * (most / least) ** s, from: (v) => Math.log(v / least) / Math.log(most / least), least, most, whole }
+      : { to: (s) => least + (most - least) * s, from: (v) => (v - least) / (most - least), least, most, whole };
+  }
+  const top = round(Math.max(Math.abs(value || 0) * 3, edge ? edge * 1.25 : 0) || 10);
+  if (least !== undefined && least >= 0) return { to: (s) => least + (top - least) * s * s, from: (v) => Math.sqrt(Math.max(0, v - least) / (top - least)), least, most: top, whole };
+  return { to: (s) => -top + 2 * top * s, from: (v) => (v + top) / (2 * top), least: -top, most: top, whole };
+}
+
+function round(value) {
+  const decade = 10 ** Math.floor(Math.log10(value));
+  return decade * [1, 1.5, 2, 3, 5, 7, 10].find((factor) => factor * decade >= value * 0.999);
+}
+
+function slider(field, row, change) {
+  const range = Object.assign(document.createElement("input"), { type: "range", min: 0, max: 1000, step: 1 });
+  const number = Object.assign(document.createElement("input"), { type: "number", step: "any" });
+  range.setAttribute("aria-label", field.name);
+  number.setAttribute("aria-label", `${field.name}, exact value`);
+  row.append(number, range);
+  let map = mapping(field, 1), filled = false, fitted = null;
+  const tidy = (value) => map.whole ? Math.round(value) : Number(value.toPrecision(4));
+  range.addEventListener("input", () => {
+    row.dataset.moving = "1";
+    let value = tidy(map.to(range.value / 1000));
+    // An open limit is not itself allowed.
+    if (field.gt !== undefined && value <= field.gt) value = tidy(map.to(0.004));
+    if (field.lt !== undefined && value >= field.lt) value = tidy(map.to(0.996));
+    number.value = value;
+    change(value);
+  });
+  for (const event of ["change", "blur"]) range.addEventListener(event, () => { delete row.dataset.moving; });
+  number.addEventListener("change", () => { if (number.value !== "") change(map.whole ? Math.round(Number(number.value)) : Number(number.value)); });
+  return {
+    set(value, edge) {
+      if (value === undefined || value === null) { number.value = ""; return; }
+      const low = map.least, high = map.most;
+      // The scale stays while the value fits it well.
+      if (!filled || value > high * 0.97 || value < low || (edge && Math.abs(edge - fitted) > 0.3 * edge) || (value && value < high / 50 && field.lt === undefined && field.le === undefined)) {
+        map = mapping(field, value, edge);
+        fitted = edge;
+      }
+      filled = true;
+      number.value = Number(value.toPrecision(6));
+      range.value = Math.round(1000 * Math.min(1, Math.max(0, map.from(value))));
+    },
+  };
+}
+
+function choice(field, row, change) {
+  const select = document.createElement("select");
+  select.setAttribute("aria-label", field.name);
+  select.append(...field.choices.map((value) => new Option(String(value), JSON.stringify(value))));
+  select.addEventListener("change", () => change(JSON.parse(select.value)));
+  row.append(select);
+  return { set(value) { select.value = JSON.stringify(value ?? field.default); } };
+}
+
+function numbers(field, row, change) {
+  const text = Object.assign(document.createElement("input"), { type: "text" });
+  text.setAttribute("aria-label", field.name);
+  text.addEventListener("change", () => change(text.value.split(/[\s,]+/).filter(Boolean).map(Number)));
+  row.append(text);
+  return { set(value) { text.value = (value ?? []).join(", "); } };
+}

@@ -1,0 +1,78 @@
+// The one connection: bins and documents in, requests out. It comes back by itself; nothing is queued while it is away.
+const HEAD = 16 + 22 * 8;
+const NOW = ["t", "position", "proxy", "normal", "asked", "force", "target", "distance", "contact", "delay"];
+const VECTORS = new Set(["position", "proxy", "normal", "asked", "force", "target"]);
+
+export class Link {
+  constructor(handlers) {
+    this.handlers = handlers;
+    this.waiting = new Map();
+    this.number = 0;
+    this.pause = 250;
+    this.over = false;
+    this.connect();
+  }
+
+  connect() {
+    const url = new URL("live", location.href);
+    url.protocol = "ws:";
+    const socket = this.socket = new WebSocket(url);
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => { this.pause = 250; this.handlers.open(); };
+    socket.onmessage = ({ data }) => typeof data === "string" ? this.text(JSON.parse(data)) : this.handlers.frame(decode(data));
+    socket.onclose = () => {
+      for (const settle of this.waiting.values()) settle({ ok: false, error: "The connection was lost before the answer came." });
+      this.waiting.clear();
+      this.handlers.close();
+      if (!this.over) {
+        setTimeout(() => this.connect(), this.pause);
+        this.pause = Math.min(2000, this.pause * 1.6);
+      }
+    };
+  }
+
+  get open() { return this.socket.readyState === WebSocket.OPEN; }
+
+  text(message) {
+    if (message.type === "answer" && this.waiting.has(message.id)) {
+      this.waiting.get(message.id)(message);
+      this.waiting.delete(message.id);
+    } else {
+      this.handlers[message.type]?.(message);
+    }
+  }
+
+  // Ask; the answer is {ok, result, error}.
+  ask(request) {
+    if (!this.open) return Promise.resolve({ ok: false, error: "There is no connection to the run." });
+    const id = ++this.number;
+    return new Promise((settle) => {
+      this.waiting.set(id, settle);
+      this.socket.send(JSON.stringify({ ...request, id }));
+    });
+  }
+
+  // The hand's target: only the newest counts, so no answer is waited for, and nothing is sent into a full line.
+  hand(target) {
+    if (this.open && (target === null || this.socket.bufferedAmount < 4096)) this.socket.send(JSON.stringify({ op: "hand", target }));
+  }
+}
+
+function decode(buffer) {
+  const head = new DataView(buffer);
+  const count = head.getUint32(4, true), series = head.getUint32(8, true);
+  const numbers = new Float64Array(buffer, 16, 22);
+  const now = {};
+  let at = 0;
+  for (const name of NOW) {
+    now[name] = VECTORS.has(name) ? numbers.slice(at, at + 3) : numbers[at];
+    at += VECTORS.has(name) ? 3 : 1;
+  }
+  const values = new Float32Array(buffer, HEAD + 8 * count, 2 * series * count);
+  return {
+    now, count, void: head.getUint32(12, true) === 1,
+    times: new Float64Array(buffer, HEAD, count),
+    low: (i) => values.subarray(i * count, (i + 1) * count),
+    high: (i) => values.subarray((series + i) * count, (series + i + 1) * count),
+  };
+}

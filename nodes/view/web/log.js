@@ -1,0 +1,23 @@
+// What was changed, what was refused, what must not be overlooked; newest first.
+const KEPT = 200;
+
+export class Log {
+  constructor(list) { this.list = list; }
+
+  clear() { this.list.replaceChildren(); }
+
+  add(entry) {
+    const item = document.createElement("li"), body = document.createElement("span");
+    item.className = entry.action === "fallback" ? "fallback" : entry.kind;
+    item.append(Object.assign(document.createElement("time"), { textContent: `${entry.t.toFixed(1)} s` }), body);
+    body.append(entry.kind === "event" ? `${entry.node}: ${entry.text}` : entry.text);
+    if (entry.kind === "receipt") {
+      const ramp = entry.ramp ? `, cross-fade of ${entry.ramp} ticks` : "", why = entry.reason && entry.reason !== "asked" ? `, ${entry.reason}` : "";
+      body.append(Object.assign(document.createElement("small"), { textContent: `receipt ${entry.revision}: force step ${entry.force_step_n.toPrecision(2)} N${ramp}${why}` }));
+    }
+    this.list.prepend(item);
+    while (this.list.childElementCount > KEPT) this.list.lastElementChild.remove();
+  }
+
+  refused(text, t) { this.add({ kind: "refused", t, text }); }
+}

@@ -1,0 +1,179 @@
+// Time plots: position, force, energy, response; each column of pixels shows its least and largest value.
+import { colour, onTheme } from "./theme.js";
+
+const UNIT = { position: ["Position [mm]", 1e3], force: ["Force [N]", 1], energy: ["Energy given out [mJ]", 1e3], response: ["Response [µs]", 1e6] };
+const PANELS = [
+  { unit: "position", height: 170, lines: [["proxy", "proxy", "proxy"], ["target", "target", "hand’s target"], ["position", "device", "device"]] },
+  { unit: "force", height: 150, lines: [["law_force", "asked", "law"], ["force", "force", "handed over"]] },
+  { unit: "energy", height: 96, lines: [["energy", "device", ""]] },
+  { unit: "response", height: 96, lines: [["response", "soft", ""]] },
+];
+
+export class Plots {
+  constructor(place, legend, viewChanged) {
+    this.place = place;
+    this.legend = legend;
+    this.viewChanged = viewChanged;
+    this.span = 10;
+    this.window = null;
+    this.marks = [];
+    this.panels = [];
+    onTheme(() => this.panels.forEach(({ plot }) => plot.redraw(false, true)));
+    new ResizeObserver(() => this.resize()).observe(place);
+  }
+
+  start(store, axes, hand) {
+    this.store = store;
+    this.place.replaceChildren();
+    this.panels.forEach(({ plot }) => plot.destroy());
+    this.legend.replaceChildren();
+    this.panels = PANELS.map((panel) => this.panel(panel, axes, hand));
+    this.resize();
+  }
+
+  panel({ unit, height, lines }, axes, hand) {
+    const [title, factor] = UNIT[unit];
+    const series = [{}], wanted = [];
+    for (const [name, tint, label] of lines) {
+      if (name === "target" && !hand) continue;
+      const found = axes.length && this.store.index(`${name}.${axes[0]}`) >= 0 ? axes.map((axis) => `${name}.${axis}`) : [name];
+      for (const [k, each] of found.entries()) {
+        wanted.push(this.store.index(each));
+        series.push({ stroke: () => colour(tint), width: name === "law_force" ? 2.5 : 1.5, points: { show: false }, dash: k ? [6, 3 * k] : undefined });
+      }
+      if (label) this.legend.append(entry(tint, label));
+    }
+    const box = Object.assign(document.createElement("div"), { className: "plot" });
+    box.append(Object.assign(document.createElement("h3"), { textContent: title }));
+    this.place.append(box);
+    const range = { low: null, high: null };
+    const plot = new uPlot({
+      width: 400, height, legend: { show: false }, padding: [6, 10, 0, 0],
+      cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
+      scales: { x: { time: false, auto: false }, y: { range: (_, low, high) => calm(range, low, high) } },
+      axes: [axis(unit === "response"), { ...axis(true), size: 58 }],
+      series,
+      hooks: { setSelect: [(u) => this.selected(u)], draw: [(u) => this.drawMarks(u, unit === "position")] },
+    }, [[], ...wanted.map(() => [])], box);
+    plot.over.addEventListener("dblclick", () => this.follow());
+    plot.over.addEventListener("wheel", (event) => this.wheel(event, plot), { passive: false });
+    return { plot, wanted, factor, height: height + (unit === "response" ? 18 : 0) };
+  }
+
+  resize() {
+    const width = this.place.clientWidth;
+    if (width) this.panels.forEach(({ plot, height }) => plot.setSize({ width, height }));
+    this.dirty = true;
+  }
+
+  // -- what is in sight -------------------------------------------------------------------------------------------
+
+  // Live: the newest span. Otherwise the window that was chosen.
+  sight() { return this.window ?? [this.store.end - this.span, this.store.end]; }
+
+  look(from, to) {
+    this.window = [from, Math.max(to, from + 1e-3)];
+    this.dirty = true;
+    this.viewChanged(false);
+  }
+
+  pause() { const [from, to] = this.sight(); this.look(from, to); }
+
+  follow() { this.window = null; this.dirty = true; this.viewChanged(true); }
+
+  selected(plot) {
+    if (plot.select.width < 4) return;
+    const from = plot.posToVal(plot.select.left, "x"), to = plot.posToVal(plot.select.left + plot.select.width, "x");
+    plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    this.look(from, to);
+  }
+
+  wheel(event, plot) {
+    if (!event.ctrlKey && !event.shiftKey && this.window === null) return;
+    event.preventDefault();
+    const [from, to] = this.sight(), at = plot.posToVal(event.offsetX, "x"), factor = Math.exp((event.deltaY || event.deltaX) * 0.0015);
+    this.look(at - (at - from) * factor, at + (to - at) * factor);
+  }
+
+  zoom(factor) {
+    const [from, to] = this.sight(), middle = (from + to) / 2, half = ((to - from) / 2) * factor;
+    this.look(middle - half, middle + half);
+  }
+
+  shift(part) {
+    const [from, to] = this.sight(), by = (to - from) * part;
+    this.look(from + by, to + by);
+  }
+
+  // -- drawing ----------------------------------------------------------------------------------------------------
+
+  draw() {
+    if (!this.store || !this.panels.length || document.hidden) return;
+    if (!this.dirty && this.window) return;
+    this.dirty = false;
+    const [from, to] = this.sight();
+    for (const { plot, wanted, factor } of this.panels) {
+      const columns = Math.max(50, Math.round(plot.over.clientWidth));
+      const data = this.store.columns(wanted, from, to, columns);
+      if (factor !== 1) for (const line of data.slice(1)) for (let k = 0; k < line.length; k++) if (line[k] !== null) line[k] *= factor;
+      plot.batch(() => {
+        plot.setData(data, false);
+        plot.setScale("x", { min: from, max: to });
+      });
+    }
+  }
+
+  drawMarks(plot, named) {
+    const { ctx, bbox } = plot, [from, to] = this.sight();
+    ctx.save();
+    ctx.textAlign = "left";
+    ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+    let free = -Infinity;
+    for (const { t, text } of this.marks) {
+      if (t < from || t > to) continue;
+      const x = Math.round(plot.valToPos(t, "x", true)) + 0.5;
+      ctx.strokeStyle = ctx.fillStyle = colour("soft");
+      ctx.globalAlpha = 0.8;
+      ctx.setLineDash([4 * devicePixelRatio, 4 * devicePixelRatio]);
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+      if (named && text && x > free) {
+        ctx.fillText(text, x + 5 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
+        free = x + ctx.measureText(text).width + 12 * devicePixelRatio;
+      }
+    }
+    ctx.restore();
+  }
+
+  mark(t, text) {
+    this.marks.push({ t, text });
+    if (this.marks.length > 400) this.marks.shift();
+    this.dirty = true;
+  }
+}
+
+function axis(shown) {
+  return {
+    stroke: () => colour("soft"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false },
+    font: "11.5px system-ui, sans-serif", ...(shown ? {} : { values: (_, splits) => splits.map(() => ""), size: 8 }),
+  };
+}
+
+function entry(tint, label) {
+  const found = document.createElement("span"), line = document.createElement("i");
+  line.style.background = `var(--${tint})`;
+  found.append(line, label);
+  return found;
+}
+
+// Widens at once and narrows slowly, so that a plot does not breathe.
+function calm(range, low, high) {
+  if (low === null || high === null || !Number.isFinite(low)) return [range.low ?? -1, range.high ?? 1];
+  const margin = Math.max((high - low) * 0.08, Math.abs(high) * 1e-3, 1e-6);
+  low -= margin; high += margin;
+  range.low = range.low === null || low < range.low ? low : range.low + (low - range.low) * 0.03;
+  range.high = range.high === null || high > range.high ? high : range.high + (high - range.high) * 0.03;
+  return [range.low, range.high];
+}

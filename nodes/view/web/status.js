@@ -1,0 +1,48 @@
+// How it stands: one sentence, and the figures.
+export class Status {
+  constructor(places) { Object.assign(this, places); this.rows = new Map(); this.ended = false; this.lost = 0; }
+
+  connected(open) {
+    clearTimeout(this.lost);
+    if (open) this.notice.hidden = true;
+    else if (!this.ended) this.lost = setTimeout(() => this.tell("The page has lost its connection and tries again…"), 400);
+  }
+
+  tell(text) {
+    this.notice.textContent = text;
+    this.notice.hidden = false;
+  }
+
+  show(found) {
+    // A screen reader is told when the sentence changes in kind, not ten times a second.
+    this.words.textContent = found.words;
+    this.words.dataset.level = this.dot.dataset.level = found.level;
+    this.row("rate", found.rate_hz ? `${found.rate_hz.toFixed(1)} Hz` : "–");
+    this.row("response p50", micro(found.response_us.p50));
+    this.row("p99", micro(found.response_us.p99));
+    this.row("delay", `${found.delay_ticks.toFixed(2)} ticks`);
+    this.row("missed", `${found.missed}`, found.missed > 0);
+    if (found.overruns) this.row("overruns", `${found.overruns}`, true);
+    this.row("time", `${found.t.toFixed(1)} s`);
+    this.nodes.replaceChildren(...Object.entries(found.nodes).map(([name, { state, silent_s: silent }]) =>
+      Object.assign(document.createElement("li"), { textContent: silent ? `${name}: silent for ${silent.toFixed(0)} s` : name, className: silent ? "silent" : "", title: state })));
+    if (found.ended && !this.ended) {
+      this.ended = true;
+      this.tell(`The run has ended: ${found.ended}. What was received stays here to be looked at.`);
+    }
+  }
+
+  row(name, text, bad = false) {
+    if (!this.rows.has(name)) {
+      const row = document.createElement("div"), value = document.createElement("dd");
+      row.append(Object.assign(document.createElement("dt"), { textContent: name }), value);
+      this.figures.append(row);
+      this.rows.set(name, value);
+    }
+    const value = this.rows.get(name);
+    if (value.textContent !== text) value.textContent = text;
+    value.classList.toggle("bad", bad);
+  }
+}
+
+function micro(value) { return value === undefined ? "–" : `${value.toFixed(0)} µs`; }
