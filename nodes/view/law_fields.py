@@ -6,13 +6,13 @@ Nothing here knows any law: a new one gets its sliders by being registered.
 from __future__ import annotations
 
 import re
-from importlib.metadata import entry_points
 from typing import Any
 
 from msgspec import inspect
 
 from messages.schema import attributes
 from nodes.laws import Law, law_kinds
+from nodes.parameters.registry import Registry
 
 _UNIT = re.compile(r"\[([^\]]*)\]")
 _GROUP = re.compile(r"entry points ``(haptic\.\w+)``")
@@ -33,20 +33,16 @@ def _typed(info: inspect.Type, told: str) -> dict[str, Any] | None:
     if isinstance(info, inspect.StrType):
         group = _GROUP.search(told)
         # A registered name can only be one that is installed.
-        return (
-            {"type": "choice", "choices": sorted({point.name for point in entry_points(group=group[1])})}
-            if group
-            else None
-        )
+        return {"type": "choice", "choices": Registry(group[1], "name").names()} if group else None
     if isinstance(info, inspect.UnionType):
         usual = [kind for kind in info.types if not isinstance(kind, inspect.NoneType)]
         return _typed(usual[0], told) if len(usual) == 1 else None
-    if isinstance(info, inspect.ListType | inspect.VarTupleType):
-        item = info.item_type
+    if isinstance(info, inspect.ListType | inspect.VarTupleType | inspect.TupleType):
+        item = info.item_types[0] if isinstance(info, inspect.TupleType) else info.item_type
         if isinstance(item, inspect.StructType):
             return {"type": "list", "fields": _fields(item)}
         inner = _typed(item, told)
-        return {"type": "numbers"} if inner is not None and inner["type"] == "number" else None
+        return {"type": "numbers"} if inner is not None and inner["type"] in ("number", "integer") else None
     return None
 
 

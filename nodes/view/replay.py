@@ -278,6 +278,9 @@ class ReplayPage:
         self._void = True
         self._told.append('{"type":"reset"}')
 
+    def _tell(self, text: str) -> None:
+        self._told.append(text)
+
     def _time(self) -> float:
         now = time.monotonic()
         if self._playing:
@@ -304,7 +307,7 @@ class ReplayPage:
         if law != self._law and law:
             laws = pages.laws.items[law - 1]
             found.append(msgspec.json.encode({"type": "laws", **laws}).decode())
-            pages.map_of(laws, self._told.append)
+            pages.map_of(laws, self._tell)
         self._status, self._law = status, law
         end, scene = pages.live.feed.until(at), pages.scenes.until(at)
         if (end > self._cursor or self._void) and scene:

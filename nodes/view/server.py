@@ -58,15 +58,48 @@ class Page(Protocol):
     """What one open page is shown, and what it asks."""
 
     def news(self) -> list[str | bytes]:
-        """List what it has not been sent yet."""
+        """List what it has not been sent yet.
+
+        Returns
+        -------
+        list of str or bytes
+            Text is JSON, bytes are bins.
+        """
         ...
 
     def hand(self, target: list[float] | None) -> str:
-        """Move the hand's target, or let go with None; why it is refused, or nothing."""
+        """Move the hand's target.
+
+        Parameters
+        ----------
+        target : list of float, shape (3,), or None
+            Where [m]; None lets go.
+
+        Returns
+        -------
+        str
+            Why it is refused; empty when it is not.
+        """
         ...
 
     async def ask(self, request: dict[str, Any]) -> Any:
-        """Do what it asks, or raise CommandError."""
+        """Do what it asks.
+
+        Parameters
+        ----------
+        request : dict
+            ``op`` and its arguments.
+
+        Returns
+        -------
+        object
+            The answer.
+
+        Raises
+        ------
+        CommandError
+            When it is refused.
+        """
         ...
 
     def close(self) -> None:

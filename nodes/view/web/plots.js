@@ -69,7 +69,11 @@ export class Plots {
   // -- what is in sight -------------------------------------------------------------------------------------------
 
   // Live: the newest span. Otherwise the window that was chosen.
-  sight() { return this.window ?? [this.store.end - this.span, this.store.end]; }
+  sight() {
+    if (this.window) return this.window;
+    const from = Math.max(this.store.begin, this.store.end - this.span);
+    return [from, from + this.span];
+  }
 
   look(from, to) {
     this.window = [from, Math.max(to, from + 1e-3)];

@@ -1,0 +1,99 @@
+"""The pointer file: never half a value, gone when it falls silent, one owner at a time."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from nodes.view.pointer import PointerReader, PointerWriter, SharedHand
+from tests.support.launching import wait_for
+
+
+def test_what_is_written_is_read_and_let_go(tmp_path: Path) -> None:
+    reader = PointerReader(tmp_path / "p", 60.0)
+    assert reader.read() is None
+    writer = PointerWriter(tmp_path / "p")
+    writer.write((0.01, -0.02, 0.03))
+    assert reader.read() == (0.01, -0.02, 0.03)
+    writer.let_go()
+    assert reader.read() is None
+    with pytest.raises(ValueError, match="finite"):
+        writer.write((math.nan, 0.0, 0.0))
+    writer.close()
+    reader.close()
+
+
+def test_a_value_expires(tmp_path: Path) -> None:
+    reader, writer = PointerReader(tmp_path / "p", 0.05), None
+    writer = PointerWriter(tmp_path / "p")
+    begun = time.monotonic()
+    writer.write((1.0, 0.0, 0.0))
+    wait_for(lambda: reader.read() is None, "the value expires", 10.0)
+    assert time.monotonic() - begun >= 0.05
+    writer.close()
+    reader.close()
+
+
+def test_a_value_is_never_half_old_and_half_new(tmp_path: Path) -> None:
+    reader = PointerReader(tmp_path / "p", 60.0)
+    ended = threading.Event()
+
+    def write() -> None:
+        writer = PointerWriter(tmp_path / "p")
+        n = 0.0
+        while not ended.is_set():
+            n += 1.0
+            writer.write((n, 2.0 * n, 3.0 * n))
+        writer.close()
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    try:
+        wait_for(lambda: reader.read(), "the first value")
+        for _ in range(50_000):
+            found = reader.read()
+            assert found is not None
+            assert found == (found[0], 2.0 * found[0], 3.0 * found[0])
+    finally:
+        ended.set()
+        thread.join()
+        reader.close()
+
+
+def test_a_torn_value_gives_the_one_before(tmp_path: Path) -> None:
+    """What a writer that was killed half-way leaves: its first count is ahead of its last."""
+    path = tmp_path / "p"
+    reader = PointerReader(path, 60.0)
+    writer = PointerWriter(path)
+    writer.write((1.0, 0.0, 0.0))
+    assert reader.read() == (1.0, 0.0, 0.0)
+    torn = bytearray(path.read_bytes())
+    torn[-8:] = (99).to_bytes(8, "little")
+    with open(path, "r+b") as file:
+        file.write(torn)
+    assert reader.read() == (1.0, 0.0, 0.0)
+    writer.close()
+    reader.close()
+
+
+def test_one_page_at_a_time_has_the_hand(tmp_path: Path) -> None:
+    path = tmp_path / "p"
+    assert "nothing can be dragged" in SharedHand(path).move(1, [0.0, 0.0, 0.0])
+    reader = PointerReader(path, 60.0)
+    hand = SharedHand(path)
+    assert hand.there
+    assert hand.move(1, [0.01, 0.0, 0.0]) == ""
+    assert hand.move(2, [0.5, 0.0, 0.0]) == "hand: another page holds it"
+    assert hand.move(2, None) == ""
+    assert reader.read() == (0.01, 0.0, 0.0)
+    assert hand.move(1, None) == ""
+    assert reader.read() is None
+    assert hand.move(2, [0.5, 0.0, 0.0]) == ""
+    assert "finite" in hand.move(2, [math.inf, 0.0, 0.0])
+    assert reader.read() == (0.5, 0.0, 0.0)
+    hand.close()
+    reader.close()

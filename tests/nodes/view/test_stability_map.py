@@ -1,0 +1,74 @@
+"""The map's edge is the edge: just inside it the loop is stable, just outside it is not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from nodes.coupling.parameters import Plant
+from nodes.laws.parse import parse_law
+from nodes.stability.closed_loop import pole_radius
+from nodes.view.stability_map import drawn_map, plant_of, stability_map
+
+T = 0.002
+PLANT = Plant(mass=0.1, damping=1.0)
+LAWS: list[dict[str, Any]] = [
+    {"kind": "pd", "stiffness": 1000.0, "damping": 3.0},
+    {"kind": "pd_alpha", "stiffness": 1000.0, "damping": 3.0, "order": 1.2, "taps": 10, "gains": "paper"},
+    {"kind": "paper_optimum"},
+]
+
+
+def radius(described: dict[str, Any], delay: float, **changed: float) -> float:
+    law = msgspec.structs.replace(parse_law(described), **changed)
+    return pole_radius(law.compile(T), T, PLANT.mass, PLANT.damping, delay, PLANT.stiffness)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("described", LAWS, ids=lambda law: law["kind"])
+def test_inside_is_stable_and_outside_is_not(described: dict[str, Any], delay: float) -> None:
+    found = stability_map(parse_law(described), T, PLANT, delay)
+    rows = [row for row in found["edge"] if row[1] is not None]
+    assert len(rows) > 40
+    for b, _, high in rows[::7]:
+        # One part in 10⁶ is far beyond the edge's own rounding, 1e-9 of K.
+        assert radius(described, delay, stiffness=high * (1.0 - 1e-6), damping=b) < 1.0
+        assert radius(described, delay, stiffness=high * (1.0 + 1e-6), damping=b) > 1.0
+    margin = found["delay_margin_ticks"]
+    assert (margin == 0.0) == (radius(described, delay) >= 1.0)
+    assert radius(described, delay + margin + 1e-6) > 1.0
+    assert margin == 0.0 or radius(described, delay + margin - 1e-6) < 1.0
+    assert found["k_max_n_per_m"] == pytest.approx(
+        next(high for b, _, high in rows if b == found["b_n_s_per_m"]), rel=1e-9
+    )
+
+
+def test_the_map_follows_law_device_and_delay() -> None:
+    pd = parse_law(LAWS[0])
+    plain = stability_map(pd, T, PLANT, 0.0)
+    # The closed form of the README: 3781.866 N/m without delay.
+    assert plain["k_max_n_per_m"] == pytest.approx(3781.866, abs=1e-3)
+    assert stability_map(pd, T, PLANT, 1.0)["k_max_n_per_m"] < 1300.0
+    assert stability_map(pd, T, Plant(mass=0.1, damping=1.0, delay=1.0), 0.0)["delay_ticks"] == 1.0
+    assert stability_map(pd, T, Plant(mass=0.2, damping=1.0), 0.0)["k_max_n_per_m"] != plain["k_max_n_per_m"]
+    assert not stability_map(parse_law({**LAWS[0], "stiffness": 3800.0}), T, PLANT, 0.0)["stable"]
+    assert stability_map(parse_law({**LAWS[0], "stiffness": 3700.0}), T, PLANT, 0.0)["stable"]
+
+
+def test_a_law_without_k_and_b_has_margins_only_and_an_unknown_device_has_none() -> None:
+    found = drawn_map({"kind": "designed_d0"}, T, {"mass": 0.1, "damping": 1.0}, {}, 0.1)
+    assert "edge" not in found
+    assert found["stable"]
+    assert found["delay_margin_ticks"] > 0.0
+    assert "plant: {mass" in drawn_map(LAWS[0], T, None, {}, 0.0)["why"]
+    assert "H(1)" in drawn_map({**LAWS[2], "stiffness": 1.0}, T, {"mass": 0.1}, {}, 0.0).get("why", "H(1)")
+
+
+def test_a_virtual_device_stands_in_for_what_is_not_declared() -> None:
+    device = {"mass": 0.1, "damping": 1.0, "delay": 0.5, "hand": {"mass": 0.05, "damping": 2.0, "stiffness": 150.0}}
+    plant, own = plant_of(None, {"device": device})
+    assert plant == Plant(mass=0.15000000000000002, damping=3.0, stiffness=150.0)
+    assert own == 0.5
+    assert plant_of({"mass": 0.2}, {"device": device}) == (Plant(mass=0.2), 0.5)

@@ -1,0 +1,69 @@
+"""Why there is no force: each reason has its sentence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from messages.types import DeviceState, Force, Proxy
+from nodes.view.words import explain
+
+STATE = DeviceState(seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8)
+PROXY = Proxy(
+    seq=9,
+    stamp=0.0,
+    position=(0.021, 0.0, 0.0),
+    proxy=(0.02, 0.0, 0.0),
+    normal=(-1.0, 0.0, 0.0),
+    distance=-0.001,
+    contact=True,
+)
+FORCE = Force(seq=9, stamp=0.0, force=(-1.0, 0.0, 0.0), law="pd")
+NONE = (0.0, 0.0, 0.0)
+
+
+def told(
+    state: dict[str, Any] | None = None, proxy: dict[str, Any] | None = None, force: Any = None, silent: float = 0.0
+) -> Any:
+    replace = msgspec.structs.replace
+    return explain(
+        replace(STATE, **(state or {})), replace(PROXY, **(proxy or {})), replace(FORCE, **(force or {})), silent, ""
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "level", "words"),
+    [
+        ({}, "ok", "1.00 N: pd pushes back, 1.00 mm deep."),
+        ({"state": {"safety": "waiting", "force": NONE}}, "stop", "waits for the first force"),
+        ({"state": {"safety": "zero", "force": NONE}}, "stop", "the watchdog has let go"),
+        ({"state": {"safety": "fault", "force": NONE}}, "stop", "outside its workspace"),
+        ({"state": {"safety": "damping"}}, "warn", "the driver damps the device"),
+        ({"state": {"safety": "ramp"}}, "warn", "lets the force in slowly"),
+        ({"force": {"law": "fallback"}}, "warn", "the law failed"),
+        ({"force": {"force": (-12.0, 0.0, 0.0)}}, "warn", "1.00 N of the 12.00 N"),
+        (
+            {"proxy": {"contact": False, "distance": 0.008}, "state": {"force": NONE}},
+            "rest",
+            "the surface is 8.0 mm away",
+        ),
+        ({"proxy": {"contact": False, "normal": NONE}, "state": {"force": NONE}}, "rest", "there is nothing to touch"),
+        ({"state": {"force": NONE}, "force": {"force": NONE}}, "rest", "renders none at this deflection"),
+        ({"silent": 0.51}, "stop", "nothing has come from the driver for 0.5 s"),
+    ],
+)
+def test_each_reason_has_its_sentence(given: dict[str, Any], level: str, words: str) -> None:
+    found = told(**given)
+    assert found[0] == level
+    assert words in found[1]
+
+
+def test_before_the_first_tick() -> None:
+    assert explain(None, None, None, 9.0)[1] == "No force: the driver has not ticked yet."
+    assert "the environment has not answered" in explain(STATE, None, None, 0.0)[1]
+    assert (
+        "(coupling silent)"
+        in explain(msgspec.structs.replace(STATE, safety="zero", force=NONE), PROXY, FORCE, 0.0, "coupling silent")[1]
+    )
