@@ -266,9 +266,7 @@ def run(arguments: argparse.Namespace) -> int:
         given = launch_file.parse_assignments(arguments.assignments)
         if arguments.tick is not None:
             given["tick"] = arguments.tick
-        launch = launch_file.without(
-            launch_file.read(arguments.scenario, given, arguments.params), arguments.without
-        )
+        launch = launch_file.without(launch_file.read(arguments.scenario, given, arguments.params), arguments.without)
         return _launch(with_view(launch) if arguments.view else launch, arguments)
     except (ParameterError, RunError) as error:
         raise UsageError(str(error)) from error
