@@ -1,0 +1,165 @@
+"""Whether a device comes to rest on a wall seen through an encoder: what friction a law asks for, and what stiffness it allows.
+
+The encoder's error, at most half a step Δ, goes through the law and comes out as a force that may drive the device for ever
+(a limit cycle, felt as buzz). Friction f_c takes more than that out when it exceeds the force (THEORY.md §5). Two bounds and an
+estimate:
+
+- any motion: f_c ≥ (Δ/2) Σ|h_m|. A proof where the law itself is passive on the device's damping;
+- alternation: f_c ≥ Δ |H(−1)|/2, the motion across one encoder edge and back every tick (Abbott & Okamura 2005 for a spring);
+- describing function: the swing across one edge at the frequency that the known device allows (Diolaiti et al. 2006).
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from nodes.stability.effective_damping import damping_needed
+
+if TYPE_CHECKING:
+    from nodes.laws import CompiledLaw
+
+_POINTS = 2000
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Friction with which a device comes to rest on a law, in three ways.
+
+    Attributes
+    ----------
+    friction_bound_n : float
+        The error's force is never larger: with at least so much friction no motion goes on [N].
+    certain : bool
+        Whether that is a proof: the law, without the encoder, is passive on the damping of the device.
+    friction_alternating_n : float
+        No chatter across one encoder edge, tick by tick, with at least so much [N].
+    friction_estimated_n : float or None
+        No swing of a known device across one edge, by describing function [N]; None without a mass.
+    buzz_hz : float or None
+        Frequency of that swing [Hz]; None where there is none.
+    """
+
+    friction_bound_n: float
+    certain: bool
+    friction_alternating_n: float
+    friction_estimated_n: float | None
+    buzz_hz: float | None
+
+
+def rest(
+    law: CompiledLaw,
+    period: float,
+    resolution: float,
+    mass: float | None = None,
+    damping: float = 0.0,
+    delay: float = 0.0,
+) -> Rest:
+    """Tell the friction that a law asks for to come to rest.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    resolution : float
+        Step Δ of the encoder [m].
+    mass : float or None
+        Of the device; without it there is no estimate [kg].
+    damping : float
+        Of the device [N s/m].
+    delay : float
+        Of the loop [ticks].
+
+    Returns
+    -------
+    Rest
+        The frictions.
+    """
+    estimated, buzz = (None, None)
+    if mass is not None:
+        estimated, buzz = _describing(law, period, resolution, mass, damping, delay)
+    return Rest(
+        friction_bound_n=0.5 * resolution * absolute_sum(law),
+        certain=damping_needed(law, period, delay) <= damping,
+        friction_alternating_n=0.5 * resolution * abs(law.h_nyquist),
+        friction_estimated_n=estimated,
+        buzz_hz=buzz,
+    )
+
+
+def stiffest_at_rest(derivative: CompiledLaw, resolution: float, friction: float) -> float:
+    """Largest nominal stiffness that friction brings to rest, whatever the motion: Σ|h_m| ≤ 2 f_c/Δ.
+
+    Parameters
+    ----------
+    derivative : CompiledLaw
+        Derivative part of the law.
+    resolution : float
+        Step Δ of the encoder [m].
+    friction : float
+        Coulomb friction f_c [N].
+
+    Returns
+    -------
+    float
+        K [N/m]; for a spring 2 f_c/Δ, for PD 2 f_c/Δ − 2B/T. Not above 0 when the derivative part alone asks for more.
+    """
+    newest = derivative.taps[0]
+    others = absolute_sum(derivative) - abs(newest)
+    return 2.0 * friction / resolution - others - newest
+
+
+def absolute_sum(law: CompiledLaw) -> float:
+    """Σ|h_m|, the largest force per deflection of at most 1 in size.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+
+    Returns
+    -------
+    float
+        [N/m]; for PD it is H(−1). Sections are summed until what is left is below rounding.
+    """
+    if not law.sections:
+        return sum(map(abs, law.taps))
+    total, settled = 0.0, 0
+    state = [[0.0, 0.0] for _ in law.sections]
+    for k in range(1_000_000):
+        value = law.taps[k] if k < len(law.taps) else 0.0
+        for (b0, b1, a1, a2), y in zip(law.sections, state, strict=True):
+            new = (b0 if k == 0 else b1 if k == 1 else 0.0) - a1 * y[0] - a2 * y[1]
+            y[1], y[0] = y[0], new
+            value += new
+        total += abs(value)
+        settled = settled + 1 if abs(value) < 1e-12 * total else 0
+        if settled > 100 and k >= len(law.taps):
+            break
+    return total
+
+
+def _describing(
+    law: CompiledLaw, period: float, resolution: float, mass: float, damping: float, delay: float
+) -> tuple[float, float | None]:
+    """Largest f_c at which a swing across one edge balances: relay of Δ/2 in the encoder, relay of f_c against the velocity.
+
+    With amplitude A at ω: −m ω² A + (2Δ/π) Re G = 0 and ω b A + 4 f_c/π + (2Δ/π) Im G = 0, G the law with its hold and delay.
+    """
+    best, at = 0.0, None
+    for i in range(1, _POINTS + 1):
+        theta = math.pi * i / _POINTS
+        half = 0.5 * theta
+        late = cmath.exp(-1j * theta * (delay + 0.5)) * math.sin(half) / half
+        g = law.response(cmath.exp(1j * theta)) * late
+        if g.real <= 0.0:
+            continue
+        omega = theta / period
+        friction = 0.5 * resolution * (-g.imag - damping / (mass * omega) * g.real)
+        if friction > best:
+            best, at = friction, omega / (2.0 * math.pi)
+    return best, at

@@ -1,0 +1,95 @@
+"""Encoder and friction (THEORY.md §5): the bounds from either side, by the motion that extracts most and by simulated drops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nodes.laws import CompiledLaw
+from nodes.laws.parse import parse_law
+from nodes.laws.pd import PD
+from nodes.stability.k_max import Device, k_max, with_spring, without_spring
+from nodes.stability.rest import absolute_sum, rest, stiffest_at_rest
+from sim.device.model import DeviceModel, quantise
+from sim.experiments.drop import drop_scene
+from sim.scene.loop import run
+
+T, STEP = 0.002, 2.3e-5
+
+
+def derivative(name: str, gain: float) -> CompiledLaw:
+    data = {"kind": "paper_optimum"} if name == "paper_optimum" else {"kind": "pd", "stiffness": 1.0}
+    return without_spring(parse_law({**data, "damping": gain}), T)
+
+
+def taken_out(law: CompiledLaw, friction: float) -> float:
+    """Energy per tick of a motion across one encoder edge and back each tick, in step with the force [J]."""
+    path = 1e-9
+    inside, outside = 10.5 * STEP - 0.5 * path, 10.5 * STEP + 0.5 * path
+    x = np.where(np.arange(4000) % 2, outside, inside)
+    read = np.array([quantise(float(value), STEP) for value in x])
+    assert np.ptp(read) == pytest.approx(STEP)
+    force = -np.convolve(read, law.taps)[: len(x)]
+    # An even number of ticks: the mean force does no work.
+    work = force[100:-2] * np.diff(x)[100:-1]
+    # One way round the force drives the motion, the other way it hinders it: whoever moves the device chooses.
+    return abs(float(work.mean())) - friction * path
+
+
+@pytest.mark.parametrize(("name", "gain"), [("pd", 0.0), ("pd", 3.0), ("paper_optimum", 3.0)])
+def test_alternation_takes_out_energy_just_below_the_bound_and_none_just_above(name: str, gain: float) -> None:
+    law = with_spring(derivative(name, gain), 1000.0)
+    limit = rest(law, T, STEP).friction_alternating_n
+    # The force also follows the nanometre of motion itself: 1e-9/2.3e-5 of the error's.
+    assert taken_out(law, 0.999 * limit) > 0.0 > taken_out(law, 1.001 * limit)
+
+
+def still(law: CompiledLaw, friction: float, delay: float) -> bool:
+    """Tell whether drops from twelve small heights all come to a dead stop."""
+    model = DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP, delay=delay)
+    drops = (run(drop_scene(model, T, False, True, height=h), law, 2500) for h in np.linspace(2e-6, 3e-4, 12).tolist())
+    return all(float(np.ptp(drop.position[-600:])) == 0.0 for drop in drops)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+@pytest.mark.parametrize(("name", "gain"), [("pd", 0.0), ("pd", 3.0), ("pd", 12.0), ("paper_optimum", 3.0)])
+def test_with_the_bounds_friction_every_drop_comes_to_a_stop(name: str, gain: float, delay: float) -> None:
+    loop = derivative(name, gain)
+    limit = k_max(loop, T, Device(0.1, 1.0, delay)).k_max_n_per_m
+    assert limit is not None
+    for share in (0.3, 0.7):
+        law = with_spring(loop, share * limit)
+        found = rest(law, T, STEP, 0.1, 1.0, delay)
+        assert found.friction_estimated_n is not None
+        assert found.friction_estimated_n <= found.friction_bound_n
+        assert still(law, 1.001 * found.friction_bound_n, delay)
+        assert still(law, found.friction_estimated_n, delay)
+        # And without enough of it the device buzzes: the bound is not about nothing.
+        assert not still(law, 1e-3 * found.friction_bound_n, delay)
+
+
+def test_spring_and_pd_are_abbott_and_okamuras() -> None:
+    friction = 0.06
+    spring = stiffest_at_rest(CompiledLaw((0.0,)), STEP, friction)
+    assert spring == pytest.approx(2.0 * friction / STEP, rel=1e-14)
+    for gain in (0.5, 2.0):
+        k = stiffest_at_rest(derivative("pd", gain), STEP, friction)
+        assert k == pytest.approx(2.0 * friction / STEP - 2.0 * gain / T, rel=1e-12)
+        law = PD(stiffness=k, damping=gain).compile(T)
+        assert rest(law, T, STEP).friction_bound_n == pytest.approx(friction, rel=1e-12)
+        # Passive up to K < 2(b − B)/T, paper eq. (4): just inside it is a proof, just outside it is not.
+        for share, certain in ((0.999, True), (1.001, False)):
+            inside = PD(stiffness=share * 2.0 * 1.0 / T, damping=gain).compile(T)
+            assert rest(inside, T, STEP, damping=1.0 + gain).certain == certain
+
+
+def test_sections_are_summed_to_the_end() -> None:
+    law = CompiledLaw((100.0,), ((50.0, -20.0, -1.6, 0.65),))
+    impulse = np.zeros(2000)
+    impulse[0] = 1.0
+    response, y = [], [0.0, 0.0]
+    for k in range(2000):
+        new = 50.0 * impulse[k] + (-20.0 * impulse[k - 1] if k else 0.0) + 1.6 * y[0] - 0.65 * y[1]
+        y = [new, y[0]]
+        response.append(new + 100.0 * impulse[k])
+    assert absolute_sum(law) == pytest.approx(sum(map(abs, response)), rel=1e-9)
