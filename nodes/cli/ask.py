@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import os
 from typing import Any
 
 from messages.transport.requests import ControlError, call
@@ -23,12 +24,14 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of a verb that asks nodes.
     """
-    parser.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
+    parser.add_argument(
+        "--run", metavar="NAME", dest="run_name", help="which launch, when several are running (default: $HAPTIC_RUN)"
+    )
     parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
 
 
 def chosen_run(arguments: argparse.Namespace) -> RunInfo:
-    """Find the run that is meant.
+    """Find the run that is meant: by --run, else by the variable HAPTIC_RUN, else the only one.
 
     Parameters
     ----------
@@ -45,10 +48,12 @@ def chosen_run(arguments: argparse.Namespace) -> RunInfo:
     UsageError
         When none or several fit.
     """
+    told = os.environ.get("HAPTIC_RUN") or None
     try:
-        return find_run(arguments.run_name)
+        return find_run(arguments.run_name or told)
     except RunError as error:
-        raise UsageError(str(error)) from error
+        source = f" (HAPTIC_RUN is {told!r})" if told and not arguments.run_name else ""
+        raise UsageError(f"{error}{source}") from error
 
 
 def node_name(run: RunInfo, name: str) -> str:

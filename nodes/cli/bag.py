@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from nodes.recording.accounts import Clock, Completeness
     from nodes.recording.reader import Recording
 
-PLAY_ENDPOINT = "tcp://127.0.0.1:9872"
-"""Where `play` publishes unless told otherwise: PlotJuggler's ZeroMQ plug-in looks there by default."""
-
-_LOCAL = ("tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:", "ipc://")
-
 
 def _positive(text: str) -> float:
     value = float(text)
@@ -61,7 +56,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--out-dir", type=Path, default=Path("recordings"), metavar="DIR", help="its directory (default: %(default)s)"
     )
     record.add_argument("--force", action="store_true", help="replace a file that is there already")
-    record.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
+    record.add_argument(
+        "--run", metavar="NAME", dest="run_name", help="which launch, when several are running (default: $HAPTIC_RUN)"
+    )
     record.add_argument("--duration", type=_positive, default=0.0, metavar="S", help="stop after so many seconds")
 
     info = declare("info", _info, "Tell what a recording holds: topics, messages, gaps in seq, sent against recorded.")
@@ -69,7 +66,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 
     play = declare("play", _play, "Publish a recording at its original pace, for PlotJuggler or a node to listen to.")
     play.add_argument("file", type=Path)
-    play.add_argument("--endpoint", default=PLAY_ENDPOINT, help="where to publish (default: %(default)s)")
+    play.add_argument(
+        "--endpoint",
+        default="tcp://127.0.0.1:9872",
+        help="where to publish (default: %(default)s, where PlotJuggler looks)",
+    )
     play.add_argument(
         "--rate", "-r", type=_positive, default=1.0, help="speed, 1 is the original pace, inf does not wait"
     )
@@ -221,26 +222,19 @@ def _info(arguments: argparse.Namespace) -> int:
 def _play(arguments: argparse.Namespace) -> int:
     import time
 
-    import zmq
-
-    from messages.transport.endpoints import is_open_place
-    from messages.transport.sockets import Publisher, new_context
+    from messages.transport.sockets import new_context
+    from nodes.cli.relay import local_publisher
     from nodes.recording.play import play
     from nodes.recording.reader import Recording
 
-    if not arguments.endpoint.startswith(_LOCAL):
-        raise UsageError(
-            f"--endpoint {arguments.endpoint}: only {', '.join(_LOCAL)}...; a recording is not sent abroad"
-        )
     recording = Recording(arguments.file)
     counts: dict[str, int] = {}
     context = new_context()
     try:
-        is_open = is_open_place(arguments.endpoint)
-        publisher = Publisher(context, arguments.endpoint, open_to_all=arguments.endpoint if is_open else "")
-    except (ValueError, zmq.ZMQError) as error:
+        publisher = local_publisher(context, arguments.endpoint)
+    except UsageError:
         context.term()
-        raise UsageError(f"--endpoint: {error}") from error
+        raise
     try:
         print(f"publishing on {arguments.endpoint}; Ctrl-C ends", file=sys.stderr, flush=True)
         while arguments.wait and not publisher.listeners():

@@ -50,4 +50,4 @@ def dispatch(parser: argparse.ArgumentParser, modules: Mapping[str, str], noun: 
             chosen.parser.refuse(left_over)
         return int(chosen.run(chosen))
 
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, modules=modules)

@@ -86,7 +86,24 @@ def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> None:
     print(json.dumps(figures) if as_json else text, flush=True)
 
 
-def _parser(chosen: str | None) -> Parser:
+def parser_for(chosen: str | None) -> Parser:
+    """Declare the command line, importing no more verbs than needed.
+
+    Parameters
+    ----------
+    chosen : str or None
+        The only verb whose arguments are wanted; None for the help lines of all.
+
+    Returns
+    -------
+    Parser
+        Of the whole command.
+
+    Raises
+    ------
+    NotInstalledError
+        When that verb cannot be imported.
+    """
     parser = Parser(prog="haptic", description="Haptic virtual coupling in separate processes.")
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     sub = parser.add_subparsers(dest="verb", metavar="VERB")
@@ -127,7 +144,7 @@ def main(argv: list[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else argv
     chosen = next((word for word in argv if not word.startswith("-")), None)
     try:
-        parser = _parser(chosen if chosen in VERBS.names() else None)
+        parser = parser_for(chosen if chosen in VERBS.names() else None)
     except NotInstalledError as error:
         print(f"haptic: {error}", file=sys.stderr)
         return 2

@@ -1,4 +1,4 @@
-"""List, read, change, save and load the parameters of running nodes: haptic param set coupling laws.pd.stiffness 1500."""
+"""List, read, describe, change, save and load parameters of running nodes: haptic param set coupling laws.pd.stiffness 1500."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
+from nodes.base.kinds import load
 from nodes.cli.ask import add_run, ask, chosen_run, node_name
 from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.environment.surfaces import SURFACES
+from nodes.laws.base import LAWS
+from nodes.parameters.describe import described
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
 
@@ -22,7 +28,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of the verb ``param``.
     """
-    sub = parser.add_subparsers(dest="chosen", metavar="list|get|set|dump|load", required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="list|get|set|describe|dump|load", required=True)
 
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
@@ -40,6 +46,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     change.add_argument("node")
     change.add_argument("pairs", nargs="+", metavar="NAME VALUE", help="values as in YAML, e.g. laws.pd.stiffness 1500")
+    describe = declare("describe", _describe, "Tell what parameters are: type, unit, limits, default, meaning.")
+    describe.add_argument("node")
+    describe.add_argument("names", nargs="*", metavar="NAME", help="e.g. laws.pd.stiffness; all when left out")
     dump = declare("dump", _dump, "Write all parameters of a node as YAML, as load and the launch file read them.")
     dump.add_argument("node")
     dump.add_argument("--out", "-o", type=Path, metavar="FILE", help="write to a file that does not exist yet")
@@ -113,6 +122,38 @@ def told(node: str, receipt: dict[str, Any]) -> str:
         fade = f", cross-fade of {receipt['ramp']} ticks" if receipt["ramp"] else ""
         text += f", law {laws}, force step {receipt['force_step_n']:.3g} N{fade}"
     return text
+
+
+def _struct_of(kind: str) -> type[Any] | None:
+    """Struct of an installed law or surface; None for what is neither, e.g. a preset."""
+    for registry in (LAWS, SURFACES):
+        if kind in registry.names():
+            found: type[Any] = registry.load(kind)
+            return found
+    return None
+
+
+def _describe(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    node = node_name(run, arguments.node)
+    values = ask(run, node, "param.dump")
+    names = arguments.names or list(ask(run, node, "param.list"))
+    parameters = load(run.nodes[node].factory).Parameters
+    found = {}
+    for name in names:
+        try:
+            found[name] = described(parameters, values, name, _struct_of)
+        except ParameterError as error:
+            raise UsageError(f"{node}.{error}") from error
+    lines = []
+    for name, told in found.items():
+        default = "required" if told.required else f"default {_flow(told.default)}"
+        kind = f"{told.type} [{told.unit}]" if told.unit else told.type
+        lines.append(f"{name}: {', '.join(filter(None, (kind, told.limits, default)))}")
+        lines += [f"  {told.meaning}"] if told.meaning else []
+    figures = {"run": run.run, "node": node, "parameters": msgspec.to_builtins(found)}
+    answer(arguments.json, figures, "\n".join(lines) or f"{node} has no parameters")
+    return 0
 
 
 def _dump(arguments: argparse.Namespace) -> int:

@@ -1,0 +1,194 @@
+"""Print what makes a shell complete haptic's words on TAB: eval "$(haptic completion bash)"."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Callable, Iterable
+from importlib import import_module
+from typing import Any
+
+from nodes.cli.main import VERBS, Parser, parser_for
+from nodes.launcher import launch_file, runs
+from nodes.launcher.runs import RunError, RunInfo, find_run
+from nodes.parameters.registry import NotInstalledError
+from nodes.parameters.store import ParameterError
+
+SCRIPTS = {
+    "bash": """\
+_haptic() {
+    local words
+    words=$(haptic completion words -- "${COMP_WORDS[@]:1:COMP_CWORD}" 2>/dev/null)
+    COMPREPLY=($(compgen -W "$words" -- "${COMP_WORDS[COMP_CWORD]}"))
+    [[ ${COMPREPLY[0]-} == *:= ]] && compopt -o nospace
+}
+COMP_WORDBREAKS=${COMP_WORDBREAKS//:/}
+COMP_WORDBREAKS=${COMP_WORDBREAKS//=/}
+complete -o default -F _haptic haptic
+""",
+    "zsh": """\
+_haptic() {
+    local -a found
+    found=("${(@f)$(haptic completion words -- "${(@)words[2,CURRENT]}" 2>/dev/null)}")
+    [[ -n ${found[1]} ]] && compadd -a found || _files
+}
+compdef _haptic haptic
+""",
+    "fish": """\
+function __haptic
+    set -l typed (commandline -opc) (commandline -ct)
+    haptic completion words -- $typed[2..-1] 2>/dev/null
+end
+complete -c haptic -a '(__haptic)'
+""",
+}
+"""What to evaluate, by shell; each asks ``haptic completion words`` at every TAB."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb.
+    """
+    parser.add_argument(
+        "shell", choices=[*SCRIPTS, "words"], help="which shell; words: what may follow (for the scripts)"
+    )
+    parser.add_argument("typed", nargs="*", help="with words: what stands on the line, the last one unfinished")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0.
+    """
+    if arguments.shell == "words":
+        print("\n".join(candidates(arguments.typed)))
+    else:
+        print(SCRIPTS[arguments.shell], end="")
+    return 0
+
+
+def candidates(typed: list[str]) -> list[str]:
+    """Find what may stand in the place of the last word.
+
+    Parameters
+    ----------
+    typed : list of str
+        Words after ``haptic``; the last one is unfinished, maybe empty.
+
+    Returns
+    -------
+    list of str
+        All that begin with it; none where a file is meant, which the shell knows better.
+    """
+    *done, prefix = typed or [""]
+    chosen = next((word for word in done if not word.startswith("-")), None)
+    if chosen is None:
+        return _fitting([*VERBS.names(), "--version", "--help"], prefix)
+    try:
+        parser: argparse.ArgumentParser = parser_for(chosen)
+    except NotInstalledError:
+        return []
+    parser, rest = _descend(parser, done)
+    options: dict[str, Any] = parser._option_string_actions
+    before = options.get(rest[-1]) if rest else None
+    if before is not None and before.nargs != 0:
+        return _fitting(_values(before, rest), prefix)
+    if prefix.startswith("-"):
+        return _fitting(options, prefix)
+    places = [action for action in parser._actions if not action.option_strings]
+    given = _positionals(rest, options)
+    found: list[str] = []
+    for number, action in enumerate(places):
+        # One that takes several words stands for all that follow.
+        if number == len(given) or (number < len(given) and action.nargs in ("*", "+", argparse.REMAINDER)):
+            found += _values(action, given)
+    return _fitting(found, prefix)
+
+
+def _fitting(words: Iterable[str], prefix: str) -> list[str]:
+    return [word for word in dict.fromkeys(words) if word.startswith(prefix)]
+
+
+def _descend(parser: argparse.ArgumentParser, done: list[str]) -> tuple[argparse.ArgumentParser, list[str]]:
+    """Follow the sub-verbs that are typed already; give the innermost parser and what stands after its name."""
+    rest = list(done)
+    while True:
+        sub = next((action for action in parser._actions if isinstance(action, argparse._SubParsersAction)), None)
+        modules = parser.get_default("modules")
+        place = next((i for i, word in enumerate(rest) if not word.startswith("-")), None)
+        if place is None:
+            return parser, rest
+        word = rest[place]
+        if sub is not None and word in sub.choices:
+            parser = sub.choices[word]
+        elif modules and word in modules:
+            parser = Parser(prog=word)
+            import_module(modules[word]).add(parser)
+        else:
+            return parser, rest
+        rest = rest[place + 1 :]
+
+
+def _positionals(rest: list[str], options: dict[str, Any]) -> list[str]:
+    """Take out options and their values."""
+    found, skip = [], False
+    for word in rest:
+        if skip:
+            skip = False
+        elif word.startswith("-"):
+            action = options.get(word)
+            skip = action is not None and action.nargs is None
+        else:
+            found.append(word)
+    return found
+
+
+def _values(action: argparse.Action, given: list[str]) -> list[str]:
+    """List what an argument may be: its choices, or the names of what runs or is installed."""
+    if action.choices is not None:
+        return [str(choice) for choice in action.choices]
+    source = _SOURCES.get(action.dest)
+    # What cannot be found out now is not offered.
+    with contextlib.suppress(RunError, ParameterError):
+        return source(given) if source else []
+    return []
+
+
+def _run() -> RunInfo:
+    return find_run(None)
+
+
+def _assignments(given: list[str]) -> list[str]:
+    return [f"{name}:=" for name in launch_file.read_arguments(launch_file.find(given[0]))[1]] if given else []
+
+
+def _laws(given: list[str]) -> list[str]:
+    del given
+    for setup in _run().nodes.values():
+        if "laws" in setup.parameters:
+            return list(setup.parameters["laws"])
+    return []
+
+
+_SOURCES: dict[str, Callable[[list[str]], list[str]]] = {
+    "scenario": lambda _: list(launch_file.scenarios()),
+    "assignments": _assignments,
+    "topic": lambda _: list(_run().endpoints()),
+    "topics": lambda _: list(_run().endpoints()),
+    "node": lambda _: list(_run().nodes),
+    "run_name": lambda _: list(runs.runs()),
+    "law": _laws,
+}

@@ -1,0 +1,164 @@
+"""Publish the topics of running launches on one endpoint that stays: haptic relay tcp://127.0.0.1:9872, for PlotJuggler.
+
+A launch's own endpoints are files of its run, one per node. PlotJuggler (from 3.10 on) connects one SUB socket to one address,
+``tcp://localhost:9872`` unless told otherwise, and takes what the relay sends as it is: two frames, topic and MessagePack map.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections import Counter
+
+import zmq
+
+from messages.transport.endpoints import Context, is_open_place
+from messages.transport.sockets import Publisher, Subscription, new_context
+from nodes.base import realtime
+from nodes.cli.ask import chosen_run, known_topic
+from nodes.cli.listen import QUEUE, QUIET_MS
+from nodes.cli.main import UsageError, answer
+from nodes.launcher.runs import RunInfo, alive, runs
+
+ENDPOINT = "tcp://127.0.0.1:9872"
+"""Where PlotJuggler's ZeroMQ subscriber looks unless it is told otherwise."""
+
+_LOCAL = ("tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:", "ipc://")
+
+
+def local_publisher(context: Context, endpoint: str) -> Publisher:
+    """Bind a publisher for listeners of this machine, any user's: it sends, and obeys nobody.
+
+    Parameters
+    ----------
+    context : zmq.Context
+        Context of the process.
+    endpoint : str
+        Loopback tcp or ipc.
+
+    Returns
+    -------
+    Publisher
+        Bound.
+
+    Raises
+    ------
+    UsageError
+        When it could be reached from elsewhere, or cannot be bound.
+    """
+    if not endpoint.startswith(_LOCAL):
+        raise UsageError(f"{endpoint}: only {', '.join(_LOCAL)}...; nothing is published for other machines here")
+    try:
+        # Anybody on this machine may listen there, with no key: it is asked for by name.
+        return Publisher(context, endpoint, open_to_all=endpoint if is_open_place(endpoint) else "")
+    except (ValueError, zmq.ZMQError) as error:
+        raise UsageError(str(error)) from error
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb.
+    """
+    parser.add_argument("endpoint", nargs="?", default=ENDPOINT, help="where to publish (default: %(default)s)")
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", default=[], help="whole names; all when left out")
+    parser.add_argument(
+        "--run", metavar="NAME", dest="run_name", help="which launch or scenario (default: $HAPTIC_RUN)"
+    )
+    parser.add_argument("--once", action="store_true", help="end with the launch instead of waiting for the next one")
+    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb: relay one launch after the other, until Ctrl-C.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    UsageError
+        When the endpoint or a topic is refused, or, with --once, nothing is running.
+    """
+    relayed: Counter[str] = Counter()
+    names: list[str] = []
+    context = new_context()
+    try:
+        publisher = local_publisher(context, arguments.endpoint)
+        try:
+            _say(f"publishing on {arguments.endpoint}; Ctrl-C ends")
+            while True:
+                found = chosen_run(arguments) if arguments.once else _next(arguments, names)
+                names.append(found.run)
+                _say(f"relaying {found.run}")
+                with realtime.off(found.processors):
+                    _relay(context, found, arguments.topics, publisher, relayed)
+                if arguments.once:
+                    break
+        except KeyboardInterrupt:
+            print(file=sys.stderr)
+        finally:
+            publisher.close()
+    finally:
+        context.term()
+    told = "".join(f"\n  {topic}: {count}" for topic, count in relayed.items())
+    figures = {"endpoint": arguments.endpoint, "runs": names, "relayed": dict(relayed)}
+    answer(arguments.json, figures, f"relayed {', '.join(names) or 'nothing'}{told}")
+    return 0
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _next(arguments: argparse.Namespace, before: list[str]) -> RunInfo:
+    """Wait for a launch that was not relayed yet."""
+    wanted = arguments.run_name or os.environ.get("HAPTIC_RUN")
+    waiting = False
+    while True:
+        found = [
+            one for one in runs().values() if one.run not in before and wanted in (None, "", one.run, one.scenario)
+        ]
+        if len(found) > 1:
+            raise UsageError(f"several runs: {', '.join(one.run for one in found)}; choose one with --run NAME")
+        if found:
+            return found[0]
+        if not waiting:
+            _say("waiting for a launch")
+            waiting = True
+        time.sleep(0.1)
+
+
+def _relay(context: Context, found: RunInfo, topics: list[str], publisher: Publisher, relayed: Counter[str]) -> None:
+    known = found.endpoints()
+    wanted = {known_topic(found, topic).encode(): topic for topic in topics or known}
+    inbox = Subscription(context, {known[topic] for topic in wanted.values()}, wanted.values(), QUEUE)
+    try:
+        while True:
+            frames = inbox.receive(QUIET_MS)
+            if frames is None:
+                # Nothing under way any more, and nobody to send more.
+                if not alive(found.launcher):
+                    return
+                # Takes in who subscribes, so that it does not pile up.
+                publisher.listeners()
+            elif frames[0] in wanted:
+                publisher.send(*frames)
+                relayed[wanted[frames[0]]] += 1
+                if relayed.total() % 1024 == 0:
+                    publisher.listeners()
+    finally:
+        inbox.close()

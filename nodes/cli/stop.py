@@ -1,0 +1,76 @@
+"""End a running launch as Ctrl-C does: force to zero first, then the nodes in order, recordings complete."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import time
+
+from nodes.cli.ask import chosen_run
+from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.launcher.runs import RunInfo, alive, runs
+
+TIMEOUT = 60.0
+"""How long a launch may take to end [s]: a driver comes down from its largest force, a recorder writes what it holds."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the verb.
+    """
+    parser.add_argument(
+        "run_name", nargs="?", metavar="RUN", help="run or scenario (default: $HAPTIC_RUN, or the only one)"
+    )
+    parser.add_argument("--all", "-a", action="store_true", help="end all launches of this user")
+    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0 when they have ended.
+
+    Raises
+    ------
+    UsageError
+        When none or several fit.
+    RefusedError
+        When one does not end in time.
+    """
+    if arguments.all and arguments.run_name:
+        raise UsageError(f"stop: --all and {arguments.run_name} at once; choose one")
+    ending = list(runs().values()) if arguments.all else [chosen_run(arguments)]
+    for one in ending:
+        # It may have ended by itself this moment.
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(one.launcher, signal.SIGINT)
+    deadline = time.monotonic() + TIMEOUT
+    for one in ending:
+        _wait(one, deadline)
+    names = [one.run for one in ending]
+    answer(arguments.json, {"stopped": names}, "\n".join(f"{name}: ended" for name in names) or "nothing is running")
+    return 0
+
+
+def _wait(ending: RunInfo, deadline: float) -> None:
+    while alive(ending.launcher):
+        if time.monotonic() > deadline:
+            raise RefusedError(
+                f"{ending.run}: its launcher, process {ending.launcher}, has not ended within {TIMEOUT:g} s"
+            )
+        time.sleep(0.02)

@@ -1,0 +1,173 @@
+"""What a parameter is: type, unit, limits, default and meaning, from the struct that types it."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+from msgspec import inspect
+
+from messages.schema import attributes
+from nodes.parameters.store import ParameterError, choices
+
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+_UNIT = re.compile(r"\[([^\]]+)\]")
+
+_NAMES: dict[type[inspect.Type], str] = {
+    inspect.FloatType: "number",
+    inspect.IntType: "integer",
+    inspect.StrType: "text",
+    inspect.BoolType: "true or false",
+    inspect.NoneType: "null",
+}
+
+_LIMITS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+
+
+class Description(msgspec.Struct, kw_only=True):
+    """What a parameter is.
+
+    Attributes
+    ----------
+    type : str
+        In words; for a branch ``parameters``.
+    unit : str
+        Its unit; empty without one.
+    limits : str
+        In words; empty without any.
+    default : object
+        What holds when it is left out; None with `required` when nothing does.
+    required : bool
+        Whether it must be given.
+    meaning : str
+        One sentence.
+    """
+
+    type: str
+    unit: str = ""
+    limits: str = ""
+    default: Any = None
+    required: bool = False
+    meaning: str = ""
+
+
+def described(target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]) -> Description:
+    """Describe a parameter.
+
+    Parameters
+    ----------
+    target : type of msgspec.Struct
+        Parameters of the node.
+    values : object
+        Their present values, as builtins: where types are free, the ``kind`` that stands there decides.
+    path : str
+        E.g. ``laws.pd.stiffness`` or ``schedule[0].at``.
+    struct_of : callable
+        Finds the struct of a law or surface by its kind; None when there is none.
+
+    Returns
+    -------
+    Description
+        What it is.
+
+    Raises
+    ------
+    ParameterError
+        When there is none of that name.
+    """
+    info: inspect.Type = inspect.type_info(target)
+    found = Description(type=_words(info), meaning=(target.__doc__ or "").strip().partition("\n")[0])
+    done = ""
+    for name, index in _STEP.findall(path):
+        if isinstance(info, inspect.AnyType) or (isinstance(info, inspect.DictType) and _kind(values)):
+            own = struct_of(_kind(values))
+            info = inspect.type_info(own) if own is not None else info
+        info = _without_none(info)
+        step = f"[{index}]" if index else f".{name}" if done else name
+        if name and isinstance(info, inspect.StructType):
+            fields = {field.encode_name: field for field in info.fields}
+            if name not in fields:
+                raise ParameterError(f"{done}{step}: no such parameter; {choices(name, fields)}")
+            found = _field(info.cls, fields[name])
+            info = fields[name].type
+        elif name and isinstance(info, inspect.DictType):
+            info = info.value_type
+            found = Description(type=_words(info), meaning=found.meaning)
+        elif index and isinstance(info, inspect.CollectionType):
+            info = info.item_type
+            found = Description(type=_words(info), meaning=found.meaning)
+        elif not isinstance(info, inspect.AnyType):
+            raise ParameterError(f"{done}{step}: there is nothing below {done or 'it'}, which is {_words(info)}")
+        values = _down(values, name, index)
+        done += step
+    return found
+
+
+def _kind(values: Any) -> str:
+    """Read the kind that a free value names: a mapping with one, or the bare name of a preset."""
+    if isinstance(values, dict):
+        return str(values.get("kind", ""))
+    return values if isinstance(values, str) else ""
+
+
+def _down(values: Any, name: str, index: str) -> Any:
+    try:
+        return values[name] if name else values[int(index)]
+    except (KeyError, IndexError, TypeError):
+        return None
+
+
+def _without_none(info: inspect.Type) -> inspect.Type:
+    if isinstance(info, inspect.UnionType):
+        rest = [one for one in info.types if not isinstance(one, inspect.NoneType)]
+        return rest[0] if len(rest) == 1 else info
+    return info
+
+
+def _field(owner: type[Any], field: inspect.Field) -> Description:
+    told: dict[str, str] = {}
+    for base in reversed(owner.__mro__):
+        told.update(attributes(base.__doc__ or ""))
+    meaning = told.get(field.encode_name, "")
+    unit = _UNIT.search(meaning)
+    default = field.default
+    if default is msgspec.NODEFAULT and field.default_factory is not msgspec.NODEFAULT:
+        default = field.default_factory()
+    return Description(
+        type=_words(field.type),
+        unit=unit[1] if unit else "",
+        limits=_limits(field.type),
+        default=None if field.required else msgspec.to_builtins(default),
+        required=field.required,
+        meaning=meaning,
+    )
+
+
+def _words(info: inspect.Type) -> str:
+    if isinstance(info, inspect.UnionType):
+        return " or ".join(map(_words, info.types))
+    if isinstance(info, inspect.LiteralType):
+        return f"one of {', '.join(map(str, info.values))}"
+    if isinstance(info, inspect.StructType):
+        return "parameters"
+    if isinstance(info, inspect.DictType):
+        return "parameters by name"
+    if isinstance(info, inspect.TupleType):
+        return f"{len(info.item_types)} × {_words(info.item_types[0])}" if info.item_types else "nothing"
+    if isinstance(info, inspect.CollectionType):
+        return f"list of {_words(info.item_type)}"
+    return _NAMES.get(type(info), "anything")
+
+
+def _limits(info: inspect.Type) -> str:
+    info = _without_none(info)
+    found = []
+    for name, word in _LIMITS.items():
+        limit = getattr(info, name, None)
+        # The largest double is how a finite number is asked for.
+        if limit is not None and abs(limit) != sys.float_info.max:
+            found.append(f"{word} {limit:g}")
+    return ", ".join(found)
