@@ -96,7 +96,9 @@ class Telling:
         text : str
             What to say.
         """
-        print(f"[{self.setup.name}] {text}", file=sys.stderr, flush=True)
+        # On a terminal the launcher's status line stands where this goes.
+        clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+        print(f"{clear}[{self.setup.name}] {text}", file=sys.stderr, flush=True)
 
     def tell(self, kind: str, reason: str, always: bool = False) -> None:
         """Publish an event and say it; repeats of one kind at powers of two only.

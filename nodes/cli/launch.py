@@ -6,22 +6,24 @@ import argparse
 import contextlib
 import signal
 import sys
-import time
-from array import array
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import msgspec
+
 from messages.transport.endpoints import is_remote
-from messages.transport.requests import ControlError, call
+from messages.transport.requests import ControlError
 from nodes.cli.main import UsageError, answer
 from nodes.cli.page import PageAnnouncer, with_view
+from nodes.cli.status_line import StatusLine
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.runs import RunError
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.parameters.store import ParameterError
+from nodes.recording.logger import LoggerParameters
 
 REST = 1e-6
 """Largest swing of the last ticks that counts as rest [m]: about what a fingertip feels at its most sensitive, near 250 Hz."""
@@ -38,7 +40,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", nargs="?", help="name of a launch file, or the path of one")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument("--list", action="store_true", help="list the scenarios")
-    parser.add_argument("--show-args", action="store_true", help="show the arguments of a scenario")
+    parser.add_argument("--show-args", "-s", action="store_true", help="show the arguments of a scenario")
     parser.add_argument("--without", action="append", default=[], metavar="NODE", help="leave a node out, e.g. logger")
     parser.add_argument(
         "--params",
@@ -52,6 +54,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--tick",
         choices=("auto", "compiled", "plain"),
         help="how the loop's nodes take their ticks: compiled, or by the interpreter; tick:= does the same",
+    )
+    parser.add_argument(
+        "--out-dir",
+        type=Path,
+        metavar="DIR",
+        help="directory of recordings and plot (default: as the launch file says)",
     )
     parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
     parser.add_argument(
@@ -83,45 +91,6 @@ def _show_args(scenario: str) -> tuple[dict[str, Any], str]:
         lines.append(f"  {name}:={argument.default}{unit}   {argument.help}{bounds}")
         figures[name] = {"default": argument.default, "unit": argument.unit, "help": argument.help}
     return {"scenario": path.stem, "arguments": figures}, "\n".join(lines)
-
-
-class _StatusLine:
-    """One line on the terminal while the loop runs; nothing where there is no terminal."""
-
-    def __init__(self, launch: Launch) -> None:
-        self._launch = launch
-        self._axis = "xyz".index(launch.run.axes[0])
-        self._before = (time.monotonic(), 0)
-        self._live = sys.stderr.isatty()
-
-    def __call__(self, supervisor: Supervisor) -> None:
-        if not self._live or supervisor.context is None:
-            return
-        driver = next((child for child in supervisor.children.values() if child.drives and child.running), None)
-        if driver is None:
-            return
-        try:
-            now = call(supervisor.context, driver.setup.control, "progress", timeout=0.2)
-        except ControlError:
-            return
-        recent = array("d")
-        recent.frombytes(now["recent_s"])
-        responses = sorted(value for value in recent if value > 0.0) or [0.0]
-        clock, ticks = time.monotonic(), now["tick"]
-        rate = (ticks - self._before[1]) / (clock - self._before[0])
-        self._before = (clock, ticks)
-        of = f"/{now['ticks']}" if now["ticks"] else ""
-        p50, p99 = responses[len(responses) // 2] * 1e6, responses[int(len(responses) * 0.99)] * 1e6
-        sys.stderr.write(
-            f"\r\x1b[K{self._launch.scenario}  tick {ticks}{of}  {rate:.0f} Hz  force {now['force_n'][self._axis]:+.3f} N  "
-            f"response p50 {p50:.0f} µs p99 {p99:.0f} µs  missed {now['missed']}  {now['safety']}"
-        )
-        sys.stderr.flush()
-
-    def clear(self) -> None:
-        """Leave the line empty for what follows."""
-        if self._live:
-            sys.stderr.write("\r\x1b[K")
 
 
 @contextlib.contextmanager
@@ -267,13 +236,26 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.tick is not None:
             given["tick"] = arguments.tick
         launch = launch_file.without(launch_file.read(arguments.scenario, given, arguments.params), arguments.without)
+        if arguments.out_dir:
+            launch = _into(launch, arguments.out_dir)
         return _launch(with_view(launch) if arguments.view else launch, arguments)
     except (ParameterError, RunError) as error:
         raise UsageError(str(error)) from error
 
 
+def _into(launch: Launch, folder: Path) -> Launch:
+    """Let all loggers of this machine write into one directory."""
+    nodes = {}
+    for name, spec in launch.nodes.items():
+        if spec.kind == "logger" and not spec.host:
+            path = Path(spec.parameters.get("path", LoggerParameters().path))
+            spec = msgspec.structs.replace(spec, parameters={**spec.parameters, "path": str(folder / path.name)})
+        nodes[name] = spec
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
 def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
-    status = _StatusLine(launch)
+    status = StatusLine(launch)
 
     def say(text: str) -> None:
         status.clear()

@@ -11,16 +11,20 @@ import os
 import sys
 import time
 from collections import Counter
+from typing import TYPE_CHECKING
 
 import zmq
 
-from messages.transport.endpoints import Context, is_open_place
+from messages.transport.endpoints import is_open_place
 from messages.transport.sockets import Publisher, Subscription, new_context
 from nodes.base import realtime
 from nodes.cli.ask import chosen_run, known_topic
 from nodes.cli.listen import QUEUE, QUIET_MS
 from nodes.cli.main import UsageError, answer
 from nodes.launcher.runs import RunInfo, alive, runs
+
+if TYPE_CHECKING:
+    from messages.transport.endpoints import Context
 
 ENDPOINT = "tcp://127.0.0.1:9872"
 """Where PlotJuggler's ZeroMQ subscriber looks unless it is told otherwise."""

@@ -202,9 +202,14 @@ class Coupling(Node):
         Returns
         -------
         dict of str to callable
-            ``law.list``, ``law.show`` and ``law.switch``.
+            ``law.list``, ``law.show`` and ``law.switch``; and ``progress``, the active law, for the launcher's status line.
         """
-        return {"law.list": self._list_laws, "law.show": self._show_law, "law.switch": self._switch_law}
+        return {
+            "law.list": self._list_laws,
+            "law.show": self._show_law,
+            "law.switch": self._switch_law,
+            "progress": lambda: {"law": self._renderer.law.name},
+        }
 
     def _list_laws(self) -> dict[str, Any]:
         parameters: CouplingParameters = self.store.current

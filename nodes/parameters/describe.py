@@ -89,6 +89,10 @@ def described(target: type[Any], values: Any, path: str, struct_of: Callable[[st
         step = f"[{index}]" if index else f".{name}" if done else name
         if name and isinstance(info, inspect.StructType):
             fields = {field.encode_name: field for field in info.fields}
+            if name == "kind" and name not in fields and _kind(values):
+                return Description(
+                    type="text", required=True, meaning="What it is: one of the kinds that are installed."
+                )
             if name not in fields:
                 raise ParameterError(f"{done}{step}: no such parameter; {choices(name, fields)}")
             found = _field(info.cls, fields[name])

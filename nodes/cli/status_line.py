@@ -1,0 +1,168 @@
+"""The line that a launch keeps up to date on a terminal: tick, penetration, force, law, safety, response time.
+
+It never takes more than the terminal's width: what matters least to a hand goes first.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from array import array
+from collections.abc import Callable
+from typing import Any
+
+from messages.topics import DEVICE_STATE, FORCE, PROXY
+from messages.transport.requests import ControlError, call
+from messages.types import ZERO, Vector
+from nodes.base.kinds import load
+from nodes.cli.colour import coloured
+from nodes.environment.surfaces import Meeting, parse_surface
+from nodes.launcher.launch_spec import Launch
+from nodes.launcher.supervisor import Supervisor
+from nodes.parameters.store import ParameterError
+
+PATIENCE = 0.2
+"""How long a node may take to answer [s]; what it would have told is left out then."""
+
+SLOW = 3
+"""Law and surface are asked for every so many times only: each question costs a node's loop some microseconds."""
+
+KEEP = ("safety", "penetration", "force", "law", "missed", "tick", "scenario", "response", "rate")
+"""Parts of the line; the first ones are kept longest on a narrow terminal."""
+
+ORDER = ("scenario", "tick", "rate", "law", "penetration", "force", "missed", "response", "safety")
+"""Parts as they stand from left to right."""
+
+
+def fitted(parts: dict[str, str], width: int) -> list[str]:
+    """Choose the parts that fit.
+
+    Parameters
+    ----------
+    parts : dict of str to str
+        Text by name.
+    width : int
+        Columns that there are.
+
+    Returns
+    -------
+    list of str
+        Names in `ORDER`; joined by two blanks they take at most `width` columns.
+    """
+    kept: set[str] = set()
+    left = width
+    for name in KEEP:
+        need = len(parts[name]) + (2 if kept else 0) if parts.get(name) else width + 1
+        if need <= left:
+            kept.add(name)
+            left -= need
+    return [name for name in ORDER if name in kept]
+
+
+def _meeting(surface: Any) -> Callable[[Vector], Meeting] | None:
+    """Build the question that the environment answers; None for what is no surface known here."""
+    try:
+        return None if surface is None else parse_surface(surface, "surface").meeting()
+    except ParameterError:
+        return None
+
+
+class StatusLine:
+    """One line on the terminal while the loop runs; nothing where there is no terminal.
+
+    Parameters
+    ----------
+    launch : Launch
+        What runs.
+    """
+
+    def __init__(self, launch: Launch) -> None:
+        self._launch = launch
+        self._axis = "xyz".index(launch.run.axes[0])
+        self._before = (time.monotonic(), 0)
+        self._live = sys.stderr.isatty()
+        self._asked = 0
+        self._law = ""
+        self._meet: Callable[[Vector], Meeting] | None = None
+
+    def __call__(self, supervisor: Supervisor) -> None:
+        """Show how the launch is doing.
+
+        Parameters
+        ----------
+        supervisor : Supervisor
+            Of the launch.
+        """
+        if not self._live or supervisor.context is None:
+            return
+        now = self._ask(supervisor, DEVICE_STATE, "progress")
+        if now is None:
+            return
+        if self._asked % SLOW == 0:
+            self._law = (self._ask(supervisor, FORCE, "progress") or {}).get("law", "")
+            self._meet = _meeting(self._ask(supervisor, PROXY, "param.get", name="surface"))
+        self._asked += 1
+        parts = self._parts(now, self._distance(now["position_m"]))
+        try:
+            width = os.get_terminal_size(sys.stderr.fileno()).columns
+        except OSError:
+            width = 80
+        # The last column stays free: some terminals break the line behind it.
+        chosen = [self._painted(name, parts[name]) for name in fitted(parts, width - 1)]
+        sys.stderr.write("\r\x1b[K" + "  ".join(chosen))
+        sys.stderr.flush()
+
+    def _ask(self, supervisor: Supervisor, topic: str, op: str, **arguments: object) -> Any:
+        """Ask the node that publishes a topic; None when it does not answer."""
+        assert supervisor.context is not None  # noqa: S101  # there is one while the loop runs
+        for child in supervisor.children.values():
+            if child.running and topic in load(child.setup.factory).publishes:
+                try:
+                    return call(supervisor.context, child.setup.control, op, timeout=PATIENCE, **arguments)
+                except ControlError:
+                    return None
+        return None
+
+    def _distance(self, position: list[float]) -> float | None:
+        """Signed distance to the surface [m]; None where none faces one way."""
+        if self._meet is None:
+            return None
+        x, y, z = position
+        _, normal, distance, _ = self._meet((x, y, z))
+        return distance if normal != ZERO else None
+
+    def _parts(self, now: dict[str, Any], distance: float | None) -> dict[str, str]:
+        recent = array("d")
+        recent.frombytes(now["recent_s"])
+        responses = sorted(value for value in recent if value > 0.0) or [0.0]
+        p50, p99 = responses[len(responses) // 2] * 1e6, responses[int(len(responses) * 0.99)] * 1e6
+        clock, ticks = time.monotonic(), now["tick"]
+        rate = (ticks - self._before[1]) / (clock - self._before[0])
+        self._before = (clock, ticks)
+        of = f"/{now['ticks']}" if now["ticks"] else ""
+        depth = ""
+        if distance is not None:
+            depth = f"{'penetration' if distance < 0.0 else 'distance'} {abs(distance) * 1e3:.2f} mm"
+        return {
+            "scenario": self._launch.scenario,
+            "tick": f"tick {ticks}{of}",
+            "rate": f"{rate:.0f} Hz",
+            "force": f"force {now['force_n'][self._axis]:+.2f} N",
+            "law": f"law {self._law}" if self._law else "",
+            "penetration": depth,
+            "missed": f"missed {now['missed']}",
+            "response": f"p50 {p50:.0f} p99 {p99:.0f} µs",
+            "safety": now["safety"],
+        }
+
+    def _painted(self, name: str, text: str) -> str:
+        if name == "safety":
+            color = {"active": "green", "waiting": "dim", "ramp": "yellow"}.get(text, "red")
+            return coloured(text, color, sys.stderr)
+        return coloured(text, "bold", sys.stderr) if name in ("penetration", "force", "law") else text
+
+    def clear(self) -> None:
+        """Leave the line empty for what follows."""
+        if self._live:
+            sys.stderr.write("\r\x1b[K")

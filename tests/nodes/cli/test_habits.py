@@ -1,0 +1,344 @@
+"""What a ROS 2 user's hands expect: options by their names, HAPTIC_RUN, haptic stop, completion, a line that fits, colours."""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+import os
+import pty
+import re
+import select
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import termios
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from messages.topics import DEVICE_STATE, FORCE, PROXY
+from nodes.cli import main
+from nodes.cli.colour import coloured
+from nodes.cli.completion import candidates
+from nodes.cli.status_line import KEEP, ORDER, fitted
+from nodes.recording.reader import Recording
+from tests.support.launching import HAPTIC, RunningLaunch, private_runtime_dir, running, wait_for
+
+
+@pytest.fixture(scope="module")
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+    with running(tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0") as found:
+        yield found
+
+
+def told(launch: RunningLaunch, *words: str, code: int = 0) -> Any:
+    return json.loads(launch.haptic(*words, "--json", code=code).stdout.splitlines()[-1])
+
+
+# -- topic -----------------------------------------------------------------------------------------------------------
+
+
+def test_topic_options_of_ros2(launch: RunningLaunch) -> None:
+    assert launch.haptic("topic", "echo", DEVICE_STATE, "--once").stdout.count("---") == 1
+    assert f"{FORCE} [haptic.Force]" in launch.haptic("topic", "list", "-t").stdout.splitlines()
+    # Of 60 messages, the interval figures are those of the last 20.
+    found = told(launch, "topic", "hz", DEVICE_STATE, "-w", "20", "-n", "60")
+    assert found["messages"] == 20
+
+
+# -- bag -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_topic_that_nobody_publishes_is_an_error(launch: RunningLaunch, tmp_path: Path) -> None:
+    out = tmp_path / "r.mcap"
+    for topic, hint in (("/nosuch", "there are /device/state"), ("/device/stat", "did you mean /device/state?")):
+        done = launch.haptic("bag", "record", topic, "--out", str(out), "--duration", "0.2", code=2)
+        assert f"no topic '{topic}'" in done.stderr
+        assert hint in done.stderr
+        assert not out.exists()
+
+
+def test_topics_are_whole_names(launch: RunningLaunch, tmp_path: Path) -> None:
+    # As a prefix, ZeroMQ's way, /driver/status would be all that begins like it.
+    found = told(launch, "bag", "record", PROXY, "--out-dir", str(tmp_path / "new" / "folder"), "--duration", "0.3")
+    path = Path(found["recording"])
+    assert path.parent == tmp_path / "new" / "folder"
+    assert set(Recording(path).topics) == {PROXY}
+    out = tmp_path / "all.mcap"
+    told(launch, "bag", "record", "-a", "--out", str(out), "--duration", "0.3")
+    assert {DEVICE_STATE, PROXY, FORCE} <= set(Recording(out).topics)
+    assert "choose one" in launch.haptic("bag", "record", "-a", PROXY, code=2).stderr
+
+
+def test_a_launch_refuses_a_logger_of_topics_that_nothing_publishes(tmp_path: Path) -> None:
+    scenario = tmp_path / "x.yaml"
+    text = (Path(main.__file__).parents[2] / "launch" / "two_loggers.yaml").read_text(encoding="utf-8")
+    assert "[/device/state, /environment/proxy" in text
+    for wrong in ("/device", "/nobody/status"):
+        scenario.write_text(text.replace("[/device/state, ", f"[{wrong}, /device/state, "), encoding="utf-8")
+        with private_runtime_dir() as runtime:
+            done = subprocess.run(
+                [*HAPTIC, "launch", str(scenario)],
+                cwd=tmp_path,
+                env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)},
+                capture_output=True,
+                text=True,
+                timeout=60,
+                check=False,
+            )
+        assert done.returncode == 2
+        assert f"topics[0]: nothing publishes '{wrong}'" in done.stderr
+
+
+def test_play_loops_until_it_is_ended(launch: RunningLaunch, tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+    told(launch, "bag", "record", FORCE, "--out", str(path), "--duration", "0.2")
+    once = Recording(path).topics[FORCE].messages
+    with subprocess.Popen(
+        [*HAPTIC, "bag", "play", str(path), "-l", "-r", "inf", "--endpoint", f"ipc://{tmp_path}/p", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        try:
+            assert "publishing" in process.stderr.readline()
+            # It never ends by itself: what has been published when it is interrupted is more than the file holds.
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(1.0)
+            process.send_signal(signal.SIGINT)
+            out, _ = process.communicate(timeout=30.0)
+        finally:
+            process.kill()
+        published = json.loads(out.splitlines()[-1])["published"][FORCE]
+    assert published > once
+
+
+# -- param describe, launch -s, --out-dir ----------------------------------------------------------------------------
+
+
+def test_param_describe(launch: RunningLaunch) -> None:
+    found = told(launch, "param", "describe", "coupling", "laws.pd.stiffness", "memory", "stability", "plant")
+    stiffness = found["parameters"]["laws.pd.stiffness"]
+    assert stiffness["unit"] == "N/m"
+    assert (stiffness["type"], stiffness["limits"], stiffness["required"]) == ("number", "above 0", True)
+    assert found["parameters"]["memory"]["limits"] == "at least 2, at most 1e+06"
+    assert found["parameters"]["memory"]["default"] == 2048
+    assert found["parameters"]["stability"]["type"] == "one of off, refuse, warn"
+    assert found["parameters"]["plant"]["type"] == "parameters or null"
+    text = launch.haptic("param", "describe", "environment").stdout
+    assert "surface.position: number" in text
+    assert "[" in launch.haptic("param", "describe", "driver").stdout
+    done = launch.haptic("param", "describe", "coupling", "laws.pd.stifness", code=2)
+    assert "coupling.laws.pd.stifness: no such parameter" in done.stderr
+    assert "did you mean stiffness?" in done.stderr
+    assert "nothing below memory" in launch.haptic("param", "describe", "coupling", "memory.x", code=2).stderr
+
+
+def test_every_parameter_of_every_node_is_described(launch: RunningLaunch) -> None:
+    for node, values in told(launch, "param", "list")["nodes"].items():
+        found = told(launch, "param", "describe", node)["parameters"]
+        assert list(found) == list(values)
+        for name, one in found.items():
+            assert one["type"] != "anything", f"{node}.{name}"
+            assert one["meaning"], f"{node}.{name}"
+
+
+def test_launch_shows_its_arguments_by_s(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["launch", "-s", "floor_drop"]) == 0
+    assert "stiffness:=" in capsys.readouterr().out
+
+
+def test_out_dir_takes_all_recordings_and_the_plot(tmp_path: Path) -> None:
+    with private_runtime_dir() as runtime:
+        done = subprocess.run(
+            [*HAPTIC, "launch", "two_loggers", "pace:=lockstep", "duration:=0.2", "--out-dir", "there/below", "--json"],
+            cwd=tmp_path,
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=True,
+        )
+    figures = json.loads(done.stdout.splitlines()[-1])
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+    there = sorted(path.suffix for path in (tmp_path / "there" / "below").iterdir())
+    assert there == [".mcap", ".mcap", ".png"]
+    assert all(path.startswith("there/below/") for path in [*figures["recordings"], figures["plot"]])
+
+
+# -- HAPTIC_RUN and stop ---------------------------------------------------------------------------------------------
+
+
+def test_the_run_may_be_named_once_for_all(launch: RunningLaunch, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(launch.environment, "HAPTIC_RUN", "floor_drop")
+    assert told(launch, "node", "list")["run"] == launch.run.run
+    monkeypatch.setitem(launch.environment, "HAPTIC_RUN", "elsewhere")
+    done = launch.haptic("node", "list", code=2)
+    assert "no run is named 'elsewhere'" in done.stderr
+    assert "HAPTIC_RUN" in done.stderr
+    assert told(launch, "node", "list", "--run", "floor_drop")["run"] == launch.run.run
+
+
+def test_stop_ends_a_launch_in_order(tmp_path: Path) -> None:
+    with running(tmp_path, "floor_drop", "duration:=0") as launch:
+        name = launch.run.run
+        assert told(launch, "stop", "floor_drop") == {"stopped": [name]}
+        # Whoever asked for the end has it: the launcher is gone, and its recording complete.
+        assert launch.process.wait(timeout=10.0) in (0, 130)
+        (path,) = (tmp_path / "recordings").glob("*.mcap")
+        assert Recording(path).complete
+        assert "nothing is running" in launch.haptic("stop", code=2).stderr
+        assert told(launch, "stop", "--all") == {"stopped": []}
+
+
+# -- completion ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("typed", "some"),
+    [
+        ("", {"launch", "bag", "topic", "study"}),
+        ("bag pl", {"play", "plot"}),
+        ("bag play x --ra", {"--rate"}),
+        ("bag export x --format ", {"csv", "npz", "mat", "parquet"}),
+        ("launch floor_d", {"floor_drop", "floor_drop_fast"}),
+        ("launch floor_drop sti", {"stiffness:="}),
+        ("launch floor_drop stiffness:=900 rate:=1000 dur", {"duration:="}),
+        ("study fig4 --ou", {"--out"}),
+        ("study ", {"kmax", "fig4"}),
+    ],
+)
+def test_completion(typed: str, some: set[str]) -> None:
+    found = candidates(typed.split(" "))
+    assert some <= set(found)
+    assert all(word.startswith(typed.split(" ")[-1]) for word in found)
+
+
+def test_completion_of_nonsense_is_nothing() -> None:
+    assert candidates(["nosuch", "x"]) == []
+    assert candidates(["launch", "nosuch", "x"]) == []
+    # A file: the shell knows better.
+    assert candidates(["bag", "info", ""]) == []
+
+
+@given(st.lists(st.text(max_size=8), max_size=4))
+def test_completion_never_fails(words: list[str]) -> None:
+    last = words[-1] if words else ""
+    assert all(word.startswith(last) for word in candidates(words))
+
+
+def test_completion_knows_what_runs(launch: RunningLaunch) -> None:
+    for words, found in (
+        (["topic", "echo", "/dev"], DEVICE_STATE),
+        (["param", "get", "coup"], "coupling"),
+        (["stop", "--json", "floor"], launch.run.run),
+        (["law", "switch", ""], "pd"),
+    ):
+        assert found in launch.haptic("completion", "words", "--", *words).stdout.splitlines()
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_scripts_are_taken_by_their_shells(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell} here")
+    subprocess.run([shell, "-n"], input=script, text=True, check=True, timeout=30)
+    if shell == "bash":
+        ask = "COMP_WORDS=(haptic bag pl); COMP_CWORD=2; _haptic; echo ${COMPREPLY[@]}"
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        done = subprocess.run(
+            ["bash", "-c", f"{script}\n{ask}"],
+            env={**os.environ, "PATH": path},
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=60,
+        )
+        assert done.stdout.split() == ["play", "plot"]
+
+
+# -- the status line, and colours ------------------------------------------------------------------------------------
+
+
+@given(st.integers(1, 200), st.dictionaries(st.sampled_from(ORDER), st.text(max_size=30)))
+def test_what_is_shown_fits(width: int, parts: dict[str, str]) -> None:
+    shown = fitted(parts, width)
+    assert len("  ".join(parts[name] for name in shown)) <= width
+    assert shown == [name for name in ORDER if name in shown]
+    # The first of those to keep that fits is there.
+    first = next((name for name in KEEP if parts.get(name) and len(parts[name]) <= width), None)
+    assert first is None or first in shown
+
+
+def on_terminal(words: list[str], columns: int, environment: dict[str, str], folder: Path) -> str:
+    """Run a command with a terminal of so many columns as its standard error; give what it wrote there."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    with subprocess.Popen(
+        [*HAPTIC, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=theirs
+    ) as process:
+        os.close(theirs)
+        written = b""
+        while process.poll() is None or select.select([ours], [], [], 0.0)[0]:
+            if select.select([ours], [], [], 0.1)[0]:
+                try:
+                    written += os.read(ours, 65536)
+                except OSError:
+                    # The last one who could write has gone.
+                    break
+    os.close(ours)
+    return written.decode()
+
+
+@pytest.mark.parametrize("columns", [40, 120])
+def test_the_status_line_fits_its_terminal(tmp_path: Path, columns: int) -> None:
+    with private_runtime_dir() as runtime:
+        environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime), "TERM": "xterm"}
+        written = on_terminal(["launch", "floor_drop", "duration:=1.2", "--no-plot"], columns, environment, tmp_path)
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line.split("\r\n")[0]) for line in written.split("\r\x1b[K")]
+    shown = [line for line in lines if "mm" in line and "position" not in line and not line.startswith("[")]
+    assert shown
+    assert max(map(len, shown)) < columns
+    # The mass comes to rest on the floor, 1 mm deep.
+    assert any(re.search(r"penetration \d\.\d\d mm", line) for line in shown)
+    if columns > 100:
+        assert any("law pd" in line for line in shown)
+        assert "\x1b[32mactive\x1b[0m" in written
+
+
+def test_colour_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    assert coloured("x", "red", Terminal()) == "\x1b[31mx\x1b[0m"
+    assert coloured("x", "red", io.StringIO()) == "x"
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert coloured("x", "red", Terminal()) == "x"
+
+
+def test_nothing_is_coloured_in_a_pipe(launch: RunningLaunch) -> None:
+    for words, code in ((["topic", "list"], 0), (["topic", "echo", "/nosuch"], 2), (["node", "list"], 0)):
+        done = launch.haptic(*words, code=code)
+        assert "\x1b" not in done.stdout + done.stderr
+
+
+def test_stop_of_what_is_gone(tmp_path: Path) -> None:
+    with private_runtime_dir() as runtime:
+        environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)}
+        done = subprocess.run(
+            [*HAPTIC, "stop", "x"], env=environment, capture_output=True, text=True, timeout=60, check=False
+        )
+    assert done.returncode == 2
+    wait_for(lambda: not list(tmp_path.iterdir()), "nothing written")

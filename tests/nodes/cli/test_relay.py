@@ -1,0 +1,129 @@
+"""``haptic relay`` as PlotJuggler's ZeroMQ subscriber meets it: one SUB socket, one address, topic and MessagePack map."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+
+from messages.topics import DEVICE_STATE, FORCE, PROXY
+from nodes.cli import main
+from tests.support.launching import HAPTIC, RunningLaunch, private_runtime_dir, running
+
+
+@contextlib.contextmanager
+def plotjuggler(endpoint: str) -> Iterator[zmq.Socket[bytes]]:
+    """Listen as PlotJuggler's plug-in does: one SUB socket that connects, and takes everything."""
+    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.connect(endpoint)
+        socket.subscribe("")
+        socket.rcvtimeo = 30_000
+        yield socket
+
+
+@contextlib.contextmanager
+def relaying(environment: Mapping[str, str], *words: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a relay beside the block; it is gone at its end, whatever happened."""
+    with subprocess.Popen(
+        [*HAPTIC, "relay", *words, "--json"], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def end(process: subprocess.Popen[str]) -> Any:
+    """End a relay as Ctrl-C does; give its answer."""
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=30.0)
+    assert process.returncode == 0
+    return json.loads(out.splitlines()[-1])
+
+
+Series = dict[str, list[tuple[float, float]]]
+
+
+def take(socket: zmq.Socket[bytes], series: Series) -> str:
+    """Take one message as PlotJuggler 3.10 and later do, with protocol msgpack and ``stamp`` used as timestamp.
+
+    From its source (DataStreamZMQ, nlohmann_parsers): the first of several frames is the topic, the second the payload, a third
+    would be the time. Maps and arrays become series named by their path; numbers and booleans are values, texts are left out.
+    """
+    frames = socket.recv_multipart()
+    assert len(frames) == 2
+    topic, message = frames[0].decode(), msgpack.unpackb(frames[1])
+    assert isinstance(message["stamp"], float)
+
+    def flatten(name: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                flatten(f"{name}/{key}", inner)
+        elif isinstance(value, list):
+            for number, inner in enumerate(value):
+                flatten(f"{name}[{number}]", inner)
+        elif isinstance(value, int | float):
+            series.setdefault(name, []).append((message["stamp"], float(value)))
+
+    flatten(topic, message)
+    return topic
+
+
+@pytest.fixture(scope="module")
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+    with running(tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0") as found:
+        yield found
+
+
+def test_plotjuggler_sees_every_topic_at_one_address(launch: RunningLaunch, tmp_path: Path) -> None:
+    # A port of its own would be taken from other tests; what PlotJuggler does with it is the same.
+    endpoint = f"ipc://{tmp_path}/r"
+    series: Series = {}
+    seen: set[str] = set()
+    with relaying(launch.environment, endpoint) as relay, plotjuggler(endpoint) as socket:
+        while not {DEVICE_STATE, PROXY, FORCE, "/driver/status"} <= seen:
+            seen.add(take(socket, series))
+        answered = end(relay)
+    assert answered["runs"] == [launch.run.run]
+    assert answered["relayed"][DEVICE_STATE] > 0
+    heights = series[f"{DEVICE_STATE}/position[2]"]
+    stamps = [stamp for stamp, _ in heights]
+    assert stamps == sorted(stamps)
+    assert all(-0.02 < height <= 0.01 for _, height in heights)
+    assert f"{PROXY}/contact" in series
+
+
+def test_the_address_stays_from_launch_to_launch(tmp_path: Path) -> None:
+    endpoint = f"ipc://{tmp_path}/r"
+    with private_runtime_dir() as runtime:
+        environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)}
+        with relaying(environment, endpoint, "--topics", FORCE) as relay, plotjuggler(endpoint) as socket:
+            for _ in range(2):
+                subprocess.run(
+                    [*HAPTIC, "launch", "floor_drop", "duration:=1", "--without", "logger", "--no-plot"],
+                    cwd=tmp_path,
+                    env=environment,
+                    capture_output=True,
+                    check=True,
+                    timeout=60,
+                )
+                assert take(socket, {}) == FORCE
+            answered = end(relay)
+    assert len(answered["runs"]) == 2
+    assert set(answered["relayed"]) == {FORCE}
+
+
+def test_what_is_refused(launch: RunningLaunch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["relay", "tcp://0.0.0.0:9872"]) == 2
+    assert "nothing is published for other machines" in capsys.readouterr().err
+    done = launch.haptic("relay", f"ipc://{launch.folder}/q", "--once", "--topics", "/device/stat", code=2)
+    assert "did you mean /device/state?" in done.stderr
