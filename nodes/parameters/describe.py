@@ -86,6 +86,8 @@ def described(target: type[Any], values: Any, path: str, struct_of: Callable[[st
             own = struct_of(_kind(values))
             info = inspect.type_info(own) if own is not None else info
         info = _without_none(info)
+        if name == "kind" and _kind(values):
+            return Description(type="text", required=True, meaning="What it is: one of the kinds that are installed.")
         step = f"[{index}]" if index else f".{name}" if done else name
         if name and isinstance(info, inspect.StructType):
             fields = {field.encode_name: field for field in info.fields}

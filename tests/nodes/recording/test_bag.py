@@ -237,8 +237,8 @@ def test_play_from_the_command_line(bag: Path, tmp_path: Path, capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("endpoint", "told"),
     [
-        ("tcp://0.0.0.0:9872", "a recording is not sent abroad"),
-        ("tcp://*:9872", "a recording is not sent abroad"),
+        ("tcp://0.0.0.0:9872", "nothing is published for other machines here"),
+        ("tcp://*:9872", "nothing is published for other machines here"),
         ("ipc:///nowhere/at/all", "No such file or directory"),
     ],
 )
