@@ -15,6 +15,7 @@ from nodes.cli.ask import add_run, ask, chosen_run, node_name
 from nodes.cli.main import RefusedError, UsageError, answer
 from nodes.environment.surfaces import SURFACES
 from nodes.laws.base import LAWS
+from nodes.laws.presets import PRESETS
 from nodes.parameters.describe import described
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
@@ -125,7 +126,8 @@ def told(node: str, receipt: dict[str, Any]) -> str:
 
 
 def _struct_of(kind: str) -> type[Any] | None:
-    """Struct of an installed law or surface; None for what is neither, e.g. a preset."""
+    """Struct of an installed law or surface, a preset's law included; None for what is neither."""
+    kind = str(PRESETS.get(kind, {"kind": kind})["kind"])
     for registry in (LAWS, SURFACES):
         if kind in registry.names():
             found: type[Any] = registry.load(kind)
