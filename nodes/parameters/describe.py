@@ -127,6 +127,8 @@ def _down(values: Any, name: str, index: str) -> Any:
 
 
 def _without_none(info: inspect.Type) -> inspect.Type:
+    if isinstance(info, inspect.Metadata):
+        return _without_none(info.type)
     if isinstance(info, inspect.UnionType):
         rest = [one for one in info.types if not isinstance(one, inspect.NoneType)]
         return rest[0] if len(rest) == 1 else info
@@ -153,6 +155,8 @@ def _field(owner: type[Any], field: inspect.Field) -> Description:
 
 
 def _words(info: inspect.Type) -> str:
+    if isinstance(info, inspect.Metadata):
+        return _words(info.type)
     if isinstance(info, inspect.UnionType):
         return " or ".join(map(_words, info.types))
     if isinstance(info, inspect.LiteralType):
