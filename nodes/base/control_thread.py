@@ -74,9 +74,13 @@ class ControlServer(threading.Thread):
             "clock.set": node.set_clock,
             "param.list": node.store.flat,
             "param.get": lambda name: node.store.get(name),
-            "param.set": lambda values: node.change_parameters(lambda: node.store.changed(values)),
+            "param.set": lambda values, force=False: node.change_parameters(
+                lambda: node.store.changed(values), node.prepare_forced if force else None
+            ),
             "param.dump": node.store.dump,
-            "param.load": lambda values: node.change_parameters(lambda: node.store.merged(values)),
+            "param.load": lambda values, force=False: node.change_parameters(
+                lambda: node.store.merged(values), node.prepare_forced if force else None
+            ),
             **node.operations(),
         }
 

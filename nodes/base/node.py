@@ -24,7 +24,7 @@ from nodes.base.events import Telling
 from nodes.base.handover import Changes
 from nodes.base.setup import Setup
 from nodes.parameters.paths import check_paths
-from nodes.parameters.store import ParameterError, ParameterStore
+from nodes.parameters.store import ParameterError, ParameterStore, differences
 
 if TYPE_CHECKING:
     from nodes.tick.answering import CompiledTicks
@@ -193,6 +193,21 @@ class Node(Telling):
         del parameters
         raise ParameterError(f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs")
 
+    def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare new, valid parameters that the user insists on although the node advises against them (control thread).
+
+        Parameters
+        ----------
+        parameters : msgspec.Struct
+            The node's parameters after the change.
+
+        Returns
+        -------
+        callable
+            As from `prepare`, which it is for a node that refuses nothing of the kind.
+        """
+        return self.prepare(parameters)
+
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Control operations beside parameters, status and stop.
 
@@ -331,7 +346,7 @@ class Node(Telling):
 
     def change_parameters(
         self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None
-    ) -> Any:
+    ) -> dict[str, Any]:
         """Make, check, prepare and apply new parameters, all or nothing (control thread).
 
         Should the parameters change in between (a scheduled swap), all is made again from the newer ones.
@@ -345,8 +360,8 @@ class Node(Telling):
 
         Returns
         -------
-        object
-            The receipt of the change.
+        dict
+            The receipt of the change; its ``changed`` holds, for each path that changed, the value before and after.
 
         Raises
         ------
@@ -361,7 +376,7 @@ class Node(Telling):
             apply = (prepare or self.prepare)(parameters)
             receipt = self.hand_over(self._unless_changed(base, parameters, apply))
             if receipt is not None:
-                return receipt
+                return {**receipt, "changed": differences(base, parameters)}
 
     def _unless_changed(self, base: Any, parameters: Any, apply: Callable[[int], Any]) -> Callable[[int], Any]:
         def at_tick(seq: int) -> Any:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nodes.cli.ask import add_run, ask, chosen_run, node_name
 from nodes.cli.main import UsageError, answer
-from nodes.cli.param import told
+from nodes.cli.param import FORCE, forced, told
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
@@ -77,6 +77,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     switch = declare("switch", _switch, "Switch the law between two ticks; tells what both really render.")
     switch.add_argument("law")
     switch.add_argument("--ramp", type=int, metavar="TICKS", help="cross-fade (default: the coupling's own)")
+    switch.add_argument("--force", action="store_true", help=FORCE)
     show = declare(
         "show",
         _show,
@@ -143,7 +144,7 @@ def _switch(arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
     node = node_name(run, arguments.node)
     values = {} if arguments.ramp is None else {"ramp": arguments.ramp}
-    receipt = ask(run, node, "law.switch", law=arguments.law, **values)
+    receipt = ask(run, node, "law.switch", law=arguments.law, **values, **forced(arguments))
     lines = [told(node, receipt)]
     if "was" in receipt:
         lines += _table({f"was {receipt['from']}": receipt["was"], f"is {receipt['to']}": receipt["is"]})

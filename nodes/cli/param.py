@@ -20,6 +20,14 @@ from nodes.parameters.describe import described
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
 
+FORCE = "take the change even if the loop becomes unstable with it: for those who study that"
+
+MOST = 8
+"""Changes that are told one by one."""
+
+SHORT = 60
+"""Longest value that is told in full [characters]."""
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs.
@@ -37,6 +45,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         add_run(own)
         return own
 
+    def add_force(own: argparse.ArgumentParser) -> None:
+        own.add_argument("--force", action="store_true", help=FORCE)
+
     listing = declare("list", _list, "List the parameters of a node, or of all.")
     listing.add_argument("node", nargs="?", help="all nodes when left out")
     get = declare("get", _get, "Read one parameter, or a branch of them.")
@@ -46,6 +57,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "set", _set, "Change parameters while the loop runs; several at once are one change, all or nothing."
     )
     change.add_argument("node")
+    add_force(change)
     change.add_argument("pairs", nargs="+", metavar="NAME VALUE", help="values as in YAML, e.g. laws.pd.stiffness 1500")
     describe = declare("describe", _describe, "Tell what parameters are: type, unit, limits, default, meaning.")
     describe.add_argument("node")
@@ -55,6 +67,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     dump.add_argument("--out", "-o", type=Path, metavar="FILE", help="write to a file that does not exist yet")
     load = declare("load", _load, "Lay a YAML file, whole or in part, over a node's parameters; all or nothing.")
     load.add_argument("node")
+    add_force(load)
     load.add_argument("file", help="written by dump or by a study; - for standard input")
 
 
@@ -97,7 +110,7 @@ def _set(arguments: argparse.Namespace) -> int:
             values[name] = parse_yaml(text, f"{node}.{name}")
         except ParameterError as error:
             raise UsageError(str(error)) from error
-    receipt = ask(run, node, "param.set", values=values)
+    receipt = ask(run, node, "param.set", values=values, **forced(arguments))
     answer(arguments.json, {"run": run.run, "node": node, "values": values, "receipt": receipt}, told(node, receipt))
     return 0
 
@@ -115,14 +128,49 @@ def told(node: str, receipt: dict[str, Any]) -> str:
     Returns
     -------
     str
-        One line.
+        What changed from what to what, when, and what the stability figures say of it.
     """
-    text = f"/{node}: changed from tick {receipt['seq']} on"
+    changes = [f"{path} {_short(old)} → {_short(new)}" for path, (old, new) in receipt.get("changed", {}).items()]
+    lines = [f"/{node}: {changes[0] if changes else 'nothing changed'} from tick {receipt['seq']} on"]
     if "force_step_n" in receipt:
         laws = f"{receipt['from']} → {receipt['to']}" if receipt["from"] != receipt["to"] else receipt["to"]
         fade = f", cross-fade of {receipt['ramp']} ticks" if receipt["ramp"] else ""
-        text += f", law {laws}, force step {receipt['force_step_n']:.3g} N{fade}"
-    return text
+        lines[0] += f", law {laws}, force step {receipt['force_step_n']:.3g} N{fade}"
+    lines += [f"  {change}" for change in changes[1:MOST]]
+    lines += [f"  and {len(changes) - MOST} more"] if len(changes) > MOST else []
+    return "\n".join([*lines, *_stability(receipt)])
+
+
+def _short(value: Any) -> str:
+    text = "none" if value is None else _flow(value)
+    return text if len(text) <= SHORT else f"{text[: SHORT - 1]}…"
+
+
+def _stability(receipt: dict[str, Any]) -> list[str]:
+    found = receipt.get("stability")
+    if not found:
+        return []
+    if found["why"]:
+        return [f"  stability not judged: {found['why']}"]
+    before = "" if found["was_pole_radius"] is None else f"{found['was_pole_radius']:.4g} → "
+    now = "stable below 1" if found["stable"] else "UNSTABLE: taken by force"
+    return [f"  pole radius {before}{found['pole_radius']:.4g} ({now}) at a delay of {found['delay_ticks']:.3g} ticks"]
+
+
+def forced(arguments: argparse.Namespace) -> dict[str, bool]:
+    """Pass --force on where it was given: a node in another language need not know it.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As parsed.
+
+    Returns
+    -------
+    dict
+        Argument of the request.
+    """
+    return {"force": True} if arguments.force else {}
 
 
 def _struct_of(kind: str) -> type[Any] | None:
@@ -181,7 +229,7 @@ def _load(arguments: argparse.Namespace) -> int:
         values = parse_yaml(sys.stdin.read(), "-") if arguments.file == "-" else read_yaml(arguments.file)
     except (ParameterError, UnicodeDecodeError) as error:
         raise UsageError(str(error)) from error
-    receipt = ask(run, node, "param.load", values=values)
+    receipt = ask(run, node, "param.load", values=values, **forced(arguments))
     answer(
         arguments.json, {"run": run.run, "node": node, "file": arguments.file, "receipt": receipt}, told(node, receipt)
     )

@@ -1,4 +1,4 @@
-"""The named laws of a coupling: compiled, described, and judged for the declared device before they may render."""
+"""The named laws of a coupling: compiled and described before they may render."""
 
 from __future__ import annotations
 
@@ -97,10 +97,8 @@ class LawBook:
         there = ", ".join(self.names(parameters))
         raise ParameterError(f"{self._node}.law: no law is named {name!r}; there is: {there}")
 
-    def compile(
-        self, parameters: CouplingParameters, name: str, measured_delay: float, judge: bool = True
-    ) -> tuple[CompiledLaw, str]:
-        """Compile a law and judge it by the stability policy.
+    def compile(self, parameters: CouplingParameters, name: str) -> CompiledLaw:
+        """Compile a law.
 
         Parameters
         ----------
@@ -108,20 +106,16 @@ class LawBook:
             Of the node.
         name : str
             The law's name.
-        measured_delay : float
-            The loop's delay as measured now [ticks].
-        judge : bool
-            Whether to apply the stability policy.
 
         Returns
         -------
-        tuple of CompiledLaw and str
-            The law, and a warning (empty when there is none).
+        CompiledLaw
+            The law.
 
         Raises
         ------
         ParameterError
-            When it cannot be compiled, is longer than the history, or is refused by the policy.
+            When it cannot be compiled, or is longer than the history.
         """
         where = f"{self._node}.laws.{name}"
         compiled = compile_law(parse_law(self._find(parameters, name), where), self._period, where)
@@ -130,23 +124,7 @@ class LawBook:
                 f"{where}: {len(compiled.taps)} taps, but {self._node}.memory is {parameters.memory}; "
                 "shorten the law, or start with a longer memory"
             )
-        plant = parameters.plant
-        if not judge or plant is None or parameters.stability == "off" or compiled.evaluate is not None:
-            # What a law's own code adds is not linear: no pole tells whether it is stable.
-            return compiled, ""
-        from nodes.stability.closed_loop import pole_radius
-
-        delay = measured_delay if plant.delay is None else plant.delay
-        radius = pole_radius(compiled, self._period, plant.mass, plant.damping, delay, plant.stiffness)
-        if radius < 1.0:
-            return compiled, ""
-        text = (
-            f"{where}: pole radius {radius:.6g} (limit: < 1) with mass {plant.mass:g} kg, damping {plant.damping:g} N s/m "
-            f"at a delay of {delay:.3g} ticks: the loop is unstable"
-        )
-        if parameters.stability == "refuse":
-            raise ParameterError(f"{text}; lower the stiffness or set {self._node}.stability to warn")
-        return compiled, text
+        return compiled
 
     def figures(self, parameters: CouplingParameters, name: str, measured_delay: float) -> dict[str, Any]:
         """Tell what a law really renders.
@@ -165,8 +143,7 @@ class LawBook:
         dict
             Figures with units in the keys.
         """
-        compiled, _ = self.compile(parameters, name, measured_delay, judge=False)
-        return self.figures_of(parameters, compiled, measured_delay)
+        return self.figures_of(parameters, self.compile(parameters, name), measured_delay)
 
     def figures_of(
         self, parameters: CouplingParameters, compiled: CompiledLaw, measured_delay: float
@@ -192,7 +169,7 @@ class LawBook:
         plant = parameters.plant
         if plant is None:
             return law_figures(compiled, self._period)
-        delay = measured_delay if plant.delay is None else plant.delay
+        delay = plant.loop_delay(measured_delay)
         return law_figures(compiled, self._period, plant.mass, plant.damping, delay, plant.stiffness)
 
     def unfit(self, parameters: CouplingParameters) -> list[str]:
@@ -211,41 +188,34 @@ class LawBook:
         reasons = []
         for name in parameters.laws:
             try:
-                self.compile(parameters, name, 0.0, judge=False)
+                self.compile(parameters, name)
             except ParameterError as error:
                 reasons.append(str(error))
         return reasons
 
-    def check(self, parameters: CouplingParameters, delay: float) -> None:
+    def check(self, parameters: CouplingParameters) -> None:
         """Check what belongs together, and compile the laws that will render.
 
         Parameters
         ----------
         parameters : CouplingParameters
             Of the node.
-        delay : float
-            Least delay of the loop [ticks], for the stability policy.
 
         Raises
         ------
         ParameterError
             With path, value, limit and remedy.
         """
-        if parameters.stability == "refuse" and parameters.plant is None:
-            raise ParameterError(
-                f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
-                "declare its mass and damping, or set stability to warn"
-            )
         for name, law in parameters.laws.items():
             parse_law(law, f"{self._node}.laws.{name}")
-        self.compile(parameters, parameters.law, delay, judge=parameters.stability == "refuse")
+        self.compile(parameters, parameters.law)
         taken_until = 0
         for i, swap in sorted(enumerate(parameters.schedule), key=lambda numbered: numbered[1].at):
             where = f"{self._node}.schedule[{i}]"
             if swap.law not in parameters.laws and swap.law not in PRESETS:
                 there = ", ".join(self.names(parameters))
                 raise ParameterError(f"{where}.law: no law is named {swap.law!r}; there is: {there}")
-            self.compile(parameters, swap.law, 0.0, judge=False)
+            self.compile(parameters, swap.law)
             tick = round(swap.at / self._period)
             if tick < taken_until:
                 raise ParameterError(

@@ -19,6 +19,7 @@ from messages.types import Force, Proxy, Receipt, Vector
 from nodes.base.follow import follow
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import CouplingParameters
@@ -66,7 +67,10 @@ class Coupling(Node):
             With path, value, limit and remedy.
         """
         parameters: CouplingParameters = convert(setup.parameters, CouplingParameters, setup.name)
-        LawBook(setup.name, setup.period).check(parameters, _least_delay(setup))
+        book = LawBook(setup.name, setup.period)
+        book.check(parameters)
+        if parameters.stability == "refuse":
+            Judgement(setup.name, setup.period, book).at_start(parameters, _least_delay(setup))
 
     # -- off the hot path --------------------------------------------------------------------------------------------
 
@@ -78,7 +82,8 @@ class Coupling(Node):
         self._revision = 0
         self._failed_text = ""
         self._book = LawBook(self.setup.name, self.setup.period)
-        self._book.check(parameters, self._delay)
+        self._judgement = Judgement(self.setup.name, self.setup.period, self._book)
+        self._book.check(parameters)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
         if self.kernel is None:
             self._renderer = Renderer(axes, parameters.memory)
@@ -90,6 +95,8 @@ class Coupling(Node):
             self._renderer = Renderer(axes, parameters.memory, lambda memory, n: SharedHistory(memory, self._shared, n))
         for reason in self._book.unfit(parameters):
             self.announce("law", f"{reason}; it cannot be switched to")
+        for text in self._judgement.at_start(parameters, self._delay):
+            self.announce("stability", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
         self._take_schedule(
@@ -109,13 +116,16 @@ class Coupling(Node):
             # one-process scene replays it too.
             self._renderer.standby = [law for _, law, _ in schedule if law.compiled.sections]
 
-    def _changed_schedule(self, parameters: CouplingParameters) -> list[Scheduled]:
+    def _changed_schedule(
+        self, now: CouplingParameters, parameters: CouplingParameters, force: bool
+    ) -> list[Scheduled]:
         """Compile anew what is scheduled and was changed."""
         changed = []
         for tick, law, ramp in list(self._schedule):
             fresh = law
-            if self._book.text(parameters, law.name) != law.text:
+            if self._book.description(parameters, law.name) != self._book.description(now, law.name):
                 fresh = self._prepare_law(parameters, law.name)
+                self._judge(now, parameters, fresh, force)
                 fresh.warm_up(self._renderer.snapshots())
             changed.append((tick, fresh, ramp))
         return changed
@@ -132,10 +142,24 @@ class Coupling(Node):
         return ActiveLaw("fallback", text, compiled, self._renderer.histories)
 
     def _prepare_law(self, parameters: CouplingParameters, name: str) -> ActiveLaw:
-        compiled, told = self._book.compile(parameters, name, self._delay)
-        if told:
-            self.announce("stability", told)
+        compiled = self._book.compile(parameters, name)
         return ActiveLaw(name, self._book.text(parameters, name), compiled, self._renderer.histories)
+
+    def _judge(
+        self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool
+    ) -> dict[str, Any]:
+        """Refuse a change that the stability figures call unstable, or tell these figures, before and after it."""
+        verdict, warning = self._judgement.of_change(now, wanted, law.name, law.compiled, self._delay, force)
+        if warning:
+            self.announce("stability", warning)
+        before = self._judgement.verdict(wanted, self._renderer.law.compiled, self._delay)
+        return {
+            "pole_radius": verdict and verdict.pole_radius,
+            "was_pole_radius": before and before.pole_radius,
+            "delay_ticks": verdict and verdict.device.delay,
+            "stable": verdict and verdict.stable,
+            "why": "" if verdict else self._judgement.why_not(wanted),
+        }
 
     def _bring_up(self, law: ActiveLaw) -> None:
         """Replay the history into the law's sections, and try its own code, on copies."""
@@ -168,28 +192,54 @@ class Coupling(Node):
         -------
         callable
             Swaps the law between two ticks and returns the receipt.
-        """
-        now: CouplingParameters = self.store.current
-        return self._prepare(parameters, "set" if parameters.law == now.law else "switch", parameters.ramp)
 
-    def _prepare(self, parameters: CouplingParameters, action: str, ramp: int) -> Callable[[int], Any]:
+        Raises
+        ------
+        ParameterError
+            When the change is refused: with path, value, limit, and what would be taken.
+        """
+        return self._prepare(parameters)
+
+    def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare changed parameters even if the loop becomes unstable with them.
+
+        Parameters
+        ----------
+        parameters : CouplingParameters
+            The parameters after the change.
+
+        Returns
+        -------
+        callable
+            As from `prepare`.
+        """
+        return self._prepare(parameters, force=True)
+
+    def _prepare(
+        self, parameters: CouplingParameters, action: str = "", ramp: int | None = None, force: bool = False
+    ) -> Callable[[int], Any]:
         now: CouplingParameters = self.store.current
+        action = action or ("set" if parameters.law == now.law else "switch")
+        ramp = parameters.ramp if ramp is None else ramp
         self._book.refuse_fixed(now, parameters)
-        if parameters.stability == "refuse" and parameters.plant is None:
-            self._book.check(parameters, self._delay)
         for name, law in parameters.laws.items():
             if law != now.laws.get(name):
-                self._book.compile(parameters, name, self._delay, judge=False)
+                self._book.compile(parameters, name)
         fallback = self._make_fallback(parameters)
+        self._judgement.refuse_fallback(now, parameters, self._delay, force)
         law = self._prepare_law(parameters, parameters.law)
+        judged = law.compiled, parameters.plant, parameters.stability
+        stability: dict[str, Any] = {}
+        if judged != (self._renderer.law.compiled, now.plant, now.stability):
+            stability = {"stability": self._judge(now, parameters, law, force)}
         if action == "set" and law.text == self._failed_text:
             # What failed does not come back because something else was set; switching to it by name does that.
             law = fallback
         self._bring_up(law)
-        schedule = self._changed_schedule(parameters)
+        schedule = self._changed_schedule(now, parameters, force)
 
         def apply(seq: int) -> dict[str, Any]:
-            receipt = self._swap(seq, law, ramp, action, "asked")
+            receipt = {**self._swap(seq, law, ramp, action, "asked"), **stability}
             self._settle(parameters, fallback)
             self._take_schedule(schedule)
             return receipt
@@ -225,7 +275,7 @@ class Coupling(Node):
         described = msgspec.json.decode(active.text)
         return {**described, **self._book.figures_of(parameters, active.compiled, self._delay)}
 
-    def _switch_law(self, law: str, ramp: int | None = None) -> dict[str, Any]:
+    def _switch_law(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
         usual = self.store.current.ramp
         wanted = {"law": law} if ramp is None else {"law": law, "ramp": ramp}
         before = self._renderer.law
@@ -237,7 +287,7 @@ class Coupling(Node):
             return msgspec.structs.replace(changed, ramp=usual)
 
         receipt: dict[str, Any] = self.change_parameters(
-            make, lambda parameters: self._prepare(parameters, "switch", ramps[-1])
+            make, lambda parameters: self._prepare(parameters, "switch", ramps[-1], bool(force))
         )
         parameters: CouplingParameters = self.store.current
         if parameters.figures:

@@ -72,12 +72,30 @@ class Plant(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Stiffness of the hand [N/m].
     delay : float or None
         Delay of the loop [ticks]; None for the measured one.
+    device_delay : float
+        Delay of the device itself, which the loop cannot measure: comes on top of the measured one [ticks].
     """
 
     mass: Positive
     damping: NonNegative = 0.0
     stiffness: NonNegative = 0.0
     delay: NonNegative | None = None
+    device_delay: NonNegative = 0.0
+
+    def loop_delay(self, measured: float) -> float:
+        """Tell the delay that a law is judged at.
+
+        Parameters
+        ----------
+        measured : float
+            Delay of the loop as measured now [ticks].
+
+        Returns
+        -------
+        float
+            From the sample to the force that acts [ticks].
+        """
+        return (measured if self.delay is None else self.delay) + self.device_delay
 
 
 class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -105,7 +123,8 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     budget : float
         Part of the period that a law's own code may take.
     stability : str
-        What to do about a pole radius ≥ 1 with `plant`: ``warn``, ``refuse`` or ``off``.
+        What to do about a pole radius ≥ 1 with `plant`: ``refuse`` it; refuse ``changes`` that lead there, but start with a
+        warning; ``warn``; or ``off``.
     plant : Plant or None
         The device; None when it is not known.
     figures : bool
@@ -121,6 +140,6 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     schedule: list[Swap] = []
     fallback: Fallback = Fallback()
     budget: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.5
-    stability: Literal["warn", "refuse", "off"] = "warn"
+    stability: Literal["refuse", "changes", "warn", "off"] = "changes"
     plant: Plant | None = None
     figures: bool = True

@@ -144,6 +144,48 @@ def of_node(tree: Any, node: str) -> Any:
     return dict(tree)
 
 
+def flattened(tree: Any, path: str = "") -> dict[str, Any]:
+    """Lay out a tree of parameters by path.
+
+    Parameters
+    ----------
+    tree : object
+        Builtins.
+    path : str
+        Where the tree stands.
+
+    Returns
+    -------
+    dict of str to object
+        Path to value; lists are values.
+    """
+    if not (isinstance(tree, dict) and tree):
+        return {path: tree}
+    found: dict[str, Any] = {}
+    for key, inner in tree.items():
+        found |= flattened(inner, f"{path}.{key}" if path else str(key))
+    return found
+
+
+def differences(before: msgspec.Struct, after: msgspec.Struct) -> dict[str, list[Any]]:
+    """Tell what a change of parameters changed.
+
+    Parameters
+    ----------
+    before, after : msgspec.Struct
+        Parameters of one type.
+
+    Returns
+    -------
+    dict of str to list
+        Path to the values before and after; None where there was or is none.
+    """
+    old, new = flattened(msgspec.to_builtins(before)), flattened(msgspec.to_builtins(after))
+    return {
+        path: [old.get(path), new.get(path)] for path in dict.fromkeys([*old, *new]) if old.get(path) != new.get(path)
+    }
+
+
 class ParameterStore:
     """The parameters a node runs with, and how to make changed ones.
 
@@ -196,17 +238,8 @@ class ParameterStore:
         dict of str to object
             Path to value; lists are values.
         """
-        found: dict[str, Any] = {}
-
-        def walk(value: Any, path: str) -> None:
-            if isinstance(value, dict) and value:
-                for key, inner in value.items():
-                    walk(inner, f"{path}.{key}" if path else str(key))
-            else:
-                found[path] = value
-
-        walk(self.dump(), "")
-        return found
+        built = self.dump()
+        return flattened(built) if built else {}
 
     def get(self, name: str) -> Any:
         """Read one parameter or one branch.

@@ -124,7 +124,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
     book = LawBook(coupling_name, period)
 
     def law(name: str) -> CompiledLaw:
-        compiled, _ = book.compile(coupling, name, 0.0, judge=False)
+        compiled = book.compile(coupling, name)
         if compiled.evaluate is not None:
             raise ParameterError(f"{coupling_name}.laws.{name}: has code of its own, which one process does not play")
         return compiled

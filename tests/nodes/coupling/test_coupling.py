@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from messages.types import Proxy
 from nodes import kernels
+from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import MAX_TEXT, LawBook
 from nodes.coupling.law_on_axis import MAX_LEAVING, UNROLLED_TAPS, Fade, History, LawOnAxis, sum_of_taps, weighted_taps
 from nodes.coupling.parameters import CouplingParameters
@@ -360,8 +361,10 @@ def parameters(**more: Any) -> CouplingParameters:
     return made
 
 
-def check(delay: float = 0.0, **more: Any) -> None:
-    LawBook("coupling", T).check(parameters(**more), delay)
+def check(**more: Any) -> None:
+    book = LawBook("coupling", T)
+    book.check(parameters(**more))
+    Judgement("coupling", T, book).at_start(parameters(**more), 0.0)
 
 
 def test_a_bare_preset_is_a_law() -> None:
@@ -412,48 +415,15 @@ def test_the_limits_themselves_are_accepted(more: dict[str, Any]) -> None:
     check(**more)
 
 
-def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
-    # The edge is found by bisection on the figures, which other tests hold against closed forms, and crossed by 0.1 %.
-    book = LawBook("coupling", T)
-    plant = {"mass": 0.1, "damping": 1.0}
-
-    def at(stiffness: float, policy: str) -> CouplingParameters:
-        laws = {"pd": {"kind": "pd", "stiffness": stiffness, "damping": 3.0}}
-        return parameters(laws=laws, plant=plant, stability=policy)
-
-    def radius(stiffness: float) -> float:
-        return float(book.figures(at(stiffness, "off"), "pd", 0.0)["pole_radius"])
-
-    low, high = 100.0, 100_000.0
-    assert radius(low) < 1.0 < radius(high)
-    while high - low > 1e-6 * low:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if radius(middle) < 1.0 else (low, middle)
-    for policy in ("refuse", "warn", "off"):
-        assert book.compile(at(0.999 * low, policy), "pd", 0.0)[1] == ""
-    assert book.compile(at(1.001 * high, "off"), "pd", 0.0)[1] == ""
-    warning = book.compile(at(1.001 * high, "warn"), "pd", 0.0)[1]
-    with pytest.raises(ParameterError) as raised:
-        book.compile(at(1.001 * high, "refuse"), "pd", 0.0)
-    for text in (warning, str(raised.value)):
-        assert "coupling.laws.pd: pole radius 1.0" in text
-        assert "limit: < 1" in text
-    # The measured delay counts, unless the plant declares one.
-    with pytest.raises(ParameterError, match=r"at a delay of 3 ticks"):
-        book.compile(at(0.999 * low, "refuse"), "pd", 3.0)
-    plant["delay"] = 0.0
-    assert book.compile(at(0.999 * low, "refuse"), "pd", 3.0)[1] == ""
-
-
 def test_laws_that_cannot_be_rendered_are_listed_and_do_not_stop_the_others() -> None:
     # At 4 kHz the paper's optimum has H(1) = 1000 − 0.14428·3·4000 < 0 (its leak grows with 1/T).
     book = LawBook("coupling", 1.0 / 4000.0)
     fast = parameters()
-    book.check(fast, 0.0)
+    book.check(fast)
     (reason,) = book.unfit(fast)
     assert reason.startswith("coupling.laws.optimum: renders H(1) = -")
     with pytest.raises(ParameterError, match=r"H\(1\) = -"):
-        book.check(msgspec.structs.replace(fast, law="optimum"), 0.0)
+        book.check(msgspec.structs.replace(fast, law="optimum"))
 
 
 def test_receipts_of_long_laws_stay_short_and_readable() -> None:

@@ -39,10 +39,7 @@ def test_what_does_not_import_leaves_everything_else_alone(tmp_path: Path, broke
     ("words", "noun"),
     [
         (("study", "kmax", "--law", "half"), "law"),
-        (
-            ("law", "show", "{kind: pd_alpha, stiffness: 1000, damping: 3, order: 0.5, taps: 4, derivative: half}"),
-            "realisation of D^α",
-        ),
+        (("law", "show", HALF_DERIVED), "realisation of D^α"),
         (("launch", "half.yaml"), "surface"),
         (("launch", "node.yaml"), "kind of node"),
         (("half",), "verb"),

@@ -1,0 +1,303 @@
+"""What the stability figures say of a law before it may render; a refusal tells the limit and what would be taken instead.
+
+Everything here runs on the control thread, or before anything is started.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
+from nodes.laws import CompiledLaw
+from nodes.laws.parse import compile_law, parse_law
+from nodes.parameters.store import ParameterError
+
+if TYPE_CHECKING:
+    from nodes.stability.judge import Verdict
+    from nodes.stability.k_max import Device
+
+_SOFTEST = 1e-12
+"""A stiffness is looked for from this part of what was asked."""
+
+_DIGITS = 3
+"""Significant digits of a value that would be taken: the measured delay moves the fourth."""
+
+
+class Judgement:
+    """Judges the laws of one coupling.
+
+    Parameters
+    ----------
+    node : str
+        Name of the node, for errors.
+    period : float
+        Sampling period T [s].
+    book : LawBook
+        Its laws.
+    """
+
+    def __init__(self, node: str, period: float, book: LawBook) -> None:
+        self._node = node
+        self._period = period
+        self._book = book
+
+    def verdict(self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float) -> Verdict | None:
+        """Judge a compiled law on the declared device.
+
+        Parameters
+        ----------
+        parameters : CouplingParameters
+            With the device.
+        law : CompiledLaw
+            The law.
+        measured_delay : float
+            The loop's delay as measured now [ticks].
+
+        Returns
+        -------
+        Verdict or None
+            None when there is nothing to judge by: no device declared, a policy of ``off``, or a law with code of its own.
+        """
+        if parameters.plant is None or parameters.stability == "off":
+            return None
+        from nodes.stability.judge import judge
+
+        return judge(law, self._period, self._device(parameters, measured_delay))
+
+    def why_not(self, parameters: CouplingParameters) -> str:
+        """Say why there is no verdict.
+
+        Parameters
+        ----------
+        parameters : CouplingParameters
+            Of the node.
+
+        Returns
+        -------
+        str
+            One clause.
+        """
+        if parameters.plant is None:
+            return f"{self._node}.plant, the device, is not declared"
+        return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
+
+    @staticmethod
+    def _device(parameters: CouplingParameters, measured_delay: float) -> Device:
+        from nodes.stability.k_max import Device
+
+        plant = parameters.plant
+        assert plant is not None  # noqa: S101  # asked before
+        return Device(plant.mass, plant.damping, plant.loop_delay(measured_delay), plant.stiffness)
+
+    def at_start(self, parameters: CouplingParameters, delay: float) -> list[str]:
+        """Judge the law of tick 0, those that are scheduled, and the fallback.
+
+        Parameters
+        ----------
+        parameters : CouplingParameters
+            Of the node, checked.
+        delay : float
+            Least delay of the loop [ticks].
+
+        Returns
+        -------
+        list of str
+            Warnings.
+
+        Raises
+        ------
+        ParameterError
+            When the policy is to refuse it, or it cannot be judged at all under that policy.
+        """
+        if parameters.stability == "refuse" and parameters.plant is None:
+            raise ParameterError(
+                f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
+                "declare its mass and damping, or set stability to warn"
+            )
+        told = []
+        for name in dict.fromkeys([parameters.law, *(swap.law for swap in parameters.schedule)]):
+            verdict = self.verdict(parameters, self._book.compile(parameters, name), delay)
+            if verdict is not None and not verdict.stable:
+                told.append(
+                    f"{self._complaint(f'laws.{name}', verdict)}; {self._remedy(None, parameters, name, verdict)}"
+                )
+        told += self._of_fallback(parameters, delay)
+        if told and parameters.stability == "refuse":
+            raise ParameterError(f"{told[0]}, or set {self._node}.stability to warn")
+        return told
+
+    def _of_fallback(self, parameters: CouplingParameters, delay: float) -> list[str]:
+        if not parameters.fallback.damping:
+            return []
+        verdict = self.verdict(parameters, parameters.fallback.compile(self._period), delay)
+        if verdict is None or verdict.stable:
+            return []
+        return [f"{self._complaint('fallback', verdict)}; lower {self._node}.fallback.damping"]
+
+    def of_change(
+        self,
+        now: CouplingParameters | None,
+        wanted: CouplingParameters,
+        name: str,
+        law: CompiledLaw,
+        delay: float,
+        force: bool,
+    ) -> tuple[Verdict | None, str]:
+        """Judge a law that would render after a change.
+
+        Parameters
+        ----------
+        now : CouplingParameters or None
+            Before the change; None when its values are no way to the new ones.
+        wanted : CouplingParameters
+            After it.
+        name : str
+            The law.
+        law : CompiledLaw
+            Compiled.
+        delay : float
+            The loop's delay as measured now [ticks].
+        force : bool
+            Whether an unstable one is taken all the same.
+
+        Returns
+        -------
+        tuple of Verdict or None, and str
+            What the figures say, and a warning.
+
+        Raises
+        ------
+        ParameterError
+            When it is unstable, neither forced nor allowed by the policy: with the limit, and what would be taken.
+        """
+        verdict = self.verdict(wanted, law, delay)
+        if verdict is None or verdict.stable:
+            return verdict, ""
+        text = self._complaint(f"laws.{name}", verdict)
+        if force or wanted.stability == "warn":
+            return verdict, text
+        raise ParameterError(
+            f"{text}; nothing was changed. {self._remedy(now, wanted, name, verdict).capitalize()}; to study it all the same, "
+            f"--force, or set {self._node}.stability to warn"
+        )
+
+    def refuse_fallback(self, now: CouplingParameters, wanted: CouplingParameters, delay: float, force: bool) -> None:
+        """Refuse a changed fallback that would be unstable, as a law is.
+
+        Parameters
+        ----------
+        now, wanted : CouplingParameters
+            Before and after the change.
+        delay : float
+            The loop's delay as measured now [ticks].
+        force : bool
+            Whether an unstable one is taken all the same.
+
+        Raises
+        ------
+        ParameterError
+            With the limit.
+        """
+        if now.fallback != wanted.fallback and not force and wanted.stability != "warn":
+            for text in self._of_fallback(wanted, delay):
+                raise ParameterError(f"{text}; nothing was changed")
+
+    def _complaint(self, what: str, verdict: Verdict) -> str:
+        device = verdict.device
+        hand = f", hand {device.stiffness:g} N/m" if device.stiffness else ""
+        return (
+            f"{self._node}.{what}: pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass {device.mass:g} kg, "
+            f"damping {device.damping:g} N s/m{hand} at a delay of {device.delay:.3g} ticks: the loop is unstable"
+        )
+
+    # -- what would be taken instead ---------------------------------------------------------------------------------
+
+    def _remedy(self, now: CouplingParameters | None, wanted: CouplingParameters, name: str, verdict: Verdict) -> str:
+        from nodes.stability.judge import between, furthest_stable, judge
+
+        asked = self._book.description(wanted, name)
+        where = f"{self._node}.laws.{name}" if name in wanted.laws else name
+        start = self._start(now, name, asked)
+        if not start:
+            whole = self._compiled(asked)
+            share = furthest_stable(lambda part: _scaled(whole, part), self._period, verdict.device)
+            part = f"all taps of {where} times {_rounded(share, 0.0):g}" if share else f"no part of {where}"
+            return f"{part} would be taken"
+
+        def at(share: float) -> dict[str, Any]:
+            def change(path: str, end: float) -> float:
+                return between(start[path], end, share) if path in start else end
+
+            blended: dict[str, Any] = _mapped(asked, change)
+            return blended
+
+        share = furthest_stable(lambda part: self._compiled(at(part)), self._period, verdict.device)
+        if share is None:
+            return f"no value of {where}.{' or '.join(start)} would be taken on the way there, the rest as asked"
+        reached, ends = _numbers(at(share)), _numbers(asked)
+        if len(start) > 1:
+            return f"together, {where} would be taken up to " + ", ".join(
+                f"{path} {reached[path]:.4g}" for path in start
+            )
+        ((path, begin),) = start.items()
+        value = _rounded(reached[path], begin)
+        rounded = self._compiled(_mapped(asked, lambda at, end: value if at == path else end))
+        found = judge(rounded, self._period, verdict.device)
+        shown = f"{value:g}" if found is not None and found.stable else f"{reached[path]:.9g}"
+        return f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that would be taken is {shown}"
+
+    def _start(self, now: CouplingParameters | None, name: str, asked: dict[str, Any]) -> dict[str, float]:
+        """Where the way to what is asked begins: the values before, else no stiffness; nothing when the law has none."""
+        ends = _numbers(asked)
+        if now is not None and name in self._book.names(now):
+            before = self._book.description(now, name)
+            begins = _numbers(before)
+            changed = {path: begins[path] for path in ends if path in begins and begins[path] != ends[path]}
+            if changed and _mapped(before, lambda path, value: ends.get(path, value)) == asked:
+                return changed
+        return {"stiffness": _SOFTEST * ends["stiffness"]} if "stiffness" in ends else {}
+
+    def _compiled(self, description: dict[str, Any]) -> CompiledLaw:
+        return compile_law(parse_law(description), self._period)
+
+
+def _numbers(tree: Any, path: str = "") -> dict[str, float]:
+    """All floats of a law's description by their path."""
+    if isinstance(tree, float):
+        return {path: tree}
+    found: dict[str, float] = {}
+    if isinstance(tree, dict):
+        for key, inner in tree.items():
+            found |= _numbers(inner, f"{path}.{key}" if path else key)
+    elif isinstance(tree, list):
+        for i, inner in enumerate(tree):
+            found |= _numbers(inner, f"{path}[{i}]")
+    return found
+
+
+def _mapped(tree: Any, change: Callable[[str, float], float], path: str = "") -> Any:
+    """Change the floats of a description."""
+    if isinstance(tree, float):
+        return change(path, tree)
+    if isinstance(tree, dict):
+        return {key: _mapped(inner, change, f"{path}.{key}" if path else key) for key, inner in tree.items()}
+    if isinstance(tree, list):
+        return [_mapped(inner, change, f"{path}[{i}]") for i, inner in enumerate(tree)]
+    return tree
+
+
+def _scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
+    sections = tuple((factor * b0, factor * b1, a1, a2) for b0, b1, a1, a2 in law.sections)
+    return replace(law, taps=tuple(factor * tap for tap in law.taps), sections=sections)
+
+
+def _rounded(value: float, towards: float) -> float:
+    """Round to a few digits, towards another value."""
+    if value == 0.0:
+        return value
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - _DIGITS)
+    return (math.floor if towards < value else math.ceil)(value / unit) * unit

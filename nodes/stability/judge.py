@@ -1,0 +1,138 @@
+"""Whether a law may render on a known device, and how far a change may go: the figures behind a refusal, or behind a map.
+
+Pure functions of taps, device and period. One point costs one pole radius, 0.1 to 1 ms for a law of a few taps.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from nodes.laws import CompiledLaw
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.k_max import Device
+
+MARGINAL = 1e-6
+"""How far outside the unit circle rounding may put the pole that a loop without any spring has at z = 1."""
+
+_POINTS = 64
+_POINTS_OF_LONG = 12
+_LONG = 100
+"""A law of more taps than this takes up to a second a point, so that fewer are looked at."""
+
+_BISECTIONS = 24
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the stability figures say of a law on a device.
+
+    Attributes
+    ----------
+    pole_radius : float
+        Largest pole of the closed loop: it decays, or grows, by this factor per tick.
+    device : Device
+        What it was computed for, the delay included.
+    stable : bool
+        Whether the loop is stable; without any spring, whether its motion decays.
+    """
+
+    pole_radius: float
+    device: Device
+    stable: bool
+
+
+def judge(law: CompiledLaw, period: float, device: Device) -> Verdict | None:
+    """Judge a law on a device.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps and sections.
+    period : float
+        Sampling period T [s].
+    device : Device
+        Mass, damping, hand and the loop's delay, all in their limits.
+
+    Returns
+    -------
+    Verdict or None
+        None for a law with code of its own: what that adds is not linear, no pole tells whether it is stable.
+    """
+    if law.evaluate is not None:
+        return None
+    try:
+        radius = pole_radius(law, period, device.mass, device.damping, device.delay, device.stiffness)
+    except ValueError:
+        # Taps so large that the loop's coefficients overflow.
+        radius = math.inf
+    free = law.h1 + device.stiffness == 0.0
+    return Verdict(radius, device, radius < 1.0 or (free and radius < 1.0 + MARGINAL))
+
+
+def furthest_stable(way: Callable[[float], CompiledLaw], period: float, device: Device) -> float | None:
+    """Find how far one can go on a way that ends in an unstable law.
+
+    Parameters
+    ----------
+    way : callable
+        From a share of the way, 0 to 1, to the law there; a `ValueError` says that there is no law at this point.
+    period : float
+        Sampling period T [s].
+    device : Device
+        Mass, damping, hand and the loop's delay.
+
+    Returns
+    -------
+    float or None
+        The largest share at which the loop is stable, to 2⁻²⁴ of the distance between the points that are looked at; None
+        when none of them is stable.
+    """
+
+    def stable(share: float) -> bool:
+        try:
+            found = judge(way(share), period, device)
+        except ValueError:
+            return False
+        return found is not None and found.stable
+
+    points = _POINTS
+    with contextlib.suppress(ValueError):
+        points = _POINTS_OF_LONG if len(way(1.0).taps) > _LONG else _POINTS
+    beyond = 1.0
+    for i in range(points - 1, -1, -1):
+        if stable(i / points):
+            inside = i / points
+            break
+        beyond = i / points
+    else:
+        return None
+    for _ in range(_BISECTIONS if points == _POINTS else _BISECTIONS // 3):
+        middle = 0.5 * (inside + beyond)
+        inside, beyond = (middle, beyond) if stable(middle) else (inside, middle)
+    return inside
+
+
+def between(start: float, end: float, share: float) -> float:
+    """Take a point between two values: by equal ratios where both are of one sign, else by equal steps.
+
+    Parameters
+    ----------
+    start, end : float
+        The values.
+    share : float
+        0 to 1.
+
+    Returns
+    -------
+    float
+        The point, exactly `start` and `end` at both ends.
+    """
+    if share in (0.0, 1.0):
+        return end if share else start
+    if start * end > 0.0:
+        # In logarithms, so that from 1e3 to 1e300 all decades are looked at and none overflows.
+        return math.copysign(math.exp((1.0 - share) * math.log(abs(start)) + share * math.log(abs(end))), end)
+    return start + (end - start) * share

@@ -1,0 +1,153 @@
+"""A change that makes the loop unstable is refused, with the limit and the last value that would be taken.
+
+The oracle is the pole radius of the closed loop, which other tests hold against closed forms and simulation.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import msgspec
+import pytest
+
+from nodes.coupling.judgement import Judgement
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
+from nodes.laws.parse import compile_law, parse_law
+from nodes.parameters.store import ParameterError, convert
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.k_max import Device
+
+T = 0.002
+
+
+def parameters(**more: Any) -> CouplingParameters:
+    laws = {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}, "optimum": "paper_optimum"}
+    made: CouplingParameters = convert({"law": "pd", "laws": laws, **more}, CouplingParameters, "coupling")
+    return made
+
+
+def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
+    # The edge is found by bisection on the figures, which other tests hold against closed forms, and crossed by 0.1 %.
+    book = LawBook("coupling", T)
+    plant = {"mass": 0.1, "damping": 1.0}
+
+    def at(stiffness: float, policy: str) -> CouplingParameters:
+        laws = {"pd": {"kind": "pd", "stiffness": stiffness, "damping": 3.0}}
+        return parameters(laws=laws, plant=plant, stability=policy)
+
+    def radius(stiffness: float) -> float:
+        return float(book.figures(at(stiffness, "off"), "pd", 0.0)["pole_radius"])
+
+    low, high = 100.0, 100_000.0
+    assert radius(low) < 1.0 < radius(high)
+    while high - low > 1e-6 * low:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if radius(middle) < 1.0 else (low, middle)
+    judgement = Judgement("coupling", T, book)
+    for policy in ("refuse", "changes", "warn", "off"):
+        assert judgement.at_start(at(0.999 * low, policy), 0.0) == []
+    assert judgement.at_start(at(1.001 * high, "off"), 0.0) == []
+    (warning,) = judgement.at_start(at(1.001 * high, "warn"), 0.0)
+    assert judgement.at_start(at(1.001 * high, "changes"), 0.0) == [warning]
+    with pytest.raises(ParameterError) as raised:
+        judgement.at_start(at(1.001 * high, "refuse"), 0.0)
+    for text in (warning, str(raised.value)):
+        assert "coupling.laws.pd: pole radius 1.0" in text
+        assert "limit: < 1" in text
+    # The measured delay counts, unless the plant declares one; that of the device itself comes on top of either.
+    with pytest.raises(ParameterError, match=r"at a delay of 3 ticks"):
+        judgement.at_start(at(0.999 * low, "refuse"), 3.0)
+    plant["delay"] = 0.0
+    assert judgement.at_start(at(0.999 * low, "refuse"), 3.0) == []
+    plant["device_delay"] = 1.5
+    with pytest.raises(ParameterError, match=r"at a delay of 1\.5 ticks"):
+        judgement.at_start(at(0.999 * low, "refuse"), 3.0)
+
+
+DEVICE = Device(0.1, 1.0, 1.0)
+
+
+def stable(law: dict[str, Any]) -> bool:
+    """By the closed loop itself, not by what is tested."""
+    return pole_radius(compile_law(parse_law(law), T), T, DEVICE.mass, DEVICE.damping, DEVICE.delay) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("before", "asked", "path", "side"),
+    [
+        ({"stiffness": 500.0}, {"stiffness": 1e9}, "stiffness", "largest"),
+        ({"stiffness": 500.0}, {"stiffness": 1300.0}, "stiffness", "largest"),
+        ({"damping": 3.0}, {"damping": 1e6}, "damping", "largest"),
+        # Stiff enough to need its damper: it can also be taken away.
+        ({"stiffness": 1000.0, "damping": 3.0}, {"stiffness": 1000.0, "damping": 0.0}, "damping", "smallest"),
+    ],
+)
+def test_a_refusal_names_the_last_value_that_would_be_taken(
+    before: dict[str, float], asked: dict[str, float], path: str, side: str
+) -> None:
+    usual = {"kind": "pd", "stiffness": 500.0, "damping": 3.0}
+    now, wanted = (
+        parameters(laws={"pd": {**usual, **more}}, plant={"mass": 0.1, "damping": 1.0}) for more in (before, asked)
+    )
+    book = LawBook("coupling", T)
+    judgement = Judgement("coupling", T, book)
+    with pytest.raises(ParameterError) as raised:
+        judgement.of_change(now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=False)
+    text = str(raised.value)
+    told = re.search(rf"the {side} coupling\.laws\.pd\.{path} that would be taken is ([-+.e\d]+)", text, re.IGNORECASE)
+    assert told is not None, text
+    value = float(told[1])
+    described = {**usual, **asked}
+    assert stable({**described, path: value})
+    # Told in three digits, rounded to the safe side: by at most 1 %.
+    outwards = 1.011 if side == "largest" else 0.989
+    assert not stable({**described, path: value * outwards})
+    verdict, warning = judgement.of_change(now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=True)
+    assert verdict is not None
+    assert not verdict.stable
+    assert "the loop is unstable" in warning
+
+
+def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its_taps() -> None:
+    laws = {
+        "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0},
+        "hard": {"kind": "pd", "stiffness": 5000.0, "damping": 3.0},
+        "taps": {"kind": "fir", "taps": [9000.0, -3000.0]},
+    }
+    now = parameters(laws=laws, plant={"mass": 0.1, "damping": 1.0})
+    book = LawBook("coupling", T)
+    judgement = Judgement("coupling", T, book)
+    for name, pattern in (
+        ("hard", r"largest coupling\.laws\.hard\.stiffness that would be taken is (\S+);"),
+        ("designed_d0", r"all taps of designed_d0 times (\S+) would be taken"),
+        ("taps", r"all taps of coupling\.laws\.taps times (\S+) would be taken"),
+    ):
+        wanted = msgspec.structs.replace(now, law=name)
+        with pytest.raises(ParameterError) as raised:
+            judgement.of_change(now, wanted, name, book.compile(wanted, name), 1.0, force=False)
+        told = re.search(pattern, str(raised.value), re.IGNORECASE)
+        assert told is not None, str(raised.value)
+        value, law = float(told[1]), book.description(wanted, name)
+        for factor, holds in ((1.0, True), (1.011, False)):
+            changed = (
+                {"stiffness": factor * value}
+                if name == "hard"
+                else {"taps": [factor * value * tap for tap in law["taps"]]}
+            )
+            assert stable({**law, **changed}) is holds
+
+
+def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
+    book = LawBook("coupling", T)
+    judgement = Judgement("coupling", T, book)
+    # Without a spring one pole is at z = 1; PD without K is stable up to B = 2m/T − b at no delay (Jury, theory.md §3).
+    soft, hard = (
+        parameters(fallback={"damping": damping}, plant={"mass": 0.1, "damping": 1.0}) for damping in (20.0, 1e4)
+    )
+    assert judgement.at_start(soft, 0.0) == []
+    assert "coupling.fallback: pole radius" in judgement.at_start(hard, 0.0)[0]
+    with pytest.raises(ParameterError, match=r"coupling\.fallback: pole radius .*nothing was changed"):
+        judgement.refuse_fallback(soft, hard, 0.0, force=False)
+    judgement.refuse_fallback(soft, hard, 0.0, force=True)
