@@ -186,7 +186,8 @@ def test_a_coupling_in_nothing_but_zmq_and_msgpack_runs_the_loop(tmp_path: Path)
     scene = tmp_path / "foreign.yaml"
     scene.write_text(BY_HAND.format(pace="lockstep", duration=0.4))
     with running(tmp_path, str(scene), ready=False) as launch:
-        wait_for(lambda: list(launch.runtime_dir.glob("*/coupling.json")), "the setup of the foreign node")
+        wait_for(lambda: list(launch.runtime_dir.glob("**/run.json")), "the run")
+        wait_for(lambda: list(launch.runtime_dir.glob("**/coupling.json")), "the setup of the foreign node")
         node = ForeignCoupling(json.loads((launch.run_dir / "coupling.json").read_bytes()))
         figures = launch.finish()
         node.join(timeout=20.0)
