@@ -10,6 +10,7 @@ from typing import Generic, TypeVar
 
 import msgspec
 
+from messages.errors import HapticError
 from messages.types import Message
 
 MAX_PAYLOAD = 65536
@@ -21,7 +22,7 @@ encode: Callable[[Message], bytes] = msgspec.msgpack.Encoder().encode
 """Encode a message as one MessagePack map: the second frame of the wire format. Not a function of ours: a call costs a tick."""
 
 
-class MessageRefusedError(ValueError):
+class MessageRefusedError(HapticError, ValueError):
     """A payload that is not a valid message; the text says what, where and which limit."""
 
 

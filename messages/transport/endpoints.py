@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import zmq
 
 from messages.codec import MAX_PAYLOAD
+from messages.errors import HapticError
 from messages.transport.keys import identity, parse_key
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ MAX_RECONNECT_MS = 500
 """Longest pause between two tries to reach another machine [ms]."""
 
 
-class EndpointRefusedError(ValueError):
+class EndpointRefusedError(HapticError, ValueError):
     """An endpoint that must not be used as it is; the text says why and what to do."""
 
 

@@ -21,11 +21,13 @@ import msgspec
 import zmq
 from zmq.utils import z85
 
+from messages.errors import HapticError
+
 _NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]{0,62}$")
 _KEY = re.compile(r"^[0-9a-f]{64}$")
 
 
-class KeyRefusedError(ValueError):
+class KeyRefusedError(HapticError, ValueError):
     """A key or a key file that cannot be used; the text says why and what to do."""
 
 

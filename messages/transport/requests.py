@@ -13,6 +13,7 @@ import msgspec
 import zmq
 
 from messages.codec import MAX_PAYLOAD, MessageRefusedError
+from messages.errors import HapticError
 from messages.transport.endpoints import connect
 from messages.types import Name, Text
 
@@ -50,7 +51,7 @@ class Reply(msgspec.Struct, frozen=True):
     error: Text = ""
 
 
-class ControlError(RuntimeError):
+class ControlError(HapticError):
     """A node refused a request, or did not answer."""
 
 

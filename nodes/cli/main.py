@@ -15,6 +15,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
 
+from messages.errors import HapticError
 from nodes.parameters.registry import NotInstalledError, Registry
 
 VERBS = Registry("haptic.verbs", "verb")
@@ -22,11 +23,11 @@ VERBS = Registry("haptic.verbs", "verb")
 _CHOICE = re.compile(r"invalid choice: '(?P<given>[^']*)' \((?:maybe you meant '[^']*', )?choose from (?P<known>.*)\)")
 
 
-class UsageError(Exception):
+class UsageError(HapticError):
     """What the user asked for cannot be done as asked; the text says why and what to do. Exit code 2."""
 
 
-class RefusedError(Exception):
+class RefusedError(HapticError):
     """What was asked is sensible, but was refused or did not succeed; the text says why. Exit code 1."""
 
 

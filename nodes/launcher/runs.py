@@ -17,13 +17,14 @@ from pathlib import Path
 import msgspec
 
 from messages import topics
+from messages.errors import HapticError
 from nodes.base.setup import Setup
 
 MAX_IPC_PATH = 107
 """Longest path of a Unix socket [bytes]."""
 
 
-class RunError(RuntimeError):
+class RunError(HapticError):
     """There is no such run, or its directory cannot be used."""
 
 

@@ -20,6 +20,7 @@ from typing import IO, Any
 
 import zmq
 
+from messages.errors import HapticError
 from messages.transport.requests import ControlError, call
 from messages.transport.sockets import new_context
 from nodes.base import realtime
@@ -35,7 +36,7 @@ HURRY_TIMEOUT = 0.3
 _INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
-class LaunchFailedError(RuntimeError):
+class LaunchFailedError(HapticError):
     """A launch that could not be started or had to be ended; the text names the node and the reason."""
 
 

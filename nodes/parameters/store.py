@@ -14,12 +14,14 @@ from typing import Any
 
 import msgspec
 
+from messages.errors import HapticError
+
 _PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d+\])*")
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 _AT = re.compile(r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<path>.*)`)?$", re.DOTALL)
 
 
-class ParameterError(ValueError):
+class ParameterError(HapticError, ValueError):
     """A parameter that cannot be taken; the text names node, path, value, limit and remedy."""
 
 

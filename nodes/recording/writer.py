@@ -18,6 +18,7 @@ from typing import IO, Any, cast
 import msgspec
 from mcap.writer import CompressionType, Writer
 
+from messages.errors import HapticError
 from messages.schema import schema_json
 from messages.types import Message
 from nodes.recording import wall_clock
@@ -31,7 +32,7 @@ MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = "manifest", "launch_file", "parame
 _PACKAGES = ("haptic-nodes", "mcap", "msgspec", "pyzmq", "zstandard")
 
 
-class RecordError(Exception):
+class RecordError(HapticError):
     """A recording cannot be written or read; the text names the file, the place in it and what to do."""
 
 

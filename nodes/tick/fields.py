@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 
 import msgspec.inspect as inspect
 
+from messages.errors import HapticError
 from messages.types import Message
 
 REAL: Final = 0
@@ -22,7 +23,7 @@ LONGEST_NAME: Final = 15
 """Longest name of a field [bytes]: with its header one copy of 16 bytes."""
 
 
-class NotCompilableError(Exception):
+class NotCompilableError(HapticError):
     """Something that the compiled tick cannot do; the text says what."""
 
 

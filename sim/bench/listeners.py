@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import json
-import os
 import signal
 import statistics
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from messages.topics import DEVICE_STATE
 from nodes.cli.main import answer
-from nodes.launcher.child import PYTHON
 from nodes.recording.reader import Recording
-from sim.measure.launches import MeasurementError, machine
+from sim.measure.launches import HAPTIC, MeasurementError, Running, machine
 from sim.measure.stopwatch import Progress
 
 LISTENERS = 4
@@ -48,13 +42,16 @@ def _await(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.02)
 
 
-def _listen(folder: Path, environment: dict[str, str], count: int, label: str) -> list[subprocess.Popen[bytes]]:
+def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[bytes]]:
     """Attach loggers and wait until each one's file grows."""
-    paths = [folder / f"{label}-{i}.mcap" for i in range(count)]
-    command = [*PYTHON, "-m", "nodes.cli.main", "bag", "record", "--out"]
+    paths = [launch.folder / f"{label}-{i}.mcap" for i in range(count)]
     listeners = [
         subprocess.Popen(
-            [*command, str(path)], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [*HAPTIC, "bag", "record", "--out", str(path)],
+            cwd=launch.folder,
+            env=launch.environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
         )
         for path in paths
     ]
@@ -83,26 +80,15 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
         p50 and p99 of the response without and with listeners, their ratio, the spread from round to round.
     """
     halves: list[tuple[str, float, float]] = []
-    with tempfile.TemporaryDirectory(prefix="hapb-", dir="/tmp") as name:  # short: socket paths are
-        folder = Path(name)
-        environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(folder / "run")}
-        words = ["launch", "floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500", "--json", "--no-plot"]
-        launcher = subprocess.Popen(
-            [*PYTHON, "-m", "nodes.cli.main", *words],
-            cwd=folder,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-        )
+    with Running("floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500") as launch:
         listeners: list[subprocess.Popen[bytes]] = []
         try:
-            _await(lambda: any((folder / "recordings").glob("*.mcap")), "the launch records")
             for i in range(rounds):
                 began = time.monotonic()
                 time.sleep(seconds)
                 halves.append(("without", began, time.monotonic()))
                 progress.step("without listeners")
-                listeners = _listen(folder, environment, LISTENERS, f"round{i}")
+                listeners = _listen(launch, LISTENERS, f"round{i}")
                 listeners[0].send_signal(signal.SIGSTOP)
                 listeners[1].kill()
                 began = time.monotonic()
@@ -112,17 +98,12 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
                 for listener in listeners:
                     listener.kill()
                     listener.wait()
-            launcher.send_signal(signal.SIGINT)
-            out, _ = launcher.communicate(timeout=60.0)
+            figures = launch.end()
         finally:
-            for process in (*listeners, launcher):
-                with contextlib.suppress(ProcessLookupError):
-                    process.kill()
-                process.wait()
-            if launcher.stdout is not None:
-                launcher.stdout.close()
-        figures = json.loads(out.splitlines()[-1])
-        recording = Recording(folder / figures["recording"])
+            for listener in listeners:
+                listener.kill()
+                listener.wait()
+        recording = Recording(launch.folder / figures["recording"])
         states = recording.messages(DEVICE_STATE)
         gaps = recording.topics[DEVICE_STATE].gaps - figures["overruns"]
     quantiles: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}

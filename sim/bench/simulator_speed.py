@@ -25,6 +25,7 @@ from nodes.laws.pd import PD
 from nodes.stability.k_max import with_spring
 from sim.device.model import DeviceModel, coefficients
 from sim.experiments.drop import Criterion, drop_scene, settles
+from sim.measure.launches import MeasurementError
 from sim.measure.stopwatch import Timing, interleaved
 from sim.scene.loop import PLANE, Array, Scene, play_compiled
 
@@ -57,7 +58,7 @@ FLAGS = ("-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC")
 PERIOD = 0.002
 
 
-class NoCompilerError(Exception):
+class NoCompilerError(MeasurementError):
     """There is no C compiler here, so there is nothing to compare with; the text says what was looked for."""
 
 

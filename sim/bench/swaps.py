@@ -7,29 +7,18 @@ with idle blocks of the same length, and each missed tick is counted to the bloc
 from __future__ import annotations
 
 import argparse
-import contextlib
-import json
 import math
-import os
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-import msgspec
-import zmq
-
 from messages.topics import DEVICE_STATE, FORCE, RECEIPT
-from messages.transport.requests import ControlError, call
+from messages.transport.requests import ControlError
 from messages.types import DeviceState, Receipt
 from nodes.cli.main import answer
-from nodes.launcher.child import PYTHON
-from nodes.launcher.runs import RunInfo
 from nodes.recording.reader import Recording
-from sim.measure.launches import MeasurementError, machine
+from sim.measure.launches import Running, machine
 
 LAWS = ("pd", "pd_alpha", "multi_term")
 SETTLED = 2500
@@ -40,9 +29,6 @@ MEMORY = 12
 
 STILL = 1e-17
 """Positions that differ by no more are at rest [m]: some fifty units of the last place of 1 mm."""
-
-START = 30.0
-"""When a launch that does not start is given up [s]."""
 
 
 @dataclass
@@ -177,63 +163,17 @@ def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 5
     MeasurementError
         When the launch does not start, or ends early.
     """
-    with tempfile.TemporaryDirectory(prefix="hapb-", dir="/tmp") as name:  # short: socket paths are
-        folder = Path(name)
-        words = ["launch", "floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001", "--json", "--no-plot"]
-        with open(folder / "errors.txt", "wb") as errors:
-            launcher = subprocess.Popen(
-                [*PYTHON, "-m", "nodes.cli.main", *words],
-                cwd=folder,
-                env={**os.environ, "HAPTIC_RUNTIME_DIR": str(folder / "run")},
-                stdout=subprocess.PIPE,
-                stderr=errors,
-            )
-        context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        try:
-            _await_ticks(context, folder, launcher, 1)
-            info = _run_info(folder)
-            control = info.nodes["coupling"].control
+    with Running("floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001") as launch:
 
-            def ask(op: str, **args: Any) -> Any:
-                return call(context, control, op, timeout=10.0, **args)
+        def ask(op: str, **args: Any) -> Any:
+            return launch.ask("coupling", op, **args)
 
-            _equal_at_rest(ask)
-            before = int(ask("param.set", values={"ramp": 0})["revision"])
-            _await_ticks(context, folder, launcher, SETTLED)
-            asked = _ask_all(ask, swaps, sets, blocks, duration)
-            launcher.terminate()
-            out, _ = launcher.communicate(timeout=60.0)
-            figures = json.loads(out.splitlines()[-1])
-            recording = Recording(folder / figures["recording"])
-            return _figures(recording, figures, asked, before)
-        finally:
-            context.destroy(linger=0)
-            with contextlib.suppress(ProcessLookupError):
-                launcher.kill()
-            launcher.wait()
-            if launcher.stdout is not None:
-                launcher.stdout.close()
-
-
-def _run_info(folder: Path) -> RunInfo:
-    found = next(iter((folder / "run").glob("runs/*/run.json")))
-    return msgspec.json.decode(found.read_bytes(), type=RunInfo)
-
-
-def _await_ticks(
-    context: zmq.Context[zmq.Socket[bytes]], folder: Path, launcher: subprocess.Popen[bytes], ticks: int
-) -> None:
-    deadline = time.monotonic() + START
-    while time.monotonic() < deadline:
-        if launcher.poll() is not None:
-            break
-        with contextlib.suppress(StopIteration, ControlError):
-            status = call(context, _run_info(folder).nodes["driver"].control, "status", timeout=1.0)
-            if status["ticks"] >= ticks:
-                return
-        time.sleep(0.05)
-    said = (folder / "errors.txt").read_text(encoding="utf-8", errors="replace")
-    raise MeasurementError(f"the launch did not come to tick {ticks} within {START:g} s: {said[-2000:]}")
+        _equal_at_rest(ask)
+        before = int(ask("param.set", values={"ramp": 0})["revision"])
+        launch.await_tick(SETTLED)
+        asked = _ask_all(ask, swaps, sets, blocks, duration)
+        figures = launch.end()
+        return _figures(Recording(launch.folder / figures["recording"]), figures, asked, before)
 
 
 def _quantiles(values: list[float], unit: float) -> dict[str, float]:

@@ -8,10 +8,8 @@ as stable when the dropped device comes to rest; it is looked for downwards from
 
 from __future__ import annotations
 
-import json
 import math
 import statistics
-import subprocess
 import tempfile
 import time as clock
 from collections.abc import Callable
@@ -23,13 +21,13 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from nodes.launcher.child import PYTHON
 from nodes.launcher.launch_file import find
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import Device, k_max, without_spring
 from sim.chart.points import Detail, Group, Point
 from sim.device.model import DeviceModel
+from sim.measure import launches
 from sim.scene.loop import Scene, Surface, run
 
 RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
@@ -43,10 +41,6 @@ _ROUNDS = 3
 _PATIENCE = 100.0
 _TRIES = (0.95, 0.8, 0.65, 0.5)
 _FINE = 200_000.0
-
-
-class LaunchFailedError(RuntimeError):
-    """A launch of the chart ended in an error; the text has its last words."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +89,7 @@ def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime") ->
 
     Raises
     ------
-    LaunchFailedError
+    MeasurementError
         When the launch ends with an error.
     """
     values = {
@@ -111,18 +105,9 @@ def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime") ->
     with tempfile.TemporaryDirectory(prefix="haptic-chart-") as folder:
         scenario = Path(folder) / "floor_drop.yaml"
         scenario.write_text(yaml.safe_dump(_with_one_law(), sort_keys=False))
-        command = [*PYTHON, "-m", "nodes.cli.main", "launch", str(scenario), "--no-plot", "--json"]
-        done = subprocess.run(
-            [*command, *(f"{name}:={value}" for name, value in values.items())],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=False,
+        figures = launches.launch(
+            str(scenario), *(f"{name}:={value}" for name, value in values.items()), folder=Path(folder)
         )
-        if done.returncode != 0 or not done.stdout.strip():
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            raise LaunchFailedError(f"haptic launch floor_drop rate:={rate:g} apply:={apply}: {last}")
-        figures: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
         states = Recording(Path(folder) / figures["recording"]).arrays("/device/state")
     period = 1.0 / rate
     seq, answered = states["seq"], states["force_seq"]

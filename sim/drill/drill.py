@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 
 from messages.types import ZERO, DeviceState
+from sim.measure.launches import MeasurementError
 from sim.measure.rig import Rig, RigError
 
 RATE = 500.0
@@ -70,7 +71,7 @@ class Outcome(msgspec.Struct, kw_only=True):
     skipped: str = ""
 
 
-class FaultSkippedError(RuntimeError):
+class FaultSkippedError(MeasurementError):
     """The machine does not allow this fault; the text says what is missing."""
 
 

@@ -19,12 +19,12 @@ import numpy as np
 
 from messages.topics import DEVICE_STATE
 from nodes.launcher import launch_file
-from nodes.launcher.child import PYTHON
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import law_to_dict
 from nodes.recording.reader import Recording
 from sim.experiments.drop import Criterion, settled, settles
-from sim.measure.launches import MeasurementError, last_line
+from sim.measure import launches
+from sim.measure.launches import MeasurementError
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import Array, Scene
 
@@ -161,8 +161,9 @@ def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Arra
         if read_back.scene != scene or read_back.ticks != ticks:
             raise ValueError(f"{SCENARIO} plays {read_back.scene} for {read_back.ticks} ticks, wanted was {scene}")
         words = [f"{name}:={value}" for name, value in _assignments(scene, ticks).items()]
-        command = [*PYTHON, "-m", "nodes.cli.main", "launch", SCENARIO, *words, "--params", str(path)]
-        figures = last_line([*command, "--json", "--no-plot"], Path(folder), 60.0 + 0.1 * ticks)
+        figures = launches.launch(
+            SCENARIO, *words, "--params", str(path), folder=Path(folder), timeout=60.0 + 0.1 * ticks
+        )
         states = Recording(Path(folder) / figures["recording"]).messages(DEVICE_STATE)
     if [state.seq for state in states] != list(range(ticks + 1)):
         raise MeasurementError(f"{len(states)} states were recorded, expected {ticks + 1} without a gap")

@@ -28,8 +28,8 @@ from messages.transport.requests import ControlError, call
 from messages.transport.sockets import Subscription, new_context
 from messages.types import DeviceState
 from nodes.base.realtime import die_with_parent
-from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive
+from sim.measure.launches import HAPTIC, MeasurementError
 
 START = 30.0
 """Longest time from the command to the first tick [s]."""
@@ -38,7 +38,7 @@ END = 20.0
 """Longest time from the interrupt to the end [s]."""
 
 
-class RigError(RuntimeError):
+class RigError(MeasurementError):
     """The launch could not be started, or does not answer."""
 
 
@@ -84,7 +84,7 @@ class Rig:
         self._info: RunInfo | None = None
         with open(self.folder / "out", "wb") as out, open(self.folder / "err", "wb") as err:
             self.launcher = subprocess.Popen(
-                [*PYTHON, "-m", "nodes.cli.main", "launch", str(launch), "--json", "--no-plot"],
+                [*HAPTIC, "launch", str(launch), "--json", "--no-plot"],
                 cwd=self.folder,
                 env=self.environment,
                 stdin=subprocess.DEVNULL,
@@ -236,7 +236,7 @@ class Rig:
             The process; who started it ends it.
         """
         return subprocess.Popen(
-            [*PYTHON, "-m", "nodes.cli.main", *words],
+            [*HAPTIC, *words],
             cwd=self.folder,
             env=self.environment,
             stdin=subprocess.DEVNULL,

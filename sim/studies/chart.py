@@ -62,7 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.chart.k_max import kmax_groups, kmax_steps
     from sim.chart.page import conclusions, draw, page
     from sim.chart.points import Group, as_json, save, with_front
-    from sim.chart.rates import LaunchFailedError, rate_groups, rate_steps
+    from sim.chart.rates import rate_groups, rate_steps
+    from sim.measure.launches import MeasurementError
     from sim.measure.stopwatch import Progress, machine
 
     makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {
@@ -81,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         step = partial(_advance, progress, weight)
         try:
             groups += [with_front(group) for group in make(step, arguments.quick)]
-        except LaunchFailedError as error:
+        except MeasurementError as error:
             # The other parts are worth keeping; the exit code tells that one is missing.
             failures.append(f"{part}: {error}")
     seconds, where = time.monotonic() - start, machine()

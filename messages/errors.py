@@ -1,0 +1,24 @@
+"""The exceptions of this project are one tree, so that a caller catches all of it or the branch that concerns it.
+
+| exception | raised for |
+| --- | --- |
+| `HapticError` | all of these |
+| `ParameterError` | a parameter, launch file, law or argument that is refused |
+| `LawRefusedError`, `NotInstalledError` | of those: a law not rendered; a name not installed, or not importable |
+| `MessageRefusedError` | a message or request that breaks the wire protocol |
+| `ControlError` | a control request that is refused or gets no answer |
+| `EndpointRefusedError` | an address that may not be used |
+| `KeyRefusedError` | a key that is none, or is not allowed |
+| `RunError` | no such run, or its directory cannot be used |
+| `LaunchFailedError` | a launch that cannot start, or fails |
+| `RecordError` | a recording that cannot be read or written |
+| `CutError` | of those: one that ends in the middle |
+| `NotCompilableError` | a tick that has no compiled form; the plain one runs |
+| `UsageError`, `RefusedError` | what the command line ends with exit code 2, and 1 |
+| `MeasurementError` | a benchmark, study or drill that could not measure |
+| `RigError`, `NoCompilerError`, `FaultSkippedError` | of those: the drilled launch; no C compiler; a fault not to be had |
+"""
+
+
+class HapticError(Exception):
+    """Base of every exception that this project raises on purpose; its text says what to do."""
