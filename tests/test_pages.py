@@ -43,6 +43,7 @@ SHORTER = {
     "haptic study needs": "--rounds 1",
     "haptic study design": "--mass 0.1 --taps 2",
     "haptic study design --compare": "--mass 0.1 --taps 2 --delays 0 --margins 0",
+    "haptic study coverage": "--devices 4 --seconds 4 --workers 1",
     "haptic study fig4": "--points 3 --horizon 500",
 }
 """What makes a command short enough for a test, by its first words."""

@@ -12,10 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nodes.cli.main import UsageError, answer
+from nodes.parameters.registry import Registry
 
 if TYPE_CHECKING:
     from nodes.recording.accounts import Clock, Completeness
     from nodes.recording.reader import Recording
+
+OWN = ("record", "info", "play", "recover", "export", "plot")
+VERBS = Registry("haptic.bag", "sub-verb of bag")
+"""What other packages do with a recording: modules of the same shape as a verb."""
 
 
 def _positive(text: str) -> float:
@@ -40,7 +45,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of the verb ``bag``.
     """
-    sub = parser.add_subparsers(dest="chosen", metavar="record|info|play|recover|export|plot", required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="|".join([*OWN, *VERBS.names()]), required=True)
 
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
@@ -91,6 +96,14 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="csv: a directory, with a file per topic too (default); npz: numpy; mat: MATLAB; parquet: ticks only. "
         "Taken from the ending of --out when left out",
     )
+
+    for name in VERBS.names():
+        # Another package's sub-verb declares its own arguments and what runs.
+        module = VERBS.load(name)
+        text = (module.__doc__ or "").strip().splitlines()[0]
+        own = sub.add_parser(name, help=text, description=text)
+        own.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+        module.add(own)
 
     plot = declare("plot", _plot, "Draw recordings: position, force, energy, response time; several as an overlay.")
     plot.add_argument("files", type=Path, nargs="+", metavar="file")

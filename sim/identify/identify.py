@@ -175,6 +175,28 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
     return _conclude(experiment, final, grid, test, int(np.sum(~kept)))
 
 
+def initial_state(experiment: Experiment, found: Identified) -> tuple[float, float]:
+    """Find where an identified device begins, from its first window.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        A run from its first tick on.
+    found : Identified
+        The device, its mass known.
+
+    Returns
+    -------
+    tuple of float, shape (2,)
+        Position [m] and velocity [m/s] at the first tick.
+    """
+    mass, _, _ = found.mass.known()
+    parts = (found.damping, found.friction, found.stiffness, found.load)
+    theta = np.array([1.0, *(part.value or 0.0 for part in parts), mass * (found.device_delay.value or 0.0)]) / mass
+    first = fit(experiment, np.zeros(1, dtype=np.int64), found.ticks, theta, (), found.encoder.value or 1e-6)
+    return float(first.states[0, 0]), float(first.states[0, 1])
+
+
 def _undisturbed(found: Fit) -> NDArray[np.bool_]:
     """Tell which windows to keep: a stall of the machine or a knock spoils some of them altogether.
 
@@ -264,7 +286,7 @@ def _covariance(found: Fit) -> Array:
     between = inverse @ (scores.T @ scores) @ inverse * (windows - 1) / windows
     white = inverse * max(found.rms, 1e-12) ** 2
     # Neither may promise more than the other: take the larger variance of each unknown.
-    wider = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(between), 1e-300), 1.0))
+    wider = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(between), 1e-12 * np.diag(white)), 1.0))
     return np.asarray(between * np.outer(wider, wider), dtype=np.float64)
 
 

@@ -1,0 +1,240 @@
+"""The scene behind a recording, rebuilt from what was recorded with it: launch file, arguments, parameters, receipts."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from messages.topics import DEVICE_STATE, RECEIPT
+from nodes.launcher import launch_file
+from nodes.launcher.launch_spec import Launch
+from nodes.laws import CompiledLaw
+from nodes.laws.parse import compile_law, law_to_dict, parse_law
+from nodes.parameters.store import ParameterError, merge
+from nodes.parameters.yaml_io import parse_yaml
+from nodes.recording.reader import Recording
+from sim.device.model import DeviceModel
+from sim.scene.from_launch import LaunchedScene, from_launch
+from sim.scene.loop import Swap
+
+Array = NDArray[np.float64]
+
+UNPLAYED = {"ramp": 0.0, "workspace": None, "continuous_force": None}
+"""Limits of a driver that a replay leaves out, and tells that it does."""
+
+
+@dataclass(frozen=True)
+class RecordedScene:
+    """A recording and the scene that it was made of.
+
+    Attributes
+    ----------
+    path : Path
+        The recording.
+    scene : LaunchedScene
+        Device, surface, conventions, law and the swaps that really came.
+    launch : Launch
+        As it was started.
+    lockstep : bool
+        Whether every tick was answered and the delay is one number.
+    left_out : tuple of str
+        What is not replayed.
+    position : ndarray, shape (N,)
+        Measured positions, one per recorded tick [m].
+    force : ndarray, shape (N,)
+        Force handed to the device until that tick [N].
+    at : ndarray, shape (M,)
+        When each force took over [ticks], rising.
+    answers : ndarray of int, shape (M,)
+        The tick it answers; −1 for the driver's own, whose value is `given`.
+    given : ndarray, shape (M,)
+        Its recorded value [N].
+    declared : bool
+        Whether the device is a virtual one whose parameters were recorded.
+    """
+
+    path: Path
+    scene: LaunchedScene
+    launch: Launch
+    lockstep: bool
+    left_out: tuple[str, ...]
+    position: Array
+    force: Array
+    at: Array
+    answers: NDArray[np.int64]
+    given: Array
+    declared: bool
+
+
+def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
+    """Rebuild the scene of a recording.
+
+    Parameters
+    ----------
+    path : Path
+        Recording of a launch.
+    device : DeviceModel or None
+        What stands for the device; None takes the virtual device that was recorded.
+
+    Returns
+    -------
+    RecordedScene
+        The scene, and what was recorded.
+
+    Raises
+    ------
+    ParameterError
+        When it was recorded without its launch file, or one process cannot play it.
+    ValueError
+        When there are no ticks, or one is missing, or no device is known.
+    """
+    recording = Recording(path)
+    launch = _launch(recording, {})
+    states = recording.messages(DEVICE_STATE)
+    seq = np.array([state.seq for state in states], dtype=np.int64)
+    if len(seq) < 8 or seq[0] != 0:
+        raise ValueError(
+            f"{path}: {len(seq)} ticks from tick {seq[0] if len(seq) else 0} on; a replay needs them from 0 on"
+        )
+    whole = np.flatnonzero(np.diff(seq) != 1)
+    if len(whole):
+        # What the driver slept through cannot be replayed; what came before can.
+        states = states[: int(whole[0]) + 1]
+    launch, left_out = _playable(launch, device)
+    played = from_launch(launch)
+    receipts = [one for one in recording.messages(RECEIPT) if one.action in ("switch", "set")]
+    if receipts:
+        swaps = tuple(Swap(one.seq, _law_of(one.after, played.scene.period), one.ramp) for one in receipts)
+        played = msgspec_replace(played, swaps)
+    axis = played.axis
+    answers = np.array([state.force_seq for state in states], dtype=np.int64)
+    fresh = np.concatenate([[False], answers[1:] != answers[:-1]])
+    force = np.array([state.force[axis] for state in states])
+    changed = np.concatenate([[False], force[1:] != force[:-1]])
+    age = np.array([state.age for state in states], dtype=np.float64)
+    delay = np.array([state.delay for state in states])
+    took = np.arange(len(states)) - 1.0 + np.where(fresh, delay - age, 1.0)
+    used = fresh | changed
+    return RecordedScene(
+        path=path,
+        scene=played,
+        launch=launch,
+        lockstep=launch.run.pace == "lockstep",
+        left_out=left_out,
+        position=np.array([state.position[axis] for state in states]),
+        force=force,
+        at=np.maximum.accumulate(took[used]) if used.any() else took[used],
+        answers=np.where(fresh, answers, -1)[used],
+        given=force[used],
+        declared=device is None,
+    )
+
+
+def msgspec_replace(played: LaunchedScene, swaps: tuple[Swap, ...]) -> LaunchedScene:
+    """Give a scene other swaps.
+
+    Parameters
+    ----------
+    played : LaunchedScene
+        The scene.
+    swaps : tuple of Swap
+        In the order of their ticks.
+
+    Returns
+    -------
+    LaunchedScene
+        The same with these.
+    """
+    from dataclasses import replace
+
+    return replace(played, swaps=swaps)
+
+
+def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:
+    """Read the recorded launch file with the recorded arguments, its nodes as they were started."""
+    text = recording.metadata.get("launch_file", {}).get("yaml")
+    arguments = recording.manifest.get("arguments")
+    if text is None or arguments is None:
+        raise ParameterError(f"{recording.path}: was recorded without its launch file, so its scene is not known")
+    given = {**msgspec.json.decode(arguments), **changes}
+    with tempfile.TemporaryDirectory(prefix="haptic-replay-") as folder:
+        file = Path(folder) / f"{recording.manifest.get('scenario', 'recorded')}.yaml"
+        file.write_text(text, encoding="utf-8")
+        launch = launch_file.read(str(file), given)
+    nodes = {}
+    for name, spec in launch.nodes.items():
+        recorded = recording.metadata.get("parameters", {}).get(name)
+        over = {} if recorded is None else parse_yaml(recorded, name)
+        nodes[name] = msgspec.structs.replace(spec, parameters=merge(spec.parameters, over))
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple[str, ...]]:
+    """Leave out what one process does not play, and put a device in the place of hardware."""
+    nodes, left_out, drivers = dict(launch.nodes), [], 0
+    for name, spec in launch.nodes.items():
+        if not spec.kind.endswith("driver"):
+            continue
+        drivers += 1
+        safety = dict(spec.parameters.get("safety", {}))
+        for limit, nothing in UNPLAYED.items():
+            if safety.get(limit):
+                left_out.append(f"{name}.safety.{limit}")
+                safety[limit] = nothing
+        parameters: dict[str, Any] = {"safety": safety}
+        if "passivity" in spec.parameters:
+            parameters["passivity"] = spec.parameters["passivity"]
+        if device is not None:
+            parameters["device"] = {k: v for k, v in msgspec.to_builtins(device).items() if v is not None}
+        elif "device" in spec.parameters:
+            parameters["device"] = spec.parameters["device"]
+        else:
+            raise ValueError(f"{name} is a {spec.kind}: its device is not declared; name a model by --model")
+        nodes[name] = msgspec.structs.replace(spec, kind="sim_driver", parameters=parameters)
+    return msgspec.structs.replace(launch, nodes=nodes), tuple(left_out)
+
+
+def _law_of(text: str, period: float) -> CompiledLaw:
+    """Compile the law that a receipt describes."""
+    described = parse_yaml(text, "receipt")
+    name = described.pop("law", "law")
+    return compile_law(parse_law(described, name), period, name)
+
+
+def another_law(recorded: RecordedScene, given: Mapping[str, Any]) -> tuple[CompiledLaw, dict[str, Any]]:
+    """Make the law that is asked for instead of the recorded one.
+
+    Parameters
+    ----------
+    recorded : RecordedScene
+        The recording.
+    given : mapping of str to object
+        ``law``: a name of the coupling's laws, a preset, a kind, or a whole description; and parameters of it.
+
+    Returns
+    -------
+    tuple of CompiledLaw and dict
+        The law, and its description.
+
+    Raises
+    ------
+    ParameterError
+        When it is refused.
+    """
+    coupling = next(spec.parameters for spec in recorded.launch.nodes.values() if spec.kind == "coupling")
+    changes = dict(given)
+    wanted = changes.pop("law", coupling.get("law"))
+    described = wanted if isinstance(wanted, dict) else coupling.get("laws", {}).get(wanted, {"kind": wanted})
+    described = {"kind": described} if isinstance(described, str) else dict(described)
+    law = parse_law({**described, **changes}, "law")
+    compiled = compile_law(law, recorded.scene.scene.period, "law")
+    if compiled.evaluate is not None:
+        raise ParameterError("law: has code of its own, which one process does not play")
+    return compiled, law_to_dict(law)

@@ -1,0 +1,114 @@
+"""Replays come back to what was recorded, and predictions to what another launch then does."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from messages.topics import DEVICE_STATE
+from nodes.recording.reader import Recording
+from sim.device.model import DeviceModel, Hand, path_position
+from sim.identify.counterfactual import missing_force, replay
+from sim.identify.recorded_scene import another_law, rebuild
+from tests.support.launching import haptic, launch_json
+
+STEP = 2.3e-5
+"""The encoder step of floor_buzz [m]."""
+
+
+@pytest.fixture(scope="module")
+def buzz(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Record the same drop in lockstep with two laws."""
+    folder = tmp_path_factory.mktemp("buzz")
+    words = ("floor_buzz", "pace:=lockstep", "apply:=next_tick")
+    pd = launch_json(folder, *words)["recording"]
+    other = launch_json(folder, *words, "law:=pd_alpha", "stiffness:=700")["recording"]
+    return folder / pd, folder / other
+
+
+def figures(recording: Path, *words: str) -> dict[str, Any]:
+    done = haptic(recording.parent, "bag", "replay", str(recording), *words, "--json")
+    told: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return told
+
+
+def positions(recording: Path) -> list[float]:
+    return [state.position[2] for state in Recording(recording).messages(DEVICE_STATE)]
+
+
+def test_the_same_law_gives_the_same_bits_and_another_what_a_launch_of_it_does(buzz: tuple[Path, Path]) -> None:
+    recorded = rebuild(buzz[0])
+    same = replay(recorded)
+    assert same.measured.tolist() == positions(buzz[0])
+    law, _ = another_law(recorded, {"law": "pd_alpha", "stiffness": 700.0})
+    assert replay(recorded, law).measured.tolist() == positions(buzz[1])
+
+
+def test_tick_by_tick_is_the_compiled_loop(buzz: tuple[Path, Path]) -> None:
+    """Forces at their recorded instants, interpreted: another way through the same scene, so the same to rounding."""
+    recorded = rebuild(buzz[0])
+    slow = replay(recorded, external=np.zeros(len(recorded.position)))
+    assert np.max(np.abs(slow.measured - recorded.position)) <= 1e-12
+
+
+def test_an_identified_model_tells_its_error_and_predicts_within_it(buzz: tuple[Path, Path]) -> None:
+    told = figures(buzz[0], "law:=pd_alpha", "stiffness:=700", "--model", "identified")
+    assert told["model"] == "identified"
+    # Every bounce multiplies what the model is off; some steps are left of a fall of 400.
+    assert told["self_error_steps"] < 10.0
+    truth = np.array(positions(buzz[1]))
+    quarter = truth[-(len(truth) // 4) :]
+    # The prediction's own error bar, and a step of rounding.
+    assert told["predicted"]["rest_m"] == pytest.approx(np.mean(quarter), abs=told["self_error_m"] + STEP)
+    assert told["predicted"]["settled"] is True
+
+
+def test_a_real_time_recording_is_replayed_on_its_own_delays(tmp_path: Path) -> None:
+    recording = tmp_path / launch_json(tmp_path, "floor_drop", "duration:=1.5")["recording"]
+    told = figures(recording, "stiffness:=500")
+    assert told["lockstep"] is False
+    # A stalled machine may lose a tick of the coupling's history; the error says by how much. The fall is 10 mm.
+    assert told["self_error_m"] < 1e-3
+    assert told["law"]["stiffness"] == 500.0
+
+
+def test_swaps_are_replayed_from_their_receipts(tmp_path: Path) -> None:
+    words = ("floor_swap", "pace:=lockstep", "first:=1", "second:=2", "duration:=3")
+    recording = tmp_path / launch_json(tmp_path, *words)["recording"]
+    recorded = rebuild(recording)
+    assert len(recorded.scene.swaps) == 2
+    assert replay(recorded).measured.tolist() == positions(recording)
+
+
+def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
+    """The model lacks the hand of wall_press; the force that it lacks is the hand's, which is known here."""
+    recording = tmp_path / launch_json(tmp_path, "wall_press", "pace:=lockstep", "duration:=2")["recording"]
+    hand = Hand(mass=0.1, damping=3.0, stiffness=300.0, path=[(0.2, 0.0), (0.7, 0.03), (2.0, 0.03), (2.5, 0.0)])
+    bare = DeviceModel(mass=0.145, damping=3.1)
+    recorded = rebuild(recording, bare)
+    external = missing_force(recorded, 1e-7)
+    times = np.arange(len(external)) * 0.002
+    pull = np.array([hand.stiffness * path_position(hand.path, t) for t in times.tolist()])
+    expected = pull - hand.stiffness * recorded.position
+    middle = slice(50, -50)
+    # Its spring pulls with up to 3 N; a smoothed random walk follows corners within a few per cent of that.
+    assert np.sqrt(np.mean((external - expected)[middle] ** 2)) < 0.1
+    same = replay(recorded, external=external)
+    assert np.max(np.abs(same.measured - recorded.position)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("law:=nothing",), "nothing"),
+        (("stifness:=3",), "stifness"),
+        (("law:={kind: excitation}",), "code of its own"),
+    ],
+)
+def test_what_cannot_be_replayed_is_refused(buzz: tuple[Path, Path], words: tuple[str, ...], message: str) -> None:
+    done = haptic(buzz[0].parent, "bag", "replay", str(buzz[0]), *words, code=2)
+    assert message in done.stderr
