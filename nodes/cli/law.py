@@ -93,7 +93,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     positive, not_negative = _limited(0.0, True), _limited(0.0, False)
     show.add_argument("--rate", type=positive, help="rate of the loop [Hz]")
     show.add_argument("--mass", type=positive, help="mass of the device [kg]")
-    show.add_argument("--damping", type=not_negative, help="viscous damping of the device [N s/m]")
+    show.add_argument(
+        "--damping", type=not_negative, help="viscous damping of the device [N s/m]; that of the law is --gain"
+    )
     show.add_argument("--delay", type=not_negative, help="delay of the loop [ticks]")
     show.add_argument("--hand", type=not_negative, help="stiffness of a hand on the device [N/m]")
     show.add_argument("--stiffness", type=positive, help="nominal K of the law [N/m]")
@@ -180,6 +182,10 @@ def _show(arguments: argparse.Namespace) -> int:
         + (f", {figures['sections']} recursive sections" if figures["sections"] else ""),
         *_table({"": figures}),
     ]
+    if arguments.damping is not None and arguments.gain is None and "damping" in figures:
+        lines.append(
+            f"  --damping {arguments.damping:g} is the device's; the law's own is --gain, {figures['damping']:g} here"
+        )
     answer(arguments.json, figures, "\n".join(lines))
     return 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import LawRefusedError, compile_law
 from nodes.stability.closed_loop import law_figures
-from nodes.stability.k_max import Device, k_max, tolerance, without_spring
+from nodes.stability.every_delay import every_delay
+from nodes.stability.k_max import Device, edge_of, k_max, tolerance, without_spring
+from nodes.stability.rest import rest, stiffest_at_rest
 from sim.studies import arguments as shared
 
 
@@ -26,6 +29,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("law", help="kind, preset or YAML mapping, e.g. '{kind: pd, stiffness: 1000, damping: 3}'")
     parser.add_argument("--gain", type=shared.not_negative, help="damping gain of the law")
     shared.add_law(parser)
+    parser.add_argument(
+        "--every-delay",
+        type=shared.interval,
+        metavar="LOW..HIGH",
+        help="certify the loop for every sequence of delays of this range, at most a tick wide [ticks]",
+    )
+    parser.add_argument(
+        "--resolution", type=shared.positive, help="of the device's encoder: tells the friction for rest [m]"
+    )
+    parser.add_argument("--friction", type=shared.not_negative, help="of the device: tells the stiffness for rest [N]")
     shared.add_device(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
@@ -60,9 +73,39 @@ def run(arguments: argparse.Namespace) -> int:
     limits = tolerance(compiled, period, device)
     boundary = k_max(derivative, period, device)
     figures |= {"tolerance": None if limits is None else asdict(limits), **_boundary(asdict(boundary))}
+    edge = edge_of(derivative, period, device)
+    figures["edge"] = None if edge is None else asdict(edge)
+    figures["every_delay"] = _every_delay(arguments, compiled, device, period)
+    figures["rest"] = _rest(arguments, compiled, derivative, device, period)
     figures["plot"] = str(_draw(arguments, compiled, device, period))
     answer(arguments.json, figures, _text(figures))
     return 0
+
+
+def _every_delay(
+    arguments: argparse.Namespace, law: CompiledLaw, device: Device, period: float
+) -> dict[str, Any] | None:
+    if arguments.every_delay is None:
+        return None
+    try:
+        found = every_delay(law, period, device.mass, device.damping, arguments.every_delay, device.stiffness)
+    except ValueError as error:
+        raise UsageError(f"--every-delay: {error}") from error
+    return {"delay_ticks": list(arguments.every_delay), **asdict(found)}
+
+
+def _rest(
+    arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Device, period: float
+) -> dict[str, Any] | None:
+    if arguments.resolution is None:
+        if arguments.friction is not None:
+            raise UsageError("--friction: rest takes the encoder too; give --resolution")
+        return None
+    found: dict[str, Any] = asdict(rest(law, period, arguments.resolution, device.mass, device.damping, device.delay))
+    if arguments.friction is not None:
+        stiffest = stiffest_at_rest(derivative, arguments.resolution, arguments.friction)
+        found["k_rest_n_per_m"] = stiffest if stiffest > 0.0 else None
+    return found
 
 
 def _boundary(found: dict[str, Any]) -> dict[str, Any]:
@@ -85,16 +128,49 @@ def _text(figures: dict[str, Any]) -> str:
         f"K_max           {shown(figures['k_max_n_per_m'], 'N/m')} nominal, "
         f"{shown(figures['h1_max_n_per_m'], 'N/m')} felt ({figures['method']})",
     ]
+    lines += _beyond(figures)
     limits = figures["tolerance"]
     if limits is not None:
         lines += [
-            f"mass            {shown(limits['mass_min_kg'], 'kg', 'any lighter')} .. "
-            f"{shown(limits['mass_max_kg'], 'kg', 'any heavier')}",
+            f"mass            {shown(limits['mass_min_kg'], 'kg', 'stable down to 1e-4 of it, no limit found')} .. "
+            f"{shown(limits['mass_max_kg'], 'kg', 'stable up to 1e4 of it, no limit found')}",
             f"damping from    {shown(limits['damping_min_n_s_per_m'], 'N s/m', '0 N s/m')}",
-            f"hand up to      {shown(limits['hand_stiffness_max_n_per_m'], 'N/m', 'any stiffness')}",
-            f"delay up to     {shown(limits['delay_max_ticks'], 'ticks', 'any')}",
+            f"hand up to      {shown(limits['hand_stiffness_max_n_per_m'], 'N/m', '1e6 N/m, no limit found')}",
+            f"delay up to     {shown(limits['delay_max_ticks'], 'ticks', '100 ticks more, no limit found')}",
         ]
     return "\n".join([*lines, figures["plot"]])
+
+
+def _beyond(figures: dict[str, Any]) -> list[str]:
+    """Lines on the frequency that occurs, on every sequence of delays, and on rest; those that were asked for."""
+    lines = []
+    edge, jitter, still = figures["edge"], figures["every_delay"], figures["rest"]
+    if edge is not None:
+        lines.append(
+            f"at the edge     rings at {edge['omega_rad_per_s'] / (2.0 * math.pi):.5g} Hz, where f = {edge['f_n_s_per_m']:.5g} "
+            f"N s/m: 2(b R - f)/T = {edge['k_exact_n_per_m']:.6g} N/m, R = {edge['damping_factor']:.5g} (THEORY.md §9)"
+        )
+    if jitter is not None:
+        low, high = jitter["delay_ticks"]
+        told = {
+            True: f"stable: a common norm shrinks over each of {jitter['words']} words of delays",
+            False: f"UNSTABLE: {', '.join(f'{d:.4g}' for d in jitter['growing'])} ticks, repeated, grow by "
+            f"{jitter['growth']:.6f} per tick",
+            None: "not decided: no norm found, and no sequence that grows",
+        }[jitter["stable"]]
+        lines.append(f"every delay     of {low:g}..{high:g} ticks: {told} (THEORY.md §10)")
+    if still is not None:
+        proof = "proof" if still["certain"] else "bound, no proof: not passive on this damping"
+        lines.append(
+            f"rest            with friction from {still['friction_bound_n']:.4g} N ({proof}); estimate for this device "
+            f"{still['friction_estimated_n']:.4g} N (THEORY.md §5)"
+        )
+        if "k_rest_n_per_m" in still:
+            stiffest = still["k_rest_n_per_m"]
+            lines.append(
+                f"stiffest rest   {'none' if stiffest is None else f'{stiffest:.6g} N/m'} with the declared friction"
+            )
+    return lines
 
 
 def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Device, period: float) -> Path:
