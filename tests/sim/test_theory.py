@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from pathlib import Path
 
@@ -45,6 +46,35 @@ def test_every_section_cited_stands_in_the_page() -> None:
 def test_sections_are_numbered_without_a_gap() -> None:
     numbers = [int(number) for number in HEADING.findall(PAGE.read_text(encoding="utf-8"))]
     assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_every_row_of_the_papers_table_has_code_and_a_test() -> None:
+    table = PAGE.read_text(encoding="utf-8").partition("statement by statement")[2]
+    rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")][2:]
+    defined = {
+        name
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for name in re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert len(rows) > 20
+    for row in rows:
+        assert len(row) == 5, row
+        for path in re.findall(r"`([a-z0-9_/]+\.py)`", row[2]):
+            assert (ROOT / path).is_file(), path
+        tests = re.findall(r"`(test_\w+)`", row[3] + row[4])
+        assert tests, row
+        assert set(tests) <= defined, row
+
+
+def test_what_is_printed_cites_the_paper_or_this_page() -> None:
+    """The source of each claim that a study prints."""
+    allowed = re.compile(r"^(paper\b|THEORY\.md §)")
+    for path in sorted((ROOT / "sim").rglob("*.py")):
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("Claim", "_by_memory") and call.args:
+                told = [leaf.value for leaf in ast.walk(call.args[0]) if isinstance(leaf, ast.Constant)]
+                texts = [text for text in told if isinstance(text, str) and " " in text]
+                assert all(allowed.match(text) for text in texts), f"{path}:{call.lineno}: {texts}"
 
 
 @pytest.mark.parametrize(

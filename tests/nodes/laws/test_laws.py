@@ -258,7 +258,7 @@ def test_gains_must_be_said() -> None:
         parse_law({"kind": "pd_alpha", "stiffness": 1.0, "damping": 1.0, "order": 0.5, "taps": 4})
 
 
-def test_paper_optimum_is_what_the_seed_prints() -> None:
+def test_paper_optimum_is_what_the_paper_prints() -> None:
     law = law_to_dict(parse_law("paper_optimum"))
     assert [term["gain"] for term in law["terms"]] == [1.69, 1.32]
     assert [term["order"] for term in law["terms"]] == [1.50, 3.47]

@@ -41,7 +41,7 @@ def test_slope_along_the_order_is_the_difference_quotient() -> None:
         assert term_damping(theta, order, 5)[1] == pytest.approx(quotient, abs=1e-8)
 
 
-def test_the_seeds_optimum_misses_its_own_target_at_nyquist() -> None:
+def test_the_optimum_has_its_normalisations_f_at_nyquist() -> None:
     """f(ω_N) ≈ +3 where eq. (13) asks for +1 (THEORY.md §2): almost all of J = 3.9 is that."""
     targets = paper_targets()
     at_nyquist = float(damping_curve(np.array([np.pi]), A, ALPHA, 4)[0])

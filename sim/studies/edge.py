@@ -1,0 +1,143 @@
+"""The frequency that occurs at the edge of stability: K_max by Colgate's condition there alone, and from a recorded swing."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from nodes.cli.main import UsageError, answer
+from nodes.laws.parse import LawRefusedError, parse_law
+from nodes.recording.writer import RecordError
+from nodes.stability.k_max import edge_of, k_max, without_spring
+from sim.studies import arguments as shared
+
+LAWS: dict[str, dict[str, Any]] = {
+    "pd": {"kind": "pd", "stiffness": 1.0},
+    "pd_alpha 0.5": {"kind": "pd_alpha", "stiffness": 1.0, "order": 0.5, "taps": 20, "gains": "paper"},
+    "pd_alpha 1.5": {"kind": "pd_alpha", "stiffness": 1.0, "order": 1.5, "taps": 4, "gains": "paper"},
+    "paper_optimum": {"kind": "paper_optimum"},
+}
+"""The laws that are compared."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of the study.
+    """
+    parser.add_argument(
+        "recording", nargs="?", type=Path, help="predict K_max from the swing of its longest contact, without the mass"
+    )
+    parser.add_argument(
+        "--gain", type=shared.interval, default=(1.0, 40.0), help="B, LOW..HIGH [N s/m] (default: 1..40)"
+    )
+    parser.add_argument("--points", type=int, default=24, help="gains, in geometric steps (default: %(default)s)")
+    parser.add_argument(
+        "--device-damping", type=shared.not_negative, help="of the recorded device, when it is real [N s/m]"
+    )
+    shared.add_device(parser)
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compare laws, or predict from a recording.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        As declared by `add`.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    UsageError
+        When there is no range of gains, or the recording holds no swing.
+    """
+    if arguments.recording is not None:
+        return _predict(arguments)
+    low, high = arguments.gain
+    if not 0.0 < low < high or arguments.points < 2:
+        raise UsageError(f"--gain {low:g}..{high:g} --points {arguments.points}: needs 0 < LOW < HIGH and 2 points")
+    device, period = shared.device(arguments), 1.0 / arguments.rate
+    gains = [low * (high / low) ** (i / (arguments.points - 1)) for i in range(arguments.points)]
+    rows = []
+    for name, law in LAWS.items():
+        for gain in gains:
+            derivative = without_spring(parse_law({**law, "damping": gain}), period)
+            limit, edge = k_max(derivative, period, device).k_max_n_per_m, edge_of(derivative, period, device)
+            if limit is not None and edge is not None:
+                rows.append({"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)})
+    if not rows:
+        raise UsageError(f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains")
+    ratios = [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in rows]
+    exact = max(abs(row["k_exact_n_per_m"] / row["k_max_n_per_m"] - 1.0) for row in rows)
+    plot = _draw(arguments, rows, device.damping, period)
+    figures = {
+        "points": rows,
+        "ratio_min": min(ratios),
+        "ratio_max": max(ratios),
+        "exact_error": exact,
+        "plot": str(plot),
+    }
+    text = (
+        f"K_max = 2(b R - f(w_c))/T to {exact:.1e} over {len(rows)} loops; without R the ratio is {min(ratios):.3f} .. "
+        f"{max(ratios):.3f} (THEORY.md §9)\n{plot}"
+    )
+    answer(arguments.json, figures, text)
+    return 0
+
+
+def _predict(arguments: argparse.Namespace) -> int:
+    from sim.paper.swing import recorded_swing
+
+    try:
+        swing = recorded_swing(arguments.recording, arguments.device_damping)
+    except (RecordError, LawRefusedError, ValueError, OSError) as error:
+        raise UsageError(str(error)) from error
+    figures = asdict(swing)
+    text = (
+        f"swings at {swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick, "
+        f"at K = {swing.stiffness_n_per_m:.6g} N/m\n"
+        f"predicts K_max {swing.edge.k_exact_n_per_m:.5g} N/m: Colgate's condition at this frequency, no mass needed "
+        f"(THEORY.md §9)"
+    )
+    answer(arguments.json, figures, text)
+    return 0
+
+
+def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: float, period: float) -> Path:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for i, name in enumerate(LAWS):
+        mine = [row for row in rows if row["law"] == name]
+        k = [row["k_max_n_per_m"] for row in mine]
+        left.plot([row["f_n_s_per_m"] for row in mine], k, f"C{i}o", ms=4, label=name)
+        right.plot([row["omega_rad_per_s"] / (2.0 * math.pi) for row in mine],
+                   [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in mine], f"C{i}o", ms=4, label=name)  # fmt: skip
+    span = sorted(row["f_n_s_per_m"] for row in rows)
+    left.plot(span, [2.0 * (damping - f) / period for f in span], "k-", linewidth=0.8, label="2(b − f)/T")
+    left.set(xlabel="f(ω_c) [N s/m]", ylabel="K_max [N/m]", title="the smaller f where it rings, the stiffer")
+    right.set(xlabel="ω_c/2π [Hz]", ylabel="2(b − f(ω_c))/T over K_max", title="Colgate at ω_c alone, without R")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    figure.suptitle(
+        f"m = {arguments.mass:g} kg, b = {damping:g} N s/m, d = {arguments.delay:g}, {arguments.rate:g} Hz", fontsize=9
+    )
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    path: Path = arguments.out / "edge.png"
+    figure.savefig(path, dpi=150)
+    return path
