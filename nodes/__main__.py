@@ -1,19 +1,11 @@
-"""The entry of a node's process: ``python -m nodes SETUP_FILE``."""
+"""The entry of a node's process: ``python -m nodes SETUP_FILE LAUNCHER``."""
 
 import signal
 import sys
-from types import FrameType
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    """End quietly while the node is still being imported; later it has handlers of its own."""
-    del frame
-    sys.exit(128 + number)
-
 
 if __name__ == "__main__":
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _end)
+    # Before anything starts a thread: a signal that comes while the node is being imported waits until the node heeds it.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
     from nodes.base.process import start
 
     sys.exit(start(sys.argv[1:]))

@@ -176,6 +176,7 @@ class ControlServer(threading.Thread):
         while not self._ending.is_set():
             self._serve()
             now = time.monotonic()
+            self._node.look_after()
             self._watch_lease(now)
             if self._watched is not None and now >= next_watch:
                 next_watch = now + WATCH_PERIOD

@@ -39,6 +39,8 @@ class Telling:
         What ends the loop's wait; None for a loop that does not wait without end.
     refused, denied : int
         Messages refused; connections not let in.
+    loop_thread : int
+        Identifier of the thread that runs the loop.
     clock_offset, clock_error : float
         What is added to this host's monotonic clock to get the run's time, and how far off that may be [s].
     """
@@ -50,7 +52,7 @@ class Telling:
         self.called = False
         self.waker: Waker | None = None
         # Nodes are made on the thread that runs their loop.
-        self._loop_thread = threading.get_ident()
+        self.loop_thread = threading.get_ident()
         self.refused = self.denied = 0
         self.clock_offset = self.clock_error = 0.0
         self._period = setup.period
@@ -89,7 +91,7 @@ class Telling:
         self.clock_offset, self.clock_error = offset, error
 
     def say(self, text: str) -> None:
-        """Write one line to standard error, named.
+        """Write one line to standard error, named; in a node's process it only joins a queue (nodes/base/words.py).
 
         Parameters
         ----------
@@ -98,7 +100,7 @@ class Telling:
         """
         # On a terminal the launcher's status line stands where this goes.
         clear = "\r\x1b[K" if sys.stderr.isatty() else ""
-        print(f"{clear}[{self.setup.name}] {text}", file=sys.stderr, flush=True)
+        sys.stderr.write(f"{clear}[{self.setup.name}] {text}\n")
 
     def tell(self, kind: str, reason: str, always: bool = False) -> None:
         """Publish an event and say it; repeats of one kind at powers of two only.
@@ -153,7 +155,7 @@ class Telling:
     def call(self) -> None:
         """Call the loop's attention to what waits between two ticks; from any thread."""
         self.called = True
-        if threading.get_ident() != self._loop_thread:
+        if threading.get_ident() != self.loop_thread:
             self.wake()
 
     def wake(self) -> None:

@@ -11,7 +11,6 @@ import os
 import resource
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import msgspec
@@ -207,6 +206,9 @@ class Node(Telling):
             As from `prepare`, which it is for a node that refuses nothing of the kind.
         """
         return self.prepare(parameters)
+
+    def look_after(self) -> None:
+        """Look whether all is well, about twice a second (control thread)."""
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Control operations beside parameters, status and stop.

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -23,7 +23,9 @@ from nodes.base import realtime
 from nodes.base.control_thread import ControlServer
 from nodes.base.kinds import load
 from nodes.base.node import Node
+from nodes.base.report import write_report
 from nodes.base.setup import Setup
+from nodes.base.words import instead_of_stderr
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
@@ -54,12 +56,16 @@ def _await_listeners(node: Node) -> None:
 
 
 def _heed_signals(node: Node) -> None:
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        del frame
-        node.stop(signal.Signals(number).name)
+    """Let a thread wait for signals: a handler would interrupt the loop's thread, which may hold the very lock it needs."""
+    asking = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    # Threads made from here on inherit it; nodes/__main__.py has done the same for those of imports.
+    signal.pthread_sigmask(signal.SIG_BLOCK, asking)
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, on_signal)
+    def wait() -> None:
+        while True:
+            node.stop(signal.Signals(signal.sigwait(asking)).name)
+
+    threading.Thread(target=wait, name=f"{node.setup.name}-signals", daemon=True).start()
     # Sent when somebody opens a watched file that is being read under a lease; its default is to end the process.
     signal.signal(signal.SIGIO, signal.SIG_IGN)
 
@@ -99,21 +105,10 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
     return control, gate
 
 
-def _write_report(node: Node, figures: Mapping[str, Any]) -> None:
-    path = Path(node.setup.run_dir) / f"{node.setup.name}.report.json"
-    draft = path.with_suffix(".draft")
-    draft.write_bytes(
-        msgspec.json.encode(
-            {"status": msgspec.to_builtins(node.status()), "ticks_compiled": node.ticks_compiled, **figures}
-        )
-    )
-    draft.replace(path)
-
-
 def _fail_to_start(node: Node, error: Exception) -> int:
     node.say(f"cannot start: {error}")
     node.stop_reason, node.state = str(error), "failed"
-    _write_report(node, {})
+    write_report(node, {})
     return 1
 
 
@@ -132,6 +127,7 @@ def live(node: Node) -> int:
     """
     _heed_signals(node)
     refused = realtime.apply(node.setup.scheduling)
+    instead_of_stderr(realtime.step_aside, stdout_too=True)
     node.load_kernel()
     try:
         node.configure()
@@ -146,25 +142,25 @@ def live(node: Node) -> int:
     move_aside()
     code = 1
     try:
-        if gate is not None:
-            gate.start()
-        control.start()
-        for text in refused:
-            node.tell("realtime", text)
-        _await_listeners(node)
-        node.state = "ready"
-        realtime.quiet_interpreter()
-        node.loop()
+        try:
+            if gate is not None:
+                gate.start()
+            control.start()
+            for text in refused:
+                node.tell("realtime", text)
+            _await_listeners(node)
+            node.state = "ready"
+            realtime.quiet_interpreter()
+            node.loop()
+        finally:
+            node.finish()
         code = 0
     except (ParameterError, OSError) as error:
         # What a device or a disk says is no fault of the program: one line, no traceback.
         node.stop_reason = node.stop_reason or str(error)
         node.say(f"ended: {error}")
     finally:
-        try:
-            node.finish()
-        finally:
-            _close(node, context, control, gate, code)
+        _close(node, context, control, gate, code)
     return code
 
 
@@ -183,23 +179,23 @@ def _close(node: Node, context: Context, control: ControlServer, gate: Gate | No
         node.inbox.close()
     node.publisher.close()
     context.term()
-    _write_report(node, node.report())
+    write_report(node)
 
 
 def start(arguments: list[str]) -> int:
-    """Run one node as this process: ``python -m nodes SETUP_FILE``.
+    """Run one node as this process: ``python -m nodes SETUP_FILE [LAUNCHER]``.
 
     Parameters
     ----------
     arguments : list of str
-        The path of the node's setup file, written by the launcher.
+        The path of the node's setup file, written by the launcher, and the launcher's process number.
 
     Returns
     -------
     int
         Exit code.
     """
-    realtime.die_with_parent()
+    realtime.die_with_parent(*map(int, arguments[1:]))
     setup = msgspec.json.decode(Path(arguments[0]).read_bytes(), type=Setup)
     try:
         node = load(setup.factory)(setup)

@@ -157,12 +157,19 @@ def quiet_interpreter() -> None:
     sys.setswitchinterval(5e-5)
 
 
-def die_with_parent() -> None:
-    """Ask the kernel for SIGTERM when the launcher dies, so that no node outlives a killed launcher."""
-    parent = os.getppid()
+def die_with_parent(parent: int | None = None) -> None:
+    """Ask the kernel for SIGTERM when the launcher dies, so that no node outlives a killed launcher.
+
+    Parameters
+    ----------
+    parent : int, optional
+        The launcher's process number: should it have died before this was called, this process ends at once. Without it
+        whoever is the parent now is taken for the launcher.
+    """
+    parent = os.getppid() if parent is None else parent
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:
-        os.kill(os.getpid(), signal.SIGTERM)
+        raise SystemExit(128 + signal.SIGTERM)
 
 
 def sleep_until(deadline: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ import msgspec
 
 from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
+from nodes.base.words import instead_of_stderr, last_words
 from nodes.cli.main import UsageError, answer
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.status_line import StatusLine
@@ -157,6 +159,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "recordings": recordings,
         "plot": None,
         "exit_reason": supervisor.exit_reason,
+        "failures": supervisor.failures,
         "startup_s": round(supervisor.startup_s, 3),
         "final": {
             key: (final[key][axis] if single else final[key]) if key in final else None
@@ -181,6 +184,7 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
 def _text(launch: Launch, figures: dict[str, Any]) -> str:
     response = figures["response_us"]
     lines = [f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"]
+    lines += [f"  failed    {failure}" for failure in figures["failures"] if failure != figures["exit_reason"]]
     if response:
         lines.append(
             f"  rate      {figures['rate_hz']:.2f} Hz, missed {figures['missed']}, overruns {figures['overruns']}, "
@@ -219,7 +223,8 @@ def run(arguments: argparse.Namespace) -> int:
     Returns
     -------
     int
-        0 when the loop ended as planned, 1 when a node failed, 130 or 143 when it was interrupted before its time.
+        0 when the run ended as asked, 1 when any node failed (one that was started again and went on did not), 130 or 143 when
+        it was interrupted before its time.
     """
     if arguments.list:
         figures = _list()
@@ -255,11 +260,13 @@ def _into(launch: Launch, folder: Path) -> Launch:
 
 
 def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
+    # Whoever reads what the launcher prints may pause: it must look after its nodes, and heed Ctrl-C, all the same.
+    instead_of_stderr()
     status = StatusLine(launch)
 
     def say(text: str) -> None:
         status.clear()
-        print(f"[launch] {text}", file=sys.stderr, flush=True)
+        sys.stderr.write(f"[launch] {text}\n")
 
     page = PageAnnouncer(arguments.json)
 
@@ -294,8 +301,13 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             figures["plot"] = str(picture)
         except RecordError as error:
             say(f"no plot: {error}")
-    answer(arguments.json, figures, _text(launch, figures))
-    if supervisor.failed:
+    last_words()
+    try:
+        answer(arguments.json, figures, _text(launch, figures))
+    except BrokenPipeError:
+        # Nobody reads the answer; the exit code tells all the same.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if supervisor.failed or supervisor.failures:
         return 1
     early = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
     return early.get(supervisor.exit_reason, 0) if launch.run.ticks else 0

@@ -11,7 +11,7 @@ from messages.topics import message_type
 from messages.transport.sockets import Subscription, new_context
 from messages.types import Message
 from nodes.base import realtime
-from nodes.launcher.runs import RunInfo, alive
+from nodes.launcher.runs import RunInfo
 
 QUIET_MS = 100
 """How often a listener that hears nothing looks up [ms]."""
@@ -77,7 +77,7 @@ def _listen(run: RunInfo, topics: Collection[str], duration: float) -> Iterator[
             if now >= until:
                 return
             if frames is None:
-                if not alive(run.launcher):
+                if not run.lives:
                     return
                 yield None
                 continue

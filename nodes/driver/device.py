@@ -32,10 +32,13 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
         Longest time without a fresh force, and oldest force: bounds the driver's watchdog [s].
     hold : float
         How long the device itself holds a force when no other comes, before it lets go [s]: its own last line, for a driver
-        that hangs. Every driver of hardware should have one.
+        that hangs. A driver of hardware without one does not start unless it is told to.
     latency : float or None
         From handing a force over until the device applies it [s]: energy and guard account for it. None where it is not known,
         which the driver says; both then take forces to act when they are handed over.
+    opening, closing : float
+        How long `Device.open` and `Device.close` may take [s]; after that the device is taken to hang. A launcher that ends
+        its run waits for so long too.
     workspace : tuple of tuple of float, shape (3, 2)
         Smallest and largest coordinate of each axis [m].
     """
@@ -46,6 +49,8 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
     silence: float = math.inf
     hold: float = math.inf
     latency: float | None = None
+    opening: float = 20.0
+    closing: float = 2.0
     workspace: Workspace = (
         (-math.inf, math.inf),
         (-math.inf, math.inf),
@@ -54,7 +59,11 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Device(Protocol):
-    """A haptic device as the driver node sees it. All calls come from one thread."""
+    """A haptic device as the driver node sees it. All calls come from one thread.
+
+    A call that waits must give up the interpreter's lock meanwhile, as ctypes does: a watchdog of the driver then notices when
+    it hangs.
+    """
 
     @property
     def limits(self) -> DeviceLimits:

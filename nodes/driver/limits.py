@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -40,7 +40,11 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     ramp : float
         Time in which forces grow to their full size after a start or a recovery [s].
     workspace : tuple of tuple of float, shape (3, 2), or None
-        Smallest and largest coordinate of each axis [m]; outside there is no force.
+        Smallest and largest coordinate of each axis [m]; a position outside is a fault and no data, and there is no force.
+    hang : float or None
+        After so long within one tick the device is taken to hang, and the driver ends [s]; None for a debugger.
+    without : list of str
+        What the device need not declare: ``peak_force``, ``workspace``, ``hold``.
     """
 
     watchdog: Annotated[int, msgspec.Meta(ge=1)] = 10
@@ -53,6 +57,8 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     slew: Positive | None = None
     ramp: NonNegative = 0.0
     workspace: Workspace | None = None
+    hang: Positive | None = 1.0
+    without: list[Literal["peak_force", "workspace", "hold"]] = []
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
@@ -82,6 +88,36 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     max_age: int
     workspace: Workspace
     told: tuple[str, ...]
+
+
+def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
+    """Say what a device that exists must have and has not: a largest force, a workspace, and a deadline of its own.
+
+    Parameters
+    ----------
+    parameters : SafetyParameters
+        Of the launch file, which may set force and workspace itself, or do without.
+    device : DeviceLimits
+        Of the device.
+
+    Returns
+    -------
+    str
+        What is missing and what to do; empty when nothing is.
+    """
+    bounded = parameters.workspace is not None or all(math.isfinite(low + high) for low, high in device.workspace)
+    declared = {
+        "peak_force": parameters.peak_force is not None or math.isfinite(device.peak_force),
+        "workspace": bounded,
+        "hold": math.isfinite(device.hold),
+    }
+    missing = ", ".join(name for name, known in declared.items() if not known and name not in parameters.without)
+    if not missing:
+        return ""
+    return (
+        f"the device declares no {missing}, which a device that exists must have (DeviceLimits in nodes/driver/device.py); "
+        f"to start it all the same: safety.without: [{missing}]"
+    )
 
 
 def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, where: str = "safety") -> Limits:

@@ -23,20 +23,22 @@ from messages.types import ZERO, DeviceState, Force, Vector
 from nodes.base import realtime
 from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.base.standstill import Standstill, give_up
 from nodes.driver.device import Device
+from nodes.driver.limits import STOP_TIME, undeclared
 from nodes.driver.mean_force import Latency, Split
-from nodes.driver.parameters import DriverParameters as DriverParameters
-from nodes.driver.parameters import check_workspace
-from nodes.driver.passivity import PassivityGuard, observe
+from nodes.driver.motion import Motion, scaled
+from nodes.driver.parameters import DriverParameters, check
+from nodes.driver.passivity import PassivityGuard
 from nodes.driver.response_times import ResponseTimes
 from nodes.driver.safety import Safety
 from nodes.parameters.store import ParameterError, convert
 
-RECENT = 64
-"""Ticks at the end of a run whose swing tells whether the device is at rest."""
-
 ASK_AGAIN = 0.5
 """In lockstep, a tick without an answer for so long is published again: its answer was lost with a node [s]."""
+
+SOFT_STOP = STOP_TIME + 1.0
+"""After so long on the way down to zero force the device is taken to hang [s]."""
 
 
 class Driver(Node):
@@ -67,12 +69,7 @@ class Driver(Node):
         ParameterError
             With path, value, limit and remedy.
         """
-        if setup.pace == "lockstep" and not cls.virtual:
-            raise ParameterError(
-                f"{setup.name}: pace lockstep waits for each force, however long, which no device but a virtual one can; "
-                "use realtime"
-            )
-        check_workspace(convert(setup.parameters, cls.Parameters, setup.name).safety.workspace, setup.name)
+        check(setup, convert(setup.parameters, cls.Parameters, setup.name), cls.virtual)
 
     @property
     def target(self) -> Vector:
@@ -92,7 +89,11 @@ class Driver(Node):
     def configure(self) -> None:
         """Make the device and its safety."""
         self._device = self.make_device()
+        if not self.virtual and (refusal := undeclared(self.store.current.safety, self._device.limits)):
+            self._device.close()
+            raise ParameterError(f"{self.setup.name}: {refusal}")
         self._axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
+        self._untold: deque[tuple[str, str]] = deque(maxlen=1000)
         self._safety = Safety(
             self.store.current.safety,
             self._device.limits,
@@ -110,28 +111,58 @@ class Driver(Node):
                 "guard", "the device does not tell its latency: the guard takes forces to act when they are handed over"
             )
         self._latency = Latency(round(latency / self.setup.period, 9)) if latency else None
+        self._motion = Motion(self.setup.period, self._axes, self.virtual, self._latency)
         self._open = False
         self._soft_stop_ticks = 0
-        self._position: Vector = ZERO
-        self._before: Vector = ZERO
-        # Mean force since the sample before: what acted, exact under zero-order hold.
-        self._acting: list[float] = [0.0, 0.0, 0.0]
-        self._held = 1
+        # What is on the device, which under ``next_tick`` is not yet what was decided last; and the tick it was written in.
+        self._handed: Vector = ZERO
+        self._written = 0
         # The device lets go by itself so many ticks after the last force that was written.
         self._bears = self._device.limits.hold / self.setup.period
-        self._written = 0
-        self._response = self._lateness = self._delay = self._energy = 0.0
+        self._standstill = Standstill()
+        # What the loop's thread is at, and how long it may take [s].
+        self._doing = ("", math.inf)
+        self._response = self._lateness = self._delay = 0.0
         self._age = self._missed = self._overruns = 0
         self._responses = ResponseTimes()
         self._oldest_age = 0
-        self._highest_energy = 0.0
         self._first_stamp = self._last_stamp = 0.0
         self._complete = False
-        self._recent: deque[Vector] = deque(maxlen=RECENT)
 
     def _tell_safety(self, kind: str, reason: str) -> None:
-        # Every change of state is published, whatever else happened; refusals by the thousand are not.
-        self.tell(kind, reason, always=kind == "safety")
+        """Take down what the safety has to say: the force comes first, words when the tick is done."""
+        if kind.startswith("refused"):
+            self.tell(kind, reason)
+        else:
+            self._untold.append((kind, reason))
+            self.called = True
+
+    def _tell_all(self) -> None:
+        while self._untold:
+            kind, reason = self._untold.popleft()
+            # Every change of state is published, whatever else happened.
+            self.tell(kind, reason, always=kind == "safety")
+
+    def between_ticks(self, seq: int) -> None:
+        """Tell what happened, then do what every node does.
+
+        Parameters
+        ----------
+        seq : int
+            The tick at which a change takes effect.
+        """
+        self._tell_all()
+        super().between_ticks(seq)
+
+    # -- a loop that stands still (control thread) -------------------------------------------------------------------
+
+    def look_after(self) -> None:
+        """End the process when the device hangs: nobody but the device itself can bring its force down then."""
+        what, limit = self._doing
+        if self._standstill.look((what, self.seq, self.ticks, self._soft_stop_ticks)) >= limit:
+            hold = self._device.limits.hold
+            lets_go = f"it lets go by itself after {hold:g} s" if math.isfinite(hold) else "it may hold its last force"
+            give_up(self, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the launcher's status line asks for.
@@ -139,15 +170,17 @@ class Driver(Node):
         Returns
         -------
         dict of str to callable
-            ``progress``.
+            ``progress``, and ``device``: how long its opening and closing may take.
         """
-        return {"progress": self._progress}
+        limits = self._device.limits
+        times = {"opening_s": limits.opening, "closing_s": limits.closing}
+        return {"progress": self._progress, "device": lambda: times}
 
     def _progress(self) -> dict[str, Any]:
         return {
             "tick": self.ticks,
             "ticks": self.setup.ticks,
-            "position_m": list(self._position),
+            "position_m": list(self._motion.position),
             "force_n": list(self._safety.force),
             "safety": self._safety.state,
             "missed": self._missed,
@@ -176,14 +209,14 @@ class Driver(Node):
             "rate_hz": (self.seq - self._first_seq) / span if span > 0.0 else 0.0,
             "response_us": self._responses.summary_us(),
             "age_ticks_max": self._oldest_age,
-            "energy_j": self._energy,
-            "energy_max_j": self._highest_energy,
+            "energy_j": self._motion.energy,
+            "energy_max_j": self._motion.highest,
             "latency_s": self._device.limits.latency,
             "guard": self._guard.summary() if self._guard else None,
             "final": {
-                "position_m": list(self._position),
+                "position_m": list(self._motion.position),
                 "force_n": list(self._safety.force),
-                "swing_m": [max(axis) - min(axis) for axis in zip(*self._recent, strict=True)] or [0.0, 0.0, 0.0],
+                "swing_m": self._motion.swing(),
             },
         }
 
@@ -192,31 +225,18 @@ class Driver(Node):
     def _sample(self, seq: int, stamp: float) -> float:
         """Sample the device and publish its state, with the report of the tick before; when it was published [s]."""
         position = self._device.read_position(seq)
-        safety = self._safety
-        passed, self._held = self._held, 1
-        before = self._before = self._position
-        if not safety.watch_position(position, seq):
-            position = before
-        self._position = position
-        self._recent.append(position)
-        force, acting = safety.force, self._acting
-        guard = self._guard
-        if self.ticks:
-            if self._latency is not None:
-                acting = self._latency.acted(acting, passed)
-            for i in self._axes:
-                self._energy = observe(self._energy, acting[i], position[i] - before[i])
-            if self._energy > self._highest_energy:
-                self._highest_energy = self._energy
-            if guard is not None:
-                guard.observe(acting, before, position)
+        safety, motion, guard = self._safety, self._motion, self._guard
+        if safety.watch_position(position, seq):
+            stepped = motion.sample(position, stamp)
+            if guard is not None and stepped:
+                guard.observe(motion.acted, motion.before, position, motion.elapsed)
         self.seq = seq
         payload = encode(
             DeviceState(
                 seq=seq,
                 stamp=stamp,
-                position=position,
-                force=force,
+                position=motion.position,
+                force=safety.force,
                 force_seq=safety.force_seq,
                 age=self._age,
                 response=self._response,
@@ -224,7 +244,7 @@ class Driver(Node):
                 missed=self._missed,
                 overruns=self._overruns,
                 safety=safety.state,
-                energy=self._energy,
+                energy=motion.energy,
                 delay=self._delay,
                 guard=guard.energy if guard is not None else 0.0,
                 target=self.target,
@@ -251,9 +271,13 @@ class Driver(Node):
         self._expected = topics.FORCE.encode()
         self._decoder = Decoder(Force)
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        if self.stopping:
+            return
         # Set first: a device that failed half-way is closed too.
         self._open = True
+        self._doing = ("open()", self._device.limits.opening)
         self._device.open()
+        self._doing = ("", math.inf)
         self.started.wait()
         self.state = "running"
         self._first_seq = 0
@@ -272,7 +296,7 @@ class Driver(Node):
         assert inbox is not None  # noqa: S101
         next_frame, device, safety, period = inbox.next_frame, self._device, self._safety, self.setup.period
         inbox.set_timeout(IDLE_MS)
-        clock, note = time.monotonic, self._responses.add
+        clock, note, act = time.monotonic, self._responses.add, self._motion.act
         late = 1 if self.setup.apply == "next_tick" else 0
         guard = self._guard
         self._first_stamp = time.monotonic()
@@ -297,7 +321,8 @@ class Driver(Node):
                     wanted = force.force if guard is None else self._guarded(guard, force.force, acting, float(late))
                     command = safety.command(wanted, seq, seq)
                     device.write_force(command, seq + late, 0.0)
-                    self._acting = list(acting if late else command)
+                    self._handed = command
+                    act(list(acting if late else command))
                     acting = command
                     self.ticks += 1
                     self._delay = float(late)
@@ -323,15 +348,16 @@ class Driver(Node):
     def _realtime(self, end: int) -> None:
         inbox = self.inbox
         assert inbox is not None  # noqa: S101
-        period, device, safety = self.setup.period, self._device, self._safety
+        period, safety, write = self.setup.period, self._safety, self._write
         next_tick = self.setup.apply == "next_tick"
         guard = self._guard
         epoch = self._epoch()
         seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
-        acting = ZERO
         following_command: Vector | None = None
         belated: tuple[tuple[bytes, bytes], float] | None = None
         heard = False
+        # A virtual device waits for whoever debugs it; what exists does not.
+        self._doing = ("a tick", self.store.current.safety.hang or math.inf)
         while seq < end and not self.stopping:
             deadline = epoch + seq * period
             now = realtime.sleep_until(deadline)
@@ -340,14 +366,18 @@ class Driver(Node):
                 # The driver itself was held up: the ticks that are over cannot be sampled any more, only counted.
                 lost = min(int(late / period), end - seq)
                 self._overruns += lost
-                self._hold(seq, lost)
-                seq += lost
                 self._lateness = late
+                let_go = self._hold(seq, lost)
+                seq += lost
+                if let_go or (following_command is not None and seq - safety.force_seq > safety.limits.max_age):
+                    # What was still to be handed over is too old by now.
+                    following_command = None
+                    safety.hold(self._handed)
                 continue
             self._lateness = late
             if following_command is not None:
                 # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
-                device.write_force(following_command, seq, 0.0)
+                write(following_command, seq, 0.0)
                 following_command = None
             sent = self._sample(seq, now + self.clock_offset)
             if not self.ticks:
@@ -358,7 +388,7 @@ class Driver(Node):
             # the processor from that answer and be answered late itself, and so would the next. Not so when nothing came.
             receive = inbox.receive_soon if heard else inbox.receive_until
             answered = heard = False
-            split = Split(safety.force, acting if next_tick else None)
+            split = Split(self._handed, self._handed if next_tick else None)
             while not answered:
                 if belated is not None:
                     frames, arrival = belated
@@ -381,14 +411,13 @@ class Driver(Node):
                     offset = min(max((arrival - deadline) / period, 0.0), 1.0)
                     wanted = force.force
                     if guard is not None:
-                        wanted = self._guarded(guard, wanted, safety.force, 1.0 if next_tick else offset)
+                        wanted = self._guarded(guard, wanted, self._handed, 1.0 if next_tick else offset)
                     command = safety.command(wanted, force.seq, seq)
-                    self._written = seq
                     if next_tick:
                         following_command = command
                         self._delay = 1.0 + self._age
                     else:
-                        device.write_force(command, seq, offset)
+                        write(command, seq, offset)
                         split.change(command, offset)
                         self._delay = offset + self._age
                     if answered:
@@ -397,18 +426,18 @@ class Driver(Node):
             if self._age > self._oldest_age:
                 self._oldest_age = self._age
             if not answered:
-                self._missed += 1
+                # In a fault there is no position that could have been answered.
+                self._missed += safety.state != "fault"
                 self._response = 0.0
-                held = None if guard is None else self._guarded(guard, safety.force, safety.force, 1.0)
-                command_now = safety.missed(seq, self._velocity(), held)
+                held = None if guard is None else self._guarded(guard, safety.force, self._handed, 1.0)
+                command_now = safety.missed(seq, self._motion.velocity(), held)
                 if command_now is not None:
                     following_command = None
-                    device.write_force(command_now, seq + 1, 0.0)
-                    self._written = seq + 1
-                elif seq + 1 - self._written >= self._bears:
-                    safety.let_go()
-            self._acting = split.mean()
-            acting = safety.force
+                    write(command_now, seq + 1, 0.0)
+                elif following_command is None and seq + 1 - self._written >= self._bears:
+                    self._handed = ZERO
+                    safety.hold(ZERO)
+            self._motion.act(split.mean())
             self.ticks += 1
             seq += 1
             self._tell_listeners()
@@ -418,36 +447,39 @@ class Driver(Node):
         self._sample(seq, self._last_stamp + self.clock_offset)
         self._tell_listeners()
 
-    def _velocity(self) -> Vector:
-        period, now, before = self.setup.period, self._position, self._before
-        return (
-            (now[0] - before[0]) / period,
-            (now[1] - before[1]) / period,
-            (now[2] - before[2]) / period,
-        )
+    def _write(self, force: Vector, seq: int, offset: float) -> None:
+        self._device.write_force(force, seq, offset)
+        self._handed = force
+        self._written = seq
 
-    def _hold(self, seq: int, lost: int) -> None:
-        """Take into the mean force what acted during ticks that were left out, until the device itself let go."""
-        force, already = self._safety.force, self._held
+    def _hold(self, seq: int, lost: int) -> bool:
+        """Take into the mean force what acted during ticks that were left out; whether the device let go meanwhile."""
+        force = self._handed
         acted = min(max(self._bears - (seq - self._written), 0.0), float(lost))
-        for i in self._axes:
-            self._acting[i] = (self._acting[i] * already + force[i] * acted) / (already + lost)
-        self._held += lost
-        if acted < lost and force != ZERO:
-            self._safety.let_go()
-            self.tell("device", f"no force from tick {self._written} to {seq + lost}; the device let go by itself")
+        self._motion.act(scaled(force, acted / lost), lost)
+        if acted == lost or force == ZERO:
+            return False
+        self._handed = ZERO
+        self._tell_safety("device", f"no force from tick {self._written} to {seq + lost}; the device let go by itself")
+        return True
 
     def finish(self) -> None:
         """Bring the force down to zero and close the device, on every way out."""
         if not self._open:
             return
         self._open = False
+        period = self.setup.period
         try:
+            self._doing = ("the soft stop", SOFT_STOP)
             start = time.monotonic()
-            for n, force in enumerate(self._safety.soft_stop(), 1):
+            for n, force in enumerate(self._safety.soft_stop(self._handed), 1):
                 self._soft_stop_ticks = n
                 self._device.write_force(force, self.seq + n - 1, 0.0)
+                self._handed = force
                 if self.setup.pace == "realtime":
-                    realtime.sleep_until(start + n * self.setup.period)
+                    realtime.sleep_until(start + n * period)
         finally:
+            self._doing = ("close()", self._device.limits.closing)
             self._device.close()
+            self._doing = ("", math.inf)
+            self._tell_all()

@@ -1,10 +1,12 @@
-"""Parameters that every driver has, whatever its device."""
+"""What every driver can be told, and what is checked before anything is started."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 
-from nodes.driver.device import Workspace
+from nodes.base.setup import Setup
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.passivity import PassivityParameters
 from nodes.parameters.store import ParameterError
@@ -25,23 +27,31 @@ class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     passivity: PassivityParameters | None = None
 
 
-def check_workspace(workspace: Workspace | None, name: str) -> None:
-    """Check the workspace of a launch file before anything is started.
+def check(setup: Setup, parameters: Any, virtual: bool) -> None:
+    """Check pace and workspace.
 
     Parameters
     ----------
-    workspace : tuple of tuple of float, shape (3, 2), or None
-        Smallest and largest coordinate of each axis [m].
-    name : str
-        Of the driver, for the error.
+    setup : Setup
+        The driver as it would be started.
+    parameters : DriverParameters
+        Its parameters.
+    virtual : bool
+        Whether its device lives in simulated time and can wait.
 
     Raises
     ------
     ParameterError
-        When an axis has no inside.
+        With path, value, limit and remedy.
     """
-    for axis, (low, high) in enumerate(workspace or ()):
+    if setup.pace == "lockstep" and not virtual:
+        raise ParameterError(
+            f"{setup.name}: pace lockstep waits for each force, however long, which no device but a virtual one can; "
+            "use realtime"
+        )
+    for axis, (low, high) in enumerate(parameters.safety.workspace or ()):
         if not low < high:
             raise ParameterError(
-                f"{name}.safety.workspace[{axis}]: {low:g} to {high:g} m, expected low to high: outside it there is no force"
+                f"{setup.name}.safety.workspace[{axis}]: {low:g} to {high:g} m, expected low to high: outside it there "
+                "is no force"
             )

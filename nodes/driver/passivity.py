@@ -241,7 +241,7 @@ class PassivityGuard:
         """What the guard counts as given out, credit forgotten: negative is in store, positive is owed [J]."""
         return sum(self._energy)
 
-    def observe(self, acting: list[float], before: Vector, position: Vector) -> None:
+    def observe(self, acting: list[float], before: Vector, position: Vector, ticks: int = 1) -> None:
         """Count the tick that is over.
 
         Parameters
@@ -250,10 +250,12 @@ class PassivityGuard:
             Mean force since the sample before [N].
         before, position : tuple of float, shape (3,)
             The sample before and this one [m].
+        ticks : int
+            How many ticks lie between the two: the displacement that is expected once more is that of one.
         """
         for i in self._axes:
             step = position[i] - before[i]
-            self._step[i] = step
+            self._step[i] = step / ticks
             self._energy[i] = observe(self._energy[i], acting[i], step)
             if self._energy[i] > self.highest:
                 self.highest = self._energy[i]

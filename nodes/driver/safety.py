@@ -25,6 +25,9 @@ from nodes.driver.limits import STOP_TIME, SafetyParameters, lower
 from nodes.driver.motor_heat import Motor
 from nodes.kernels import limit
 
+REACH = 1e6
+"""Farther than this no device is: a position beyond is a fault of whoever measured it [m]."""
+
 REASONS = 8
 """Changes of state that the summary of a run tells; all of them are on the driver's event topic."""
 
@@ -231,12 +234,18 @@ class Safety:
             self._enter("zero", seq, f"no fresh force for {silent} ticks")
         return self._hand_over(ZERO, seq)
 
-    def let_go(self) -> None:
-        """Note that the device has let go of the force by itself, because the driver hung."""
-        self.force = ZERO
+    def hold(self, force: Vector) -> None:
+        """Note what is on the device where that is not what was decided last: it let go by itself, or a tick was lost.
+
+        Parameters
+        ----------
+        force : tuple of float, shape (3,)
+            Force on the device [N].
+        """
+        self.force = force
 
     def watch_position(self, position: Vector, seq: int) -> bool:
-        """Look whether the device is inside its workspace; outside there is no force.
+        """Look whether a position is one, and inside the workspace; otherwise there is no force.
 
         Parameters
         ----------
@@ -248,9 +257,10 @@ class Safety:
         Returns
         -------
         bool
-            False when the position is not finite: it must not be used.
+            False for one that must not be used.
         """
-        if not math.isfinite(position[0] + position[1] + position[2]):
+        x, y, z = position
+        if not (-REACH <= x <= REACH and -REACH <= y <= REACH and -REACH <= z <= REACH):
             self._enter("fault", seq, f"the device gives position {position}")
             return False
         for axis, low, high in self._workspace:
@@ -258,7 +268,7 @@ class Safety:
                 self._enter(
                     "fault", seq, f"{'xyz'[axis]} = {position[axis]:.4g} m, workspace {low:.4g} to {high:.4g} m"
                 )
-                return True
+                return False
         if self.state == "fault":
             # Not active yet: a force must come first, which may then grow by the ramp.
             self._enter("zero", seq, "back inside the workspace")
@@ -299,8 +309,13 @@ class Safety:
         self.force = (limited[0], limited[1], limited[2])
         return self.force
 
-    def soft_stop(self) -> list[Vector]:
+    def soft_stop(self, start: Vector) -> list[Vector]:
         """Plan the way to zero force for the end of the loop.
+
+        Parameters
+        ----------
+        start : tuple of float, shape (3,)
+            What is on the device [N].
 
         Returns
         -------
@@ -308,7 +323,6 @@ class Safety:
             Forces for the next ticks [N], the last one zero: ten equal steps, or more where the slew limit asks for it, fewer
             where ten periods are longer than `STOP_TIME`.
         """
-        start = self.force
         if start == ZERO:
             return [ZERO]
         steps = max(1, min(10, int(STOP_TIME / self._period)))

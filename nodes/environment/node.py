@@ -117,7 +117,8 @@ class Environment(Node):
             if state is not None and state.seq == self.answered:
                 # Asked again (lockstep, after a stall or a lost answer): the same answer, to who waits for it only.
                 send_again(topic, self.answer)
-            elif state is not None:
+            # In a fault the position is an old one; who follows bridges the gap. In lockstep somebody waits for an answer.
+            elif state is not None and (simulated or state.safety != "fault"):
                 position = state.position
                 proxy, normal, distance, contact = self._meet(position)
                 message = Proxy(

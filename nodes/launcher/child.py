@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,15 @@ class Child:
         Wait before that [s].
     required : bool
         Whether the launch ends when it does.
+
+    Attributes
+    ----------
+    patience : float
+        How long the launcher waits for it to be ready [s].
+    ready_at : float
+        When it was ready; before, when it was made [s].
+    opening, closing : float
+        How long its device may take to open, from then on, and to close [s].
     """
 
     patience = START_TIMEOUT
@@ -48,6 +59,8 @@ class Child:
         self.restarts = 0
         self.process: subprocess.Popen[bytes] | None = None
         self.again_at: float | None = None
+        self.ready_at = time.monotonic()
+        self.opening = self.closing = 0.0
         self.to_start = False
         self.ready = False
         self.over = False
@@ -71,6 +84,17 @@ class Child:
         return f"exit code {code}"
 
     @property
+    def ended_badly(self) -> bool:
+        """Whether it ended otherwise than by itself, cleanly; one that was still being set up may be ended by SIGTERM."""
+        asked = () if self.ready else (-signal.SIGTERM, 128 + signal.SIGTERM)
+        return self.code not in (None, 0, *asked)
+
+    @property
+    def end_patience(self) -> float:
+        """How long it has to end, beside what any node has: what its device declares [s]."""
+        return self.closing + max(0.0, self.ready_at + self.opening - time.monotonic())
+
+    @property
     def drives(self) -> bool:
         """Whether it is the driver: it publishes the device's state."""
         return DEVICE_STATE in load(self.setup.factory).publishes
@@ -92,7 +116,7 @@ class Child:
         path.write_bytes(msgspec.json.encode(self.setup))
         # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends the nodes in order.
         self.process = subprocess.Popen(
-            [*PYTHON, "-m", "nodes", str(path)],
+            [*PYTHON, "-m", "nodes", str(path), str(os.getpid())],
             stdin=subprocess.DEVNULL,
             stdout=sys.stderr,
             process_group=0,

@@ -1,72 +1,84 @@
 """The reaper: what is left to do when the launcher itself is killed.
 
-A small process of its own session, holding the other end of a pipe. When the pipe closes without a ``done``, the launcher is
-dead: the reaper stops the nodes of the run (SIGTERM, then SIGKILL) and removes its directory. It finds them by their command
-line, so that one that was just being started is not forgotten. It imports nothing but the standard library, so that it is
-small and cannot fail with the rest. A launcher whose reaper was killed starts another.
+A small process of its own session, holding the other end of a pipe. The launcher writes down each node that it starts; when the
+pipe closes without a ``done``, the launcher is dead: the reaper stops the nodes (SIGTERM, then SIGKILL) and removes the run's
+directory. It holds them by descriptors, so that it needs no look into ``/proc``, which may be hidden, and no process number is
+mistaken for another. A node that was just being started notices by itself that its parent is gone. The reaper imports nothing
+but the standard library, so that it is small and cannot fail with the rest. A launcher whose reaper was killed starts another.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import select
 import shutil
 import signal
 import sys
 import time
-from pathlib import Path
 
 GRACE = 2.0
-"""How long nodes have to stop by themselves [s]."""
+"""How long a node has to stop by itself, beside what it was granted [s]."""
 
 
-def nodes_of(run_dir: str) -> list[int]:
-    """Find the live nodes of a run.
+class Held:
+    """One process, held so that its number cannot become another's.
 
     Parameters
     ----------
-    run_dir : str
-        Directory of the run; each node's command line names a file in it.
+    pid : int
+        Process number, of a process that nobody has waited for yet.
+    seconds : float
+        How long it may take to end, beside `GRACE` [s].
 
-    Returns
-    -------
-    list of int
-        Their process numbers, zombies left out.
+    Raises
+    ------
+    ProcessLookupError
+        When it is gone already.
     """
-    wanted = os.fsencode(run_dir) + b"/"
-    found = []
-    for entry in os.listdir("/proc"):
-        if not entry.isdigit() or int(entry) == os.getpid():
-            continue
-        try:
-            words = Path(f"/proc/{entry}/cmdline").read_bytes().split(b"\0")
-            state = Path(f"/proc/{entry}/stat").read_text(encoding="ascii", errors="replace")
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        ours = b"nodes" in words and any(word.startswith(wanted) for word in words)
-        if ours and state.rsplit(")", 1)[1].split()[0] not in "ZX":
-            found.append(int(entry))
-    return found
+
+    def __init__(self, pid: int, seconds: float) -> None:
+        self.seconds = seconds
+        self._descriptor = os.pidfd_open(pid)
+
+    @property
+    def lives(self) -> bool:
+        """Whether it has not ended yet."""
+        return not select.select((self._descriptor,), (), (), 0.0)[0]
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal; one that is gone does not mind.
+
+        Parameters
+        ----------
+        number : signal.Signals
+            The signal.
+        """
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self._descriptor, number)
+
+    def close(self) -> None:
+        """Let go of it."""
+        os.close(self._descriptor)
 
 
-def end(run_dir: str) -> None:
-    """Stop the nodes of a run and remove its directory.
+def end(nodes: list[Held]) -> None:
+    """Stop the nodes of a run.
 
     Parameters
     ----------
-    run_dir : str
-        Directory of the run.
+    nodes : list of Held
+        All of them.
     """
     for number in (signal.SIGTERM, signal.SIGKILL):
-        deadline = time.monotonic() + GRACE
-        for pid in nodes_of(run_dir):
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, number)
-                # A stopped node must wake up to bring its force to zero or to close its file.
-                os.kill(pid, signal.SIGCONT)
-        while nodes_of(run_dir) and time.monotonic() < deadline:
+        patience = GRACE + max((node.seconds for node in nodes if node.lives), default=0.0)
+        deadline = time.monotonic() + patience
+        for node in nodes:
+            node.send(number)
+            # A stopped node must wake up to bring its force to zero or to close its file.
+            node.send(signal.SIGCONT)
+        while any(node.lives for node in nodes) and time.monotonic() < deadline:
             time.sleep(0.02)
-    shutil.rmtree(run_dir, ignore_errors=True)
 
 
 def main(arguments: list[str]) -> int:
@@ -84,10 +96,20 @@ def main(arguments: list[str]) -> int:
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    nodes: dict[int, Held] = {}
     for line in sys.stdin:
-        if line.strip() == "done":
+        words = line.split()
+        if words == ["done"]:
             return 0
-    end(arguments[0])
+        # The number of a node, and how long its end may take; the number may be one that another has had before.
+        if len(words) == 2 and words[0].isdigit():
+            pid = int(words[0])
+            if pid in nodes:
+                nodes.pop(pid).close()
+            with contextlib.suppress(ProcessLookupError):
+                nodes[pid] = Held(pid, float(words[1]))
+    end(list(nodes.values()))
+    shutil.rmtree(arguments[0], ignore_errors=True)
     return 0
 
 

@@ -35,8 +35,8 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     ----------
     run, scenario : str
         Name of the run (unique on the host) and of its launch file.
-    launcher : int
-        Process number of the launcher.
+    launcher, launcher_started : int
+        Process number of the launcher, and when it was started (`started_at`).
     nodes : dict of str to Setup
         All nodes by name.
     wall_minus_monotonic : float
@@ -49,8 +49,14 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     scenario: str
     launcher: int
     nodes: dict[str, Setup]
+    launcher_started: int = 0
     wall_minus_monotonic: float = 0.0
     manifest: dict[str, str] = {}
+
+    @property
+    def lives(self) -> bool:
+        """Whether its launcher does."""
+        return alive(self.launcher, self.launcher_started)
 
     @property
     def processors(self) -> set[int]:
@@ -216,20 +222,20 @@ def new_node_dir(run: str) -> Path:
     path = runs_dir() / run
     if not is_marked(path) or not (path / OWNER).exists() or _is_kept(path):
         new_run_dir(run)
-    (path / OWNER).write_text(str(os.getpid()), encoding="ascii")
+    (path / OWNER).write_text(f"{os.getpid()} {started_at(os.getpid())}", encoding="ascii")
     return path
 
 
 def _is_kept(path: Path) -> bool:
     """Whether a live process keeps a directory for a run of another machine."""
     try:
-        return alive(int((path / OWNER).read_text(encoding="ascii")))
-    except (FileNotFoundError, ValueError):
+        return alive(*map(int, (path / OWNER).read_text(encoding="ascii").split()[:2]))
+    except (FileNotFoundError, ValueError, TypeError):
         return False
 
 
-def alive(pid: int) -> bool:
-    """Whether a process exists and is not a zombie.
+def started_at(pid: int) -> int:
+    """Tell when a process was started, which together with its number names it for ever.
 
     Parameters
     ----------
@@ -238,14 +244,35 @@ def alive(pid: int) -> bool:
 
     Returns
     -------
-    bool
-        True when it runs (or sleeps, or is stopped).
+    int
+        Clock ticks since the machine was; 0 when there is no such process, or a zombie.
     """
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return text.rsplit(")", 1)[1].split()[0] not in "ZX"
+    except OSError:
+        # Gone, or hidden: somebody else's.
+        return 0
+    fields = text.rsplit(")", 1)[1].split()
+    return 0 if fields[0] in "ZX" else int(fields[19])
+
+
+def alive(pid: int, started: int = 0) -> bool:
+    """Whether a process exists and is not a zombie.
+
+    Parameters
+    ----------
+    pid : int
+        Process number.
+    started : int
+        When it was started, as from `started_at`: another one may have got its number. 0 when that is not known.
+
+    Returns
+    -------
+    bool
+        True when it runs (or sleeps, or is stopped).
+    """
+    found = started_at(pid)
+    return found > 0 and started in (0, found)
 
 
 def belongs(pid: int, run_dir: Path) -> bool:
@@ -265,7 +292,8 @@ def belongs(pid: int, run_dir: Path) -> bool:
     """
     try:
         return alive(pid) and os.fsencode(run_dir) in Path(f"/proc/{pid}/cmdline").read_bytes()
-    except (FileNotFoundError, ProcessLookupError):
+    except OSError:
+        # Gone, or hidden: somebody else's.
         return False
 
 
@@ -299,7 +327,7 @@ def runs() -> dict[str, RunInfo]:
             started = path.stat().st_mtime
         except (FileNotFoundError, msgspec.DecodeError):
             continue
-        if alive(info.launcher):
+        if info.lives:
             found.append((started, info))
     return {info.run: info for _, info in sorted(found, key=lambda item: item[0])}
 

@@ -1,8 +1,9 @@
 """Supervision of one run in ROS 2's manner: start, respawn, required nodes, and an end that leaves nothing behind.
 
-An end goes in order: first the driver (which brings the force to zero), then the rest of the chain, last the loggers, so that
-every message is recorded. Each node is asked with SIGINT, then SIGTERM, then SIGKILL; a stopped one is woken up first. Who
-asks a second time (Ctrl-C) waits less for all but the driver, which needs its time to bring the force down.
+An end goes in order: first the driver (which brings the force to zero, and has the time that its device declares), then the
+rest of the chain, last the loggers, so that every message is recorded. Each node is asked with SIGINT, then SIGTERM, then
+SIGKILL; a stopped one is woken up first. Who asks a second time (Ctrl-C) waits less for all but the driver, which needs its
+time to bring the force down.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ class Supervisor:
         self.exit_reason = ""
         self.tick = launch.run.tick
         self.failed = False
+        self.failures: list[str] = []
         self.startup_s = 0.0
         self._stop_asked = ""
         self._hurry = False
@@ -109,6 +111,7 @@ class Supervisor:
                 run=self.run,
                 scenario=self._launch.scenario,
                 launcher=os.getpid(),
+                launcher_started=runs.started_at(os.getpid()),
                 nodes=setups,
                 wall_minus_monotonic=offset,
                 manifest=manifest,
@@ -123,7 +126,7 @@ class Supervisor:
                     if setup.by_hand
                     else Child(setup, respawns, spec.respawn_delay, spec.required)
                 )
-                self.children[name].start(run_dir)
+                self._start_child(self.children[name])
             runs.write_run(run_dir, info)
             self._await_ready()
             # From here on: nodes that start again are imported elsewhere, too, and then go where they belong.
@@ -142,13 +145,29 @@ class Supervisor:
 
     # -- processes ---------------------------------------------------------------------------------------------------
 
+    def _start_child(self, child: Child) -> None:
+        child.start(self.run_dir)
+        self._write_down(child)
+
+    def _write_down(self, child: Child) -> None:
+        """Tell the reaper of a process; it notices by itself when one is gone."""
+        pipe = self._reaper.stdin
+        if child.process is not None and pipe is not None:
+            # A reaper that is gone is replaced soon, and told of all; one that is stopped must not hold up the launcher.
+            with contextlib.suppress(BrokenPipeError, BlockingIOError):
+                os.write(pipe.fileno(), b"%d %f\n" % (child.process.pid, child.opening + child.closing))
+
     def _start_reaper(self, run_dir: Path) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
+        started = subprocess.Popen(
             [*PYTHON, "-S", "-E", str(reaper.__file__), str(run_dir)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             start_new_session=True,
+            bufsize=0,
         )
+        assert started.stdin is not None  # noqa: S101
+        os.set_blocking(started.stdin.fileno(), False)
+        return started
 
     def _dismiss_reaper(self) -> None:
         pipe: IO[bytes] | None = self._reaper.stdin
@@ -156,7 +175,6 @@ class Supervisor:
         # It may have been killed this moment; then nothing is left for it to do.
         with contextlib.suppress(BrokenPipeError):
             pipe.write(b"done\n")
-            pipe.flush()
         with contextlib.suppress(BrokenPipeError):
             pipe.close()
         self._reaper.wait()
@@ -167,6 +185,9 @@ class Supervisor:
             if self._reaper.stdin is not None:
                 self._reaper.stdin.close()
             self._reaper = self._start_reaper(self.run_dir)
+            for child in self.children.values():
+                if child.running:
+                    self._write_down(child)
 
     def _await_ready(self) -> None:
         assert self.context is not None  # noqa: S101
@@ -181,11 +202,21 @@ class Supervisor:
                         raise LaunchFailedError(f"{other}: ended during start with {there.end}")
                 state = child.state(self.context)
                 if state in ("ready", "running"):
-                    child.ready = True
+                    self._note_ready(child)
                     break
                 if time.monotonic() - begun > patience:
                     raise LaunchFailedError(f"{name}: still {state} after {patience:g} s")
                 time.sleep(0.01)
+
+    def _note_ready(self, child: Child) -> None:
+        child.ready, child.ready_at = True, time.monotonic()
+        if child.drives:
+            assert self.context is not None  # noqa: S101
+            # A driver in another language may not know the question.
+            with contextlib.suppress(ControlError):
+                times = call(self.context, child.setup.control, "device", timeout=1.0)
+                child.opening, child.closing = float(times["opening_s"]), float(times["closing_s"])
+            self._write_down(child)
 
     def _start_driver(self) -> None:
         assert self.context is not None  # noqa: S101
@@ -215,7 +246,7 @@ class Supervisor:
             if time.monotonic() >= child.again_at:
                 child.restarts += 1
                 self._say(f"{name}: started again ({child.restarts})")
-                child.start(self.run_dir)
+                self._start_child(child)
                 child.to_start = child.drives
             return
         if child.code == 0 and child.drives:
@@ -232,6 +263,8 @@ class Supervisor:
                 self.failed = True
                 self.exit_reason = reason
                 self.stop(reason)
+            if child.required or child.ended_badly:
+                self.failures.append(reason)
             self._say(f"{reason}{'; ending the launch' if child.required else ''}")
 
     def _restart_driver(self, child: Child) -> None:
@@ -240,6 +273,7 @@ class Supervisor:
         state = child.state(self.context, 0.05)
         with contextlib.suppress(ControlError):
             if state == "ready":
+                self._note_ready(child)
                 call(self.context, child.setup.control, "start", timeout=0.5)
             # A lost answer shows as a driver that runs.
             child.to_start = state not in ("ready", "running")
@@ -254,8 +288,10 @@ class Supervisor:
         )
         for group in groups:
             self._end(group)
-        for name in self.children:
+        for name, child in self.children.items():
             self._read_report(name)
+            if child.ended_badly and not child.over:
+                self.failures.append(f"{name}: ended with {child.end}")
 
     def _end(self, group: list[Child]) -> None:
         for number, patience in (
@@ -272,7 +308,8 @@ class Supervisor:
             begun = time.monotonic()
             while any(child.running for child in left):
                 hurry = self._hurry and number != signal.SIGKILL and not any(child.drives for child in left)
-                if time.monotonic() - begun > (HURRY_TIMEOUT if hurry else patience):
+                granted = max((child.end_patience for child in left), default=0.0)
+                if time.monotonic() - begun > (HURRY_TIMEOUT if hurry else patience + granted):
                     break
                 time.sleep(0.005)
 

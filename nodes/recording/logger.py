@@ -327,8 +327,6 @@ def record(run: RunInfo, path: str, topics: list[str], duration: float, overwrit
 
 
 def _record(run: RunInfo, path: str, topics: list[str], duration: float, overwrite: bool) -> int:
-    from nodes.launcher.runs import alive
-
     ended: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -343,10 +341,10 @@ def _record(run: RunInfo, path: str, topics: list[str], duration: float, overwri
         with open_writer(path, run.manifest, overwrite) as writer:
             recorder = Recorder(inbox, writer, topics)
             until = time.monotonic() + duration if duration else float("inf")
-            while not ended and time.monotonic() < until and alive(run.launcher):
+            while not ended and time.monotonic() < until and run.lives:
                 recorder.take(100)
             # While the run lives there is no end to wait for.
-            if not alive(run.launcher):
+            if not run.lives:
                 recorder.drain()
             return recorder.recorded
     finally:

@@ -12,7 +12,8 @@ import msgspec
 from messages.types import ZERO, Vector
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.driver.device import Device, DeviceLimits
-from nodes.driver.node import Driver, DriverParameters
+from nodes.driver.node import Driver
+from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
 from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
 from sim.device.model import DeviceModel, Hand, path_position

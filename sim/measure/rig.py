@@ -42,6 +42,27 @@ class RigError(MeasurementError):
     """The launch could not be started, or does not answer."""
 
 
+def full_pipe() -> tuple[int, int]:
+    """Make a pipe that nobody reads: whoever writes to it waits.
+
+    Returns
+    -------
+    tuple of int, shape (2,)
+        Descriptors to read from and to write to, the second one blocking as a terminal's.
+    """
+    reading, writing = os.pipe()
+    # A description of its own: the pipe is filled without making the writer's end non-blocking.
+    filling = os.open(f"/proc/self/fd/{writing}", os.O_WRONLY | os.O_NONBLOCK)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(filling, bytes(4096))
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(filling, b"\0")
+    os.close(filling)
+    return reading, writing
+
+
 class Rig:
     """One launch under maltreatment.
 
@@ -51,6 +72,8 @@ class Rig:
         The launch file, as builtins.
     environment : mapping of str to str, optional
         Variables beside those of this process.
+    unread : bool
+        Whether nobody reads what the launch prints to standard error.
 
     Attributes
     ----------
@@ -66,7 +89,9 @@ class Rig:
         Processes and files that outlived the launch.
     """
 
-    def __init__(self, content: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, content: Mapping[str, Any], environment: Mapping[str, str] | None = None, unread: bool = False
+    ) -> None:
         # Short, because the paths of sockets are.
         self.folder = Path(tempfile.mkdtemp(prefix="hd-", dir=Path("/tmp")))  # noqa: S108
         self._runtime = self.folder / "run"
@@ -82,6 +107,7 @@ class Rig:
         self._ending = threading.Event()
         self._listener: threading.Thread | None = None
         self._info: RunInfo | None = None
+        self._pipe = list(full_pipe()) if unread else []
         with open(self.folder / "out", "wb") as out, open(self.folder / "err", "wb") as err:
             self.launcher = subprocess.Popen(
                 [*HAPTIC, "launch", str(launch), "--json", "--no-plot"],
@@ -89,7 +115,7 @@ class Rig:
                 env=self.environment,
                 stdin=subprocess.DEVNULL,
                 stdout=out,
-                stderr=err,
+                stderr=self._pipe[1] if unread else err,
                 process_group=0,
                 # A drill that is killed must not leave its launch behind.
                 preexec_fn=die_with_parent,
@@ -295,3 +321,5 @@ class Rig:
         if self._listener is not None:
             self._listener.join()
         self._context.term()
+        for descriptor in self._pipe:
+            os.close(descriptor)

@@ -118,6 +118,8 @@ class RunningLaunch:
         Scenario and assignments.
     environment : mapping of str to str
         Variables beside those of this process.
+    stderr : int or None
+        Descriptor to use as standard error in place of ``stderr.txt``.
 
     Attributes
     ----------
@@ -127,7 +129,14 @@ class RunningLaunch:
         For sockets of the test; ended with the launch.
     """
 
-    def __init__(self, folder: Path, runtime_dir: Path, words: tuple[str, ...], environment: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        runtime_dir: Path,
+        words: tuple[str, ...],
+        environment: Mapping[str, str],
+        stderr: int | None = None,
+    ) -> None:
         self.folder = folder
         self.runtime_dir = runtime_dir
         self.environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir), **environment}
@@ -140,7 +149,7 @@ class RunningLaunch:
                 env=self.environment,
                 stdin=subprocess.DEVNULL,
                 stdout=out,
-                stderr=err,
+                stderr=err if stderr is None else stderr,
                 # Its own group, so that a test can send what Ctrl-C on a terminal sends.
                 process_group=0,
             )
@@ -297,6 +306,7 @@ def running(
     *assignments: str,
     environment: Mapping[str, str] | None = None,
     ready: bool = True,
+    stderr: int | None = None,
 ) -> Iterator[RunningLaunch]:
     """Run a launch for the length of a with block.
 
@@ -312,6 +322,8 @@ def running(
         Variables beside those of this process.
     ready : bool
         Whether to wait until the driver ticks.
+    stderr : int or None
+        Descriptor to use as standard error of the launch.
 
     Yields
     ------
@@ -319,7 +331,7 @@ def running(
         The launch. Unless the block has seen to its end, it is interrupted after the block.
     """
     with private_runtime_dir() as runtime_dir:
-        launch = RunningLaunch(folder, runtime_dir, (scenario, *assignments), environment or {})
+        launch = RunningLaunch(folder, runtime_dir, (scenario, *assignments), environment or {}, stderr)
         try:
             if ready:
                 wait_for(lambda: launch.process.poll() is not None or launch.ticks() > 0, "the first tick")

@@ -17,7 +17,8 @@ import msgspec
 
 from messages.types import Vector
 from nodes.driver.device import Device, DeviceLimits, Workspace
-from nodes.driver.node import Driver, DriverParameters
+from nodes.driver.node import Driver
+from nodes.driver.parameters import DriverParameters
 from nodes.driver.touch.hdapi import (
     AUTOMATIC,
     CALIBRATION_NEEDS_MANUAL,

@@ -391,7 +391,7 @@ def test_a_device_that_exists_is_not_made_to_wait() -> None:
 def test_soft_stop_ends_at_zero_within_slew_and_time(start: float, slew: float | None) -> None:
     port = Port(slew=slew, peak_force=7.9)
     port.safety.force = (0.0, start, -0.5 * start)
-    steps = port.safety.soft_stop()
+    steps = port.safety.soft_stop(port.safety.force)
     assert steps[-1] == ZERO
     assert len(steps) * T <= STOP_TIME + T  # rounding the number of steps up
     most = slew * T if slew is not None else abs(start) / 10.0
@@ -400,7 +400,7 @@ def test_soft_stop_ends_at_zero_within_slew_and_time(start: float, slew: float |
 
 
 def test_soft_stop_without_force_is_one_zero() -> None:
-    assert Port().safety.soft_stop() == [ZERO]
+    assert Port().safety.soft_stop(ZERO) == [ZERO]
 
 
 # -- no sequence of messages whatever ---------------------------------------------------------------------------------

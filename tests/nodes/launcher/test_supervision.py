@@ -31,7 +31,8 @@ from typing import ClassVar
 import msgspec
 from nodes.base.node import IDLE_MS, Node
 from nodes.driver.device import DeviceLimits
-from nodes.driver.node import Driver, DriverParameters
+from nodes.driver.node import Driver
+from nodes.driver.parameters import DriverParameters
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     after: int = 0
@@ -65,7 +66,7 @@ class Stubborn(Node):
 
 class Arm:
     """Held 1 mm inside the floor; writes down every force, and fails after 100 ticks in the way it is told to."""
-    limits = DeviceLimits()
+    limits = DeviceLimits(peak_force=10.0, hold=0.1, workspace=((-0.1, 0.1),) * 3)
     def __init__(self, path, fails):
         self.diary, self.fails, self.ticks = open(path, "a"), fails, 0
     def open(self):
@@ -243,7 +244,8 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
         begun = time.monotonic()
         launch.process.send_signal(signal.SIGINT)
         wait_for(lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends")
-        figures = launch.finish(signal.SIGINT)
+        figures = launch.finish(signal.SIGINT, code=1)
+        assert figures["failures"] == ["deaf: ended with SIGKILL"]
         # Asked once, the launcher would wait INT_TIMEOUT before it presses at all, and TERM_TIMEOUT before it kills.
         assert time.monotonic() - begun < INT_TIMEOUT
         assert launch.errors.index("deaf: does not end; SIGTERM") < launch.errors.index("deaf: does not end; SIGKILL")
@@ -308,8 +310,9 @@ def test_respawn_keeps_delay_and_maximum(tmp_path: Path, odd_nodes: dict[str, st
             assert figures["exit_reason"] == "crasher: ended with exit code 7"
         else:
             wait_for(lambda: "[launch] crasher: ended with exit code 7\n" in launch.errors, "the last crash")
-            launch.wait_ticks(10)  # the others go on
-            launch.finish(signal.SIGINT)
+            launch.wait_ticks(10)  # the others go on, but the run did not end as asked
+            figures = launch.finish(signal.SIGINT, code=1)
+            assert (figures["exit_reason"], figures["failures"]) == ("SIGINT", ["crasher: ended with exit code 7"])
         assert launch.errors.count("starting it again in 0.2 s") == 2
     begun, ended = (list(map(float, diary.read_text().split()))[i::2] for i in (0, 1))
     assert len(begun) == len(ended) == 3
@@ -368,8 +371,8 @@ def test_nobody_raises_a_limit_while_it_runs(tmp_path: Path) -> None:
 def test_a_logger_that_is_not_required_may_be_killed(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path, duration=1.0)) as launch:
         os.kill(pid(launch, "logger"), signal.SIGKILL)
-        figures = launch.finish()
-        assert figures["exit_reason"] == "done"
+        figures = launch.finish(code=1)
+        assert (figures["exit_reason"], figures["failures"]) == ("done", ["logger: ended with SIGKILL"])
 
 
 def wake_latency() -> int:

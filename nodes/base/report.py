@@ -1,0 +1,30 @@
+"""What a node leaves behind at its end, where the launcher finds it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+if TYPE_CHECKING:
+    from nodes.base.node import Node
+
+
+def write_report(node: Node, figures: Mapping[str, Any] | None = None) -> None:
+    """Write a node's last status and its report.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    figures : mapping, optional
+        In place of its report.
+    """
+    path = Path(node.setup.run_dir) / f"{node.setup.name}.report.json"
+    draft = path.with_suffix(".draft")
+    told = node.report() if figures is None else figures
+    status = msgspec.to_builtins(node.status())
+    draft.write_bytes(msgspec.json.encode({"status": status, "ticks_compiled": node.ticks_compiled, **told}))
+    draft.replace(path)

@@ -1,0 +1,99 @@
+"""A loop that stands still, noticed from another thread: a device's call that hangs is an end like any other, not a silence.
+
+The thread that looks does so about twice a second. Time in which it was stopped or starved itself does not count: it saw
+nothing then.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import traceback
+from typing import TYPE_CHECKING
+
+from messages import topics
+from nodes.base.report import write_report
+from nodes.base.words import last_words
+
+if TYPE_CHECKING:
+    from nodes.base.node import Node
+
+HUNG = 3
+"""Exit code of a node that has given itself up."""
+
+SENDING = 0.2
+"""How long its last messages may take to leave [s]."""
+
+LOOK = 0.4
+"""Shortest time between two looks [s]."""
+
+
+class Standstill:
+    """How long nothing has changed."""
+
+    def __init__(self) -> None:
+        self._last: object = None
+        self._looked = time.monotonic()
+        self._stood = 0.0
+
+    def look(self, progress: object) -> float:
+        """Look once more.
+
+        Parameters
+        ----------
+        progress : object
+            Whatever changes as long as the loop goes on.
+
+        Returns
+        -------
+        float
+            For how long it has been the same [s].
+        """
+        now = time.monotonic()
+        passed = now - self._looked
+        if passed >= LOOK:
+            self._looked = now
+            self._stood = self._stood + min(passed, 2.0 * LOOK) if progress == self._last else 0.0
+            self._last = progress
+        return self._stood
+
+
+def where(thread: int) -> str:
+    """Tell what a thread is doing.
+
+    Parameters
+    ----------
+    thread : int
+        Its identifier.
+
+    Returns
+    -------
+    str
+        Innermost Python function with file and line; empty when the thread is not there.
+    """
+    frame = sys._current_frames().get(thread)
+    if frame is None:
+        return ""
+    last = traceback.extract_stack(frame)[-1]
+    return f"{last.name} ({os.path.basename(last.filename)}, line {last.lineno})"
+
+
+def give_up(node: Node, reason: str) -> None:
+    """End a process whose loop will not end it: say why, publish it, write the report, go.
+
+    Parameters
+    ----------
+    node : Node
+        The node; its loop's thread stands still, so that this one may use its sockets.
+    reason : str
+        What hangs, with value and limit.
+    """
+    node.stop_reason, node.state, node.stopping = reason, "failed", True
+    node.tell("hung", f"{reason}; it was in {where(node.loop_thread)}")
+    node.post(topics.status(node.setup.name), node.status())
+    node.flush_outbox()
+    write_report(node)
+    time.sleep(SENDING)
+    last_words()
+    os._exit(HUNG)

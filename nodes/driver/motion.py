@@ -1,0 +1,158 @@
+"""How the device moves, and what the forces on it give out: every rate is over the time that really passed.
+
+A tick can be lost because the driver was held up, or because the position it got is no position. Then the next sample ends a
+longer step: its displacement is divided by all the ticks that it took, and its energy is that of the mean force over them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+from messages.types import ZERO, Vector
+from nodes.driver.mean_force import Latency
+from nodes.driver.passivity import observe
+
+RECENT = 64
+"""Ticks at the end of a run whose swing tells whether the device is at rest."""
+
+
+class Motion:
+    """Samples of one device.
+
+    Parameters
+    ----------
+    period : float
+        Sampling period T [s].
+    axes : list of int
+        Axes that the scene computes.
+    virtual : bool
+        Whether the device lives in the time of the ticks; another one goes on moving while a sample is late.
+    latency : Latency or None
+        What is between handing a force over and its acting; None for nothing.
+
+    Attributes
+    ----------
+    position, before : tuple of float, shape (3,)
+        Newest sample and the one before it [m].
+    elapsed : int
+        Ticks between the two.
+    acting : list of float, shape (3,)
+        Mean force handed over since the newest sample [N].
+    acted : list of float, shape (3,)
+        Mean force that acted between the two newest samples [N].
+    energy, highest : float
+        Energy given out up to the newest sample, and the most so far [J].
+    """
+
+    def __init__(self, period: float, axes: list[int], virtual: bool, latency: Latency | None = None) -> None:
+        self._period, self._axes, self._virtual = period, axes, virtual
+        self.position: Vector = ZERO
+        self.before: Vector = ZERO
+        self.elapsed = 1
+        self.acting: list[float] = [0.0, 0.0, 0.0]
+        self.acted = self.acting
+        self._latency = latency
+        self._recent: deque[Vector] = deque(maxlen=RECENT)
+        self.energy = self.highest = 0.0
+        self._covered = 0
+        self._begun = False
+        self._at = self._at_before = 0.0
+
+    def sample(self, position: Vector, at: float) -> bool:
+        """Take a new sample.
+
+        Parameters
+        ----------
+        position : tuple of float, shape (3,)
+            A position that may be used [m].
+        at : float
+            When it was sampled [s].
+
+        Returns
+        -------
+        bool
+            Whether it ends a step: all but the first do.
+        """
+        self._at_before, self._at = self._at, at
+        self._recent.append(position)
+        if not self._begun:
+            self._begun = True
+            self.before = self.position = position
+            self._covered = 0
+            return False
+        before = self.before = self.position
+        self.position = position
+        self.elapsed = self._covered
+        self._covered = 0
+        acted = self.acting if self._latency is None else self._latency.acted(self.acting, self.elapsed)
+        energy = self.energy
+        for i in self._axes:
+            energy = observe(energy, acted[i], position[i] - before[i])
+        self.acted = acted
+        self.energy = energy
+        if energy > self.highest:
+            self.highest = energy
+        return True
+
+    def act(self, force: list[float], ticks: int = 1) -> None:
+        """Let ticks pass.
+
+        Parameters
+        ----------
+        force : list of float, shape (3,)
+            Their mean force [N].
+        ticks : int
+            How many.
+        """
+        covered = self._covered
+        if covered:
+            mean = self.acting
+            self.acting = [
+                (before * covered + now * ticks) / (covered + ticks) for before, now in zip(mean, force, strict=True)
+            ]
+        else:
+            self.acting = force
+        self._covered = covered + ticks
+
+    def swing(self) -> list[float]:
+        """Tell how far the device has moved to and fro lately.
+
+        Returns
+        -------
+        list of float, shape (3,)
+            Largest less smallest of the `RECENT` samples [m].
+        """
+        return [max(axis) - min(axis) for axis in zip(*self._recent, strict=True)] or [0.0, 0.0, 0.0]
+
+    def velocity(self) -> Vector:
+        """Find the velocity between the last two samples.
+
+        Returns
+        -------
+        tuple of float, shape (3,)
+            Mean over the time between them [m/s]; of a device that does not wait for its driver rather too low than too high.
+        """
+        span = self.elapsed * self._period
+        if not self._virtual:
+            span = max(span, self._at - self._at_before)
+        now, before = self.position, self.before
+        return (now[0] - before[0]) / span, (now[1] - before[1]) / span, (now[2] - before[2]) / span
+
+
+def scaled(force: Sequence[float], share: float) -> list[float]:
+    """Scale a force.
+
+    Parameters
+    ----------
+    force : sequence of float, shape (3,)
+        The force [N].
+    share : float
+        By how much.
+
+    Returns
+    -------
+    list of float, shape (3,)
+        Force [N].
+    """
+    return [share * value for value in force]

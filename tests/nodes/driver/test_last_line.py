@@ -1,0 +1,213 @@
+"""The driver as the last line, on real processes: a stand-in device that logs every call, and one enemy at a time."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nodes.recording.reader import Recording
+from sim.measure.rig import full_pipe
+from tests.support import FIXTURES
+from tests.support.launching import RunningLaunch, running, wait_for
+
+INSTALLED = {"PYTHONPATH": f"{FIXTURES / 'installed'}:{os.environ.get('PYTHONPATH', '')}"}
+STIFFNESS, DAMPING = 1000.0, 0.5
+PERIOD = 0.002
+
+
+def scene(folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any] | None = None, **arm: Any) -> str:
+    """Write a launch file with the logging arm, held 1 mm inside a floor of 1000 N/m unless told otherwise."""
+    more = chain or {}
+    safety = {"damping": DAMPING, **arm.pop("safety", {})}
+    content = {
+        "summary": "for a test",
+        "run": {"duration": 0.0, **(run or {})},
+        "nodes": {
+            "driver": {
+                "kind": "logging_arm",
+                "parameters": {"diary": str(folder / "diary"), "safety": safety, **arm},
+            },
+            "environment": {"kind": "environment", "parameters": {"surface": {"kind": "plane", "axis": "z"}}, **more},
+            "coupling": {
+                "kind": "coupling",
+                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": STIFFNESS, "damping": 0.0}}},
+                **more,
+            },
+            "logger": {"kind": "logger", "required": False, "parameters": {"path": "run.mcap", "overwrite": True}},
+        },
+    }
+    path = folder / "enemy.yaml"
+    path.write_text(json.dumps(content))  # JSON is YAML
+    return str(path)
+
+
+def diary(folder: Path) -> list[tuple[float, str, float]]:
+    """Read what the arm has logged so far: whole lines only."""
+    path = folder / "diary"
+    text = path.read_text() if path.exists() else ""
+    return [(when, call, value) for when, call, value in map(json.loads, text.splitlines()[: text.count("\n")])]
+
+
+def forces(folder: Path) -> list[float]:
+    """List the forces that it was given."""
+    return [value for _, call, value in diary(folder) if call == "write_force"]
+
+
+def pid(launch: RunningLaunch, node: str) -> int:
+    """Find a node's process."""
+    return int(launch.call(node, "status")["pid"])
+
+
+# -- a reader that pauses or goes away ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reader", ["paused", "gone"])
+def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(tmp_path: Path, reader: str) -> None:
+    reading, writing = full_pipe()
+    if reader == "gone":
+        os.close(reading)
+    try:
+        path = scene(tmp_path, chain={"required": False})
+        with running(tmp_path, path, environment=INSTALLED, stderr=writing) as launch:
+            wait_for(lambda: forces(tmp_path)[-1:] == [1.0], "the arm is pressed")
+            os.kill(pid(launch, "coupling"), signal.SIGKILL)
+            # Damping of an arm that stands still is zero too, but the launch must go on to say so on its topics.
+            wait_for(lambda: launch.call("driver", "progress")["safety"] == "zero", "the watchdog bites")
+            assert abs(forces(tmp_path)[-1]) == 0.0
+            ticks = launch.wait_ticks(20)
+            figures = launch.finish(signal.SIGINT, code=1)
+            assert (figures["exit_reason"], figures["ticks"] >= ticks) == ("SIGINT", True)
+            assert figures["nodes"]["driver"]["state"] == "finished"
+        assert [call for _, call, _ in diary(tmp_path)][-2:] == ["close", "closed"]
+        told = [event.reason for event in Recording(tmp_path / "run.mcap").messages("/driver/event")]
+        assert any(reason.startswith("damping → zero") for reason in told)
+    finally:
+        os.close(writing)
+        if reader == "paused":
+            os.close(reading)
+
+
+# -- ticks that are lost ------------------------------------------------------------------------------------------------
+
+
+def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_path: Path) -> None:
+    speed = 0.1
+    path = scene(
+        tmp_path,
+        chain={"required": False},
+        at=0.0,
+        swing=0.05,
+        speed=speed,
+        safety={"damping_ticks": 100_000, "watchdog": 10},
+        declared={"peak_force": 10.0, "hold": 10.0, "workspace": [[-0.1, 0.1]] * 3},
+    )
+    with running(tmp_path, path, environment=INSTALLED) as launch:
+        driver = pid(launch, "driver")
+        launch.wait_ticks(20)
+        os.kill(pid(launch, "coupling"), signal.SIGKILL)
+        wait_for(lambda: launch.call("driver", "progress")["safety"] == "damping", "damping begins")
+        launch.wait_ticks(5)
+        seen = len(diary(tmp_path))
+        for _ in range(8):
+            overruns = launch.call("driver", "progress")["overruns"]
+            os.kill(driver, signal.SIGSTOP)
+            begun = time.monotonic()
+            wait_for(lambda begun=begun: time.monotonic() - begun > 25 * PERIOD, "ticks pass")  # type: ignore[misc]
+            os.kill(driver, signal.SIGCONT)
+            wait_for(
+                lambda overruns=overruns: launch.call("driver", "progress")["overruns"] > overruns + 10,  # type: ignore[misc]
+                "they are lost",
+            )
+            launch.wait_ticks(5)
+        launch.finish(signal.SIGINT, code=1)
+    damped = [value for _, call, value in diary(tmp_path)[seen:] if call == "write_force"]
+    # b·v; of a sample that is read a little after its time a little more, where one period for 25 ticks gave 25 times that.
+    assert max(map(abs, damped)) <= 3.0 * DAMPING * speed
+    assert max(map(abs, damped)) >= 0.5 * DAMPING * speed
+
+
+def test_the_soft_stop_begins_at_the_force_that_is_on_the_device(tmp_path: Path) -> None:
+    # Slewing all the time, under next_tick the force decided last has not been handed over yet.
+    slew = 0.3
+    path = scene(tmp_path, run={"apply": "next_tick"}, swing=0.004, speed=0.5, safety={"slew": slew / PERIOD})
+    with running(tmp_path, path, environment=INSTALLED) as launch:
+        wait_for(lambda: len(forces(tmp_path)) > 200, "forces are written")
+        launch.finish(signal.SIGINT)
+    steps = [abs(later - earlier) for earlier, later in pairwise(forces(tmp_path))]
+    assert max(steps) <= slew * (1.0 + 1e-9)  # sums of a handful of steps
+    assert forces(tmp_path)[-1] == 0.0
+
+
+# -- positions that are none ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wrong", [1.7e308, -1.7e308, None, 0.11])
+def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path, wrong: float | None) -> None:
+    # Ever shorter, so that the shortest is a tick or two.
+    path = scene(tmp_path, glitches=[(0.4, 0.5, wrong), (0.6, 0.604, wrong)])
+    with running(tmp_path, path, environment=INSTALLED) as launch:
+        wait_for(lambda: diary(tmp_path)[-1][0] - diary(tmp_path)[1][0] > 0.9, "the glitches are over")
+        wait_for(lambda: forces(tmp_path)[-1] == 1.0, "forces flow again")
+        figures = launch.finish(signal.SIGINT)
+    assert all(math.isfinite(force) and 0.0 <= force <= 1.0 + 1e-9 for force in forces(tmp_path))
+    assert figures["safety"]["entered"]["fault"] >= 1
+    recording = Recording(tmp_path / "run.mcap")
+    states = recording.messages("/device/state")
+    assert {state.position[2] for state in states} == {-0.001}
+    # An arm that stands still gets no energy, whatever its encoders said meanwhile.
+    assert all(state.energy == 0.0 for state in states)
+    assert not any(event.kind == "fallback" for event in recording.messages("/coupling/event"))
+
+
+# -- a device that hangs, takes its time, or declares nothing -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("call", ["open", "read_position", "write_force", "close"])
+def test_a_call_that_hangs_is_noticed_told_and_ends_the_driver(tmp_path: Path, call: str) -> None:
+    declared = {"peak_force": 10.0, "hold": 0.05, "workspace": [[-0.1, 0.1]] * 3, "opening": 1.0, "closing": 1.0}
+    path = scene(tmp_path, hangs_in=call, declared=declared)
+    with running(tmp_path, path, environment=INSTALLED, ready=False) as launch:
+        if call == "close":
+            wait_for(lambda: len(forces(tmp_path)) > 50, "forces are written")
+            figures = launch.finish(signal.SIGINT, code=1)
+        else:
+            figures = launch.finish(code=1)
+            assert figures["exit_reason"] == "driver: ended with exit code 3"
+        assert figures["failures"] == ["driver: ended with exit code 3"]
+        assert "[driver] hung: the device hangs: no end of" in launch.errors
+        assert f"it was in {'_log'} (elsewhere_devices.py" in launch.errors
+        assert figures["nodes"]["driver"]["state"] == "failed"
+    hung = [event for event in Recording(tmp_path / "run.mcap").messages("/driver/event") if event.kind == "hung"]
+    assert len(hung) == 1
+
+
+def test_closing_gets_the_time_that_the_device_declares(tmp_path: Path) -> None:
+    # Longer than the launcher waits for any other node before it presses on.
+    declared = {"peak_force": 10.0, "hold": 0.05, "workspace": [[-0.1, 0.1]] * 3, "closing": 20.0}
+    with running(tmp_path, scene(tmp_path, closing=3.5, declared=declared), environment=INSTALLED) as launch:
+        wait_for(lambda: len(forces(tmp_path)) > 50, "forces are written")
+        launch.finish(signal.SIGINT)
+        assert "does not end" not in launch.errors
+    assert diary(tmp_path)[-1][1] == "closed"
+
+
+def test_hardware_that_declares_no_limits_does_not_start_unless_told_to(tmp_path: Path) -> None:
+    path = scene(tmp_path, declared={"workspace": [[-0.1, 0.1]] * 3})
+    with running(tmp_path, path, environment=INSTALLED, ready=False) as launch:
+        launch.finish(code=1)
+        assert "driver: the device declares no peak_force, hold" in launch.errors
+        assert "safety.without: [peak_force, hold]" in launch.errors
+    assert [call for _, call, _ in diary(tmp_path)] == ["close", "closed"]
+    told = scene(
+        tmp_path, run={"duration": 0.1}, declared={}, safety={"without": ["hold", "workspace"], "peak_force": 5.0}
+    )
+    with running(tmp_path, told, environment=INSTALLED, ready=False) as launch:
+        launch.finish()
