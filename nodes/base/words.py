@@ -79,15 +79,33 @@ class Words(io.TextIOBase):
         return len(text)
 
     def writable(self) -> bool:
-        """Tell that it can be written to."""
+        """Tell that it can be written to.
+
+        Returns
+        -------
+        bool
+            True.
+        """
         return True
 
     def isatty(self) -> bool:
-        """Tell whether a terminal shows it."""
+        """Tell whether a terminal shows it.
+
+        Returns
+        -------
+        bool
+            True for a terminal.
+        """
         return os.isatty(self._descriptor)
 
     def fileno(self) -> int:
-        """Tell where the text goes, for who starts a process with it."""
+        """Tell where the text goes, for who starts a process with it.
+
+        Returns
+        -------
+        int
+            Descriptor.
+        """
         return self._descriptor
 
     @property

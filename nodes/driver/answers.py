@@ -1,0 +1,128 @@
+"""What a driver has to say: events after the force, its figures, and that its device hangs."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from nodes.base.node import Node
+from nodes.base.standstill import Standstill, give_up
+from nodes.driver.device import Device
+from nodes.driver.motion import Motion
+from nodes.driver.passivity import PassivityGuard
+from nodes.driver.response_times import ResponseTimes
+from nodes.driver.safety import Safety
+
+
+class Answers(Node):
+    """The part of a driver that is not the loop: `nodes.driver.node` makes what it speaks of."""
+
+    _device: Device
+    _safety: Safety
+    _guard: PassivityGuard | None
+    _motion: Motion
+    _standstill: Standstill
+    _responses: ResponseTimes
+    _untold: deque[tuple[str, str]]
+    _doing: tuple[str, float]
+    _soft_stop_ticks: int
+    _missed: int
+    _overruns: int
+    _oldest_age: int
+    _first_seq: int
+    _first_stamp: float
+    _last_stamp: float
+    _complete: bool
+
+    def _tell_safety(self, kind: str, reason: str) -> None:
+        """Take down what the safety has to say: the force comes first, words when the tick is done."""
+        if kind.startswith("refused"):
+            self.tell(kind, reason)
+        else:
+            self._untold.append((kind, reason))
+            self.called = True
+
+    def _tell_all(self) -> None:
+        while self._untold:
+            kind, reason = self._untold.popleft()
+            # Every change of state is published, whatever else happened.
+            self.tell(kind, reason, always=kind == "safety")
+
+    def between_ticks(self, seq: int) -> None:
+        """Tell what happened, then do what every node does.
+
+        Parameters
+        ----------
+        seq : int
+            The tick at which a change takes effect.
+        """
+        self._tell_all()
+        super().between_ticks(seq)
+
+    # -- a loop that stands still (control thread) -------------------------------------------------------------------
+
+    def look_after(self) -> None:
+        """End the process when the device hangs: nobody but the device itself can bring its force down then."""
+        what, limit = self._doing
+        if self._standstill.look((what, self.seq, self.ticks, self._soft_stop_ticks)) >= limit:
+            hold = self._device.limits.hold
+            lets_go = f"it lets go by itself after {hold:g} s" if math.isfinite(hold) else "it may hold its last force"
+            give_up(self, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
+
+    def operations(self) -> dict[str, Callable[..., Any]]:
+        """Offer what the launcher's status line asks for.
+
+        Returns
+        -------
+        dict of str to callable
+            ``progress``, and ``device``: how long its opening and closing may take.
+        """
+        limits = self._device.limits
+        times = {"opening_s": limits.opening, "closing_s": limits.closing}
+        return {"progress": self._progress, "device": lambda: times}
+
+    def _progress(self) -> dict[str, Any]:
+        return {
+            "tick": self.ticks,
+            "ticks": self.setup.ticks,
+            "position_m": list(self._motion.position),
+            "force_n": list(self._safety.force),
+            "safety": self._safety.state,
+            "missed": self._missed,
+            "overruns": self._overruns,
+            "recent_s": self._responses.recent.tobytes(),
+            "answered": self._responses.count,
+        }
+
+    def report(self) -> dict[str, Any]:
+        """Summarise the run.
+
+        Returns
+        -------
+        dict
+            Figures with units in the keys.
+        """
+        span = self._last_stamp - self._first_stamp
+        return {
+            "complete": self._complete,
+            "ticks": self.ticks,
+            "missed": self._missed,
+            "overruns": self._overruns,
+            "answered": self._responses.count,
+            "forces_refused": sum(self._safety.refused.values()),
+            "safety": {**self._safety.summary(), "soft_stop_ticks": self._soft_stop_ticks},
+            "rate_hz": (self.seq - self._first_seq) / span if span > 0.0 else 0.0,
+            "response_us": self._responses.summary_us(),
+            "age_ticks_max": self._oldest_age,
+            "energy_j": self._motion.energy,
+            "energy_max_j": self._motion.highest,
+            "latency_s": self._device.limits.latency,
+            "guard": self._guard.summary() if self._guard else None,
+            "final": {
+                "position_m": list(self._motion.position),
+                "force_n": list(self._safety.force),
+                "swing_m": self._motion.swing(),
+            },
+        }
