@@ -180,8 +180,9 @@ class Judgement:
         text = self._complaint(f"laws.{name}", verdict)
         if force or wanted.stability == "warn":
             return verdict, text
+        remedy = self._remedy(now, wanted, name, verdict)
         raise ParameterError(
-            f"{text}; nothing was changed. {self._remedy(now, wanted, name, verdict).capitalize()}; to study it all the same, "
+            f"{text}; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it all the same, "
             f"--force, or set {self._node}.stability to warn"
         )
 

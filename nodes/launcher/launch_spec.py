@@ -159,6 +159,7 @@ ModelTerm = Literal[
     "contact",
     "limit",
     "slew",
+    "workspace",
     "guard",
     "memory",
 ]

@@ -127,6 +127,7 @@ def _with_one_law() -> dict[str, Any]:
     scenario: dict[str, Any] = yaml.safe_load(find("floor_drop").read_text())
     coupling = scenario["nodes"]["coupling"]["parameters"]
     coupling["laws"] = {"pd": coupling["laws"]["pd"]}
+    del scenario["nodes"]["driver"]["parameters"]["safety"]
     return scenario
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 import msgspec
@@ -16,7 +15,7 @@ from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
 from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
-from sim.device.model import DeviceModel, Hand, path_position
+from sim.device.model import DeviceModel, Hand
 from sim.device.state import VirtualDevice
 
 
@@ -54,7 +53,7 @@ class DraggedHand:
     """
 
     def __init__(self, hand: Hand, parameters: PointerParameters, setup: Setup) -> None:
-        self._path = hand.path
+        self._point = hand.point
         self._period = setup.period
         self._axis = AXIS_INDEX[setup.axes[0]]
         self._farthest = parameters.speed * setup.period
@@ -74,7 +73,7 @@ class DraggedHand:
         float
             Where the hand pulls to during this tick [m].
         """
-        rest = path_position(self._path, seq * self._period)
+        rest = self._point(seq * self._period)
         held = self._reader.read()
         if held is None and self._target is None:
             return rest
@@ -110,7 +109,7 @@ class TimedDevice:
     def __init__(
         self, model: DeviceModel, setup: Setup, hold: float | None = None, dragged: DraggedHand | None = None
     ) -> None:
-        self._path = None if model.hand is None else model.hand.path
+        self._hand = model.hand
         self._dragged = dragged
         self.target: Vector = ZERO
         self._hold = math.inf if hold is None else hold
@@ -152,8 +151,8 @@ class TimedDevice:
                 self._tick = self._device.ticks = seq
             while self._tick < seq:
                 self._pass_tick()
-        if self._path is not None:
-            self._move_hand(seq, self._path)
+        if self._hand is not None:
+            self._move_hand(seq, self._hand)
         return self._on_axis(self._device.measured())
 
     def _on_axis(self, value: float) -> Vector:
@@ -161,9 +160,9 @@ class TimedDevice:
         vector[self._axis] = value
         return vector[0], vector[1], vector[2]
 
-    def _move_hand(self, seq: int, path: Sequence[tuple[float, float]]) -> None:
+    def _move_hand(self, seq: int, hand: Hand) -> None:
         if self._dragged is None:
-            target = path_position(path, seq * self._period)
+            target = hand.point(seq * self._period)
         else:
             target = self._device.target = self._dragged.target(seq)
         self.target = self._on_axis(target)

@@ -214,10 +214,13 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     path : list of tuple of float, shape (p, 2)
         Time [s] and position [m] of the corners of a piecewise linear path, times increasing; held before the first and
         after the last. It is sampled at ticks and held between them.
+    repeat : float or None
+        After so long the path begins anew [s], at least the time of its last corner; None for once.
     """
 
     stiffness: Positive
     path: Annotated[list[tuple[float, float]], msgspec.Meta(min_length=1)]
+    repeat: Positive | None = None
     mass: NonNegative = 0.0
     damping: NonNegative = 0.0
 
@@ -228,6 +231,23 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
                 raise ValueError(f"path[{i}] is {time}, {position}, expected finite numbers")
             if i and time <= self.path[i - 1][0]:
                 raise ValueError(f"path[{i}] has time {time} s after {self.path[i - 1][0]} s: times must increase")
+        if self.repeat is not None and self.repeat < self.path[-1][0]:
+            raise ValueError(f"repeat is {self.repeat} s, but the path ends at {self.path[-1][0]} s: repeat later")
+
+    def point(self, time: float) -> float:
+        """Tell where the hand pulls to.
+
+        Parameters
+        ----------
+        time : float
+            When [s].
+
+        Returns
+        -------
+        float
+            Point of the path [m].
+        """
+        return path_position(self.path, time if self.repeat is None else time % self.repeat)
 
 
 class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -305,7 +325,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         if self.gravity is not None:
             load -= self.mass * self.gravity
         if self.hand is not None:
-            point = path_position(self.hand.path, tick * period) if target is None else target
+            point = self.hand.point(tick * period) if target is None else target
             load += self.hand.stiffness * point
         return load
 

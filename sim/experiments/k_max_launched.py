@@ -31,6 +31,8 @@ from sim.scene.loop import Array, Scene
 SCENARIO = "floor_drop"
 """Launch file whose nodes get the experiment's parameters."""
 
+NO_LIMITS = {"peak_force": None, "slew": None, "workspace": None}
+
 
 @dataclass(frozen=True)
 class SameKMax:
@@ -100,14 +102,16 @@ def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
     ValueError
         When the scene has something that is not written here.
     """
-    if scene.peak is not None or scene.slew is not None or scene.passivity is not None or scene.surface.kind == "free":
+    limited = (scene.peak, scene.slew, scene.workspace) != (None, None, None)
+    if limited or scene.passivity is not None or scene.surface.kind == "free":
         raise ValueError("a drop has a plane or an anchor, no limits by the driver and no guard")
     at = scene.surface.position
     surface: dict[str, Any] = {"kind": "anchor", "position": [0.0, 0.0, at]}
     if scene.surface.kind == "plane":
         surface = {"kind": "plane", "axis": "z", "position": at, "normal": int(scene.surface.normal)}
     return {
-        "driver": {"device": msgspec.to_builtins(scene.device)},
+        # What is looked for lies beyond what a device would bear: none of the launch file's limits.
+        "driver": {"device": msgspec.to_builtins(scene.device), "safety": NO_LIMITS},
         "environment": {"surface": surface},
         "coupling": {
             "law": "tried",

@@ -16,7 +16,7 @@ import numpy as np
 from nodes.launcher.launch_spec import Model
 from nodes.laws import CompiledLaw
 from nodes.stability.k_max import Device, k_max
-from sim.experiments.terms import BROUGHT, CONVENTIONS, TERMS, TOGETHER, Term
+from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, Term
 from sim.measure.stopwatch import interleaved
 from sim.scene.from_launch import LaunchedScene
 from sim.scene.loop import Trace
@@ -68,7 +68,8 @@ class Finding:
     switched : str
         ``off`` or ``on``, with the value; ``other`` for a convention.
     verdict : str
-        ``needed``, ``superfluous``, ``missing``, ``left out``, ``not needed``, ``brought by the loop``, ``convention``.
+        ``needed``, ``superfluous``, ``protects``, ``missing``, ``left out``, ``not needed``, ``brought by the loop``,
+        ``convention``.
     moved : float
         Largest relative movement of any outcome that counts [1].
     most : str
@@ -288,7 +289,7 @@ def _finding(
     moved = changes.get(most, 0.0)
     matters = moved > model.tolerance
     if switched == "off":
-        verdict = "needed" if matters else "superfluous"
+        verdict = "needed" if matters else "protects" if set(terms) <= PROTECTS else "superfluous"
     elif switched == "other":
         verdict = "convention"
     elif not matters:

@@ -112,6 +112,7 @@ TERMS: tuple[Term, ...] = (
     ),
     Term("limit", lambda scene: scene.scene.peak is not None, _driver(peak=None)),
     Term("slew", lambda scene: scene.scene.slew is not None, _driver(slew=None)),
+    Term("workspace", lambda scene: scene.scene.workspace is not None, _driver(workspace=None)),
     Term(
         "guard",
         lambda scene: scene.scene.passivity is not None and scene.scene.passivity.guard == "on",
@@ -129,6 +130,9 @@ CONVENTIONS: dict[str, Switch] = {
 
 TOGETHER: tuple[tuple[str, str], ...] = (("friction", "resolution"),)
 """Terms that may only matter together (buzz at rest, THEORY.md §5)."""
+
+PROTECTS = frozenset({"limit", "slew", "workspace"})
+"""Limits that a device would have: never superfluous because a stable loop does not meet them."""
 
 BROUGHT = frozenset({"delay"})
 """What the running processes bring by themselves, whether or not the scene has it."""

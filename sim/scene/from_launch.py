@@ -104,8 +104,8 @@ def from_launch(launch: Launch) -> LaunchedScene:
     Raises
     ------
     ParameterError
-        When the launch file has something that one process does not play: several axes, a driver's start ramp, thermal
-        limit or workspace, a law with code of its own.
+        When the launch file has something that one process does not play: several axes, a driver's start ramp or
+        thermal limit, a law with code of its own.
     """
     if len(launch.run.axes) != 1:
         raise ParameterError(f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis")
@@ -116,9 +116,8 @@ def from_launch(launch: Launch) -> LaunchedScene:
     coupling_name, coupling = _parameters(launch, "coupling", CouplingParameters)
     safety = driver.safety
     limits = lower(safety, DeviceLimits(), period)
-    for name in ("continuous_force", "workspace"):
-        if getattr(safety, name) is not None:
-            raise ParameterError(f"{driver_name}.safety.{name}: not played in one process; leave it out")
+    if safety.continuous_force is not None:
+        raise ParameterError(f"{driver_name}.safety.continuous_force: not played in one process; leave it out")
     if safety.ramp:
         raise ParameterError(f"{driver_name}.safety.ramp: {safety.ramp} s is not played in one process; set it to 0")
     book = LawBook(coupling_name, period)
@@ -139,6 +138,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
             clamp=coupling.clamp,
             peak=limits.peak,
             slew=limits.slew,
+            workspace=None if safety.workspace is None else limits.workspace[AXIS_INDEX[axis]],
             next_tick=launch.run.apply == "next_tick",
             passivity=driver.passivity,
         ),

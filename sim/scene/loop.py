@@ -78,6 +78,8 @@ class Scene:
         Driver's limit of the force [N].
     slew : float or None
         Driver's limit of the change of force per tick [N].
+    workspace : tuple of float, shape (2,), or None
+        Smallest and largest position at which the driver lets a force through [m].
     next_tick : bool
         Whether forces take effect one tick later (``apply: next_tick``).
     passivity : PassivityParameters or None
@@ -91,6 +93,7 @@ class Scene:
     clamp: bool
     peak: float | None = None
     slew: float | None = None
+    workspace: tuple[float, float] | None = None
     next_tick: bool = False
     passivity: PassivityParameters | None = None
 
@@ -282,6 +285,8 @@ def _play(
     guard_late: float = 0.0,
     guard_line: MutableSequence[float] | None = None,
     guard_part: float = 0.0,
+    low: float | None = None,
+    high: float | None = None,
 ) -> tuple[float, float]:
     length = len(history) // 2
     waiting = len(commands)
@@ -334,6 +339,8 @@ def _play(
                 force = control(energy + on_its_way * step, force, step, guard)
                 before = measured
                 acting = applied
+            if low is not None and high is not None and not low <= measured <= high:
+                force = 0.0
             applied = limit(force, applied, peak, slew)
             if guard is not None and guard_line is not None:
                 if guard_late == 0.0:
@@ -480,6 +487,8 @@ def run(
         clamp=scene.clamp,
         peak=scene.peak,
         slew=scene.slew,
+        low=None if scene.workspace is None else scene.workspace[0],
+        high=None if scene.workspace is None else scene.workspace[1],
         guard=None if guarded is None else guarded.damping / scene.period,
         guard_stiffness=None if guarded is None else guarded.stiffness,
         guard_late=1.0 if scene.next_tick else 0.0,

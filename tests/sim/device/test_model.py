@@ -18,6 +18,7 @@ from sim.device.friction import halt_time, move, slide
 from sim.device.model import (
     Coefficients,
     DeviceModel,
+    Hand,
     advance,
     coefficients,
     path_position,
@@ -326,3 +327,14 @@ def test_path_is_linear_between_and_held_beyond() -> None:
 def test_wrong_parameters_are_refused_by_path(fields: dict[str, object], text: str) -> None:
     with pytest.raises(msgspec.ValidationError, match=text):
         msgspec.convert(fields, DeviceModel)
+
+
+def test_a_hand_may_repeat_its_path() -> None:
+    once = Hand(stiffness=1.0, path=[(0.0, 0.0), (1.0, 2.0), (2.0, 0.0)])
+    again = msgspec.structs.replace(once, repeat=2.5)
+    for time in (0.0, 0.5, 1.0, 2.25):
+        assert again.point(time) == again.point(time + 2.5) == once.point(time)  # 2.5 s and these times are exact
+    assert once.point(3.5) == 0.0
+    assert again.point(3.5) == 2.0
+    with pytest.raises(ValueError, match=r"repeat is 1\.5 s, but the path ends at 2\.0 s"):
+        Hand(stiffness=1.0, path=once.path, repeat=1.5)

@@ -29,6 +29,8 @@ VARIANTS = (
     ("wall_press", "delay:=1.3", "law:=multi_term"),
     ("wall_press", "delay:=0.4", "apply:=next_tick"),
     ("floor_drop", "law:=designed_d0"),
+    # Unstable: the driver's limits of force, slew and workspace all act.
+    ("floor_drop", "stiffness:=1e6", "damping:=0", "law:=pd"),
     ("floor_drop", "law:=designed_d1", "apply:=next_tick"),
 )
 """Beyond each scenario as it stands: every law, quantiser and friction, whole and fractional delay, both rules of apply."""
