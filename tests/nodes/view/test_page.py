@@ -1,0 +1,235 @@
+"""The page in a real browser, over real processes: seen, dragged, swapped, refused, torn away, ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.support.browser import bins, chromium, needs_browser, shown, url_of
+from tests.support.launching import RunningLaunch, running, wait_for
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = needs_browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+    with running(tmp_path_factory.mktemp("view"), "touch_wall", "--view", "--without", "logger") as found:
+        yield found
+
+
+@pytest.fixture
+def page(browser: Browser, launch: RunningLaunch) -> Iterator[Page]:
+    with opened(browser, url_of(launch)) as found:
+        yield found
+
+
+def opened(browser: Browser, url: str) -> OpenPage:
+    return OpenPage(browser, url)
+
+
+class OpenPage:
+    """A page that must not have thrown anything by its end."""
+
+    def __init__(self, browser: Browser, url: str) -> None:
+        self._page = browser.new_page(viewport={"width": 1280, "height": 900})
+        self._errors: list[str] = []
+        self._page.on("pageerror", lambda error: self._errors.append(str(error)))
+        self._page.goto(url)
+
+    def __enter__(self) -> Page:
+        wait_for(lambda: bins(self._page) > 10, "the first picture")
+        return self._page
+
+    def __exit__(self, *error: object) -> None:
+        self._page.close()
+        assert self._errors == []
+
+
+def state(launch: RunningLaunch) -> dict[str, float]:
+    found = launch.call("driver", "progress")
+    return {"x": float(found["position_m"][0]), "f": float(found["force_n"][0])}
+
+
+def drag_into_the_wall(page: Page) -> None:
+    box = page.locator("#scene").bounding_box()
+    assert box is not None
+    y = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + box["width"] / 2, y)
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] - 8.0, y, steps=10)
+
+
+def test_it_loads_moves_and_tells_the_map(page: Page, launch: RunningLaunch) -> None:
+    assert shown(page, "#scenario") == "touch_wall"
+    before, picture = bins(page), page.locator(".plot canvas").first.screenshot()
+    wait_for(lambda: bins(page) > before + 100, "bins come in")
+    assert page.locator(".plot canvas").first.screenshot() != picture
+    wait_for(lambda: "more delay" in shown(page, "#margin"), "the map of stability")
+    assert page.locator(".plot").count() == 4
+    wait_for(lambda: "Hz" in shown(page, "#figures"), "the rate")
+    # What is not on this machine is not asked for.
+    assert page.evaluate("performance.getEntriesByType('resource').every((e) => e.name.startsWith(location.origin))")
+
+
+def test_the_mouse_is_a_hand(page: Page, launch: RunningLaunch) -> None:
+    # The scenario's own touch at its beginning is over.
+    wait_for(lambda: launch.ticks() > 1300 and abs(state(launch)["x"]) < 0.003, "the hand rests")
+    drag_into_the_wall(page)
+    # Held still: renewed, not moved.
+    wait_for(lambda: state(launch)["f"] < -0.2, "the wall pushes back")
+    wait_for(lambda: "pushes back" in shown(page, "#words"), "the words")
+    page.mouse.up()
+    wait_for(lambda: abs(state(launch)["x"]) < 0.003, "the hand lets go")
+    wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the words")
+
+
+def test_the_keyboard_is_a_hand_too(page: Page, launch: RunningLaunch) -> None:
+    page.locator("#scene").focus()
+    for _ in range(5):
+        page.keyboard.press("Shift+ArrowRight")
+    wait_for(lambda: state(launch)["x"] > 0.015, "the device follows the keys")
+    page.keyboard.press("Escape")
+    wait_for(lambda: abs(state(launch)["x"]) < 0.003, "Escape lets go")
+
+
+def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: RunningLaunch) -> None:
+    wait_for(lambda: page.locator("input[type=range][aria-label=stiffness]").count() == 1, "the sliders")
+    launch.call("coupling", "law.switch", law="pd")
+    slider = page.locator("input[type=range][aria-label=stiffness]")
+    before = launch.call("coupling", "param.get", name="laws.pd.stiffness")
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    changed = wait_for(
+        lambda: (k := launch.call("coupling", "param.get", name="laws.pd.stiffness")) != before and k,
+        "the new stiffness",
+    )
+    assert before < changed < 1.1 * before
+    wait_for(lambda: "pd: stiffness" in shown(page, "#log li:first-child"), "the receipt")
+    assert "force step" in shown(page, "#log li:first-child")
+    page.locator("#undo").click()
+    wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == before, "undone")
+
+
+def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: RunningLaunch) -> None:
+    launch.call("coupling", "law.switch", law="pd")
+    exact = page.locator("input[aria-label='stiffness, exact value']")
+    wait_for(lambda: exact.count() == 1, "the sliders")
+    before = launch.call("coupling", "param.get", name="laws.pd.stiffness")
+    for value, reason in (("-5", "> 0"), ("900000", "unstable")):
+        exact.fill(value)
+        page.keyboard.press("Enter")
+        wait_for(lambda reason=reason: reason in shown(page, "#refusal"), f"the reason: {reason}")  # type: ignore[misc]
+        assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == before
+        # The control goes back to what holds.
+        wait_for(lambda: float(exact.input_value()) == pytest.approx(before, rel=1e-5), "the old value")
+    wait_for(lambda: page.locator("#log li.refused").count() >= 2, "refusals are in the log")
+
+
+def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: RunningLaunch) -> None:
+    with opened(browser, url_of(launch)) as other:
+        for name in ("multi_term", "pd"):
+            wait_for(lambda: other.locator("#laws label").count() > 3, "the laws")
+            other.locator("#laws label").filter(has_text=name).first.click()
+            for tab in (page, other):
+                checked = tab.locator(f"#laws input[value={name}]")
+                wait_for(lambda checked=checked: checked.is_checked(), f"{name} is marked")  # type: ignore[misc]
+            assert launch.call("coupling", "law.list")["active"] == name
+        wait_for(lambda: "→ pd" in shown(page, "#log li.receipt >> nth=0"), "the other tab's change is told here")
+        # Whoever has the hand has it alone.
+        drag_into_the_wall(page)
+        other.locator("#scene").focus()
+        other.keyboard.press("ArrowLeft")
+        wait_for(lambda: "another page holds it" in shown(other, "#log li.refused >> nth=0"), "the refusal")
+        page.mouse.up()
+
+
+def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(browser: Browser, launch: RunningLaunch) -> None:
+    with opened(browser, url_of(launch)) as watching:
+        context = browser.new_context()
+        stopped = context.new_page()
+        stopped.goto(url_of(launch))
+        wait_for(lambda: bins(stopped) > 10, "the first picture")
+        drag_into_the_wall(stopped)
+        wait_for(lambda: state(launch)["f"] < -0.2, "the wall pushes back")
+        # As a debugger or a sleeping laptop does: no script runs, nothing is read.
+        session = context.new_cdp_session(stopped)
+        session.send("Debugger.enable")
+        session.send("Debugger.pause")
+        wait_for(lambda: abs(state(launch)["x"]) < 0.003, "the silent page's hand lets go")
+        before = bins(watching)
+        wait_for(lambda: bins(watching) > before + 200, "the other page goes on")
+        context.close()
+
+
+def test_record_and_undo_buttons_and_pause(page: Page, launch: RunningLaunch) -> None:
+    page.locator("#record").click()
+    wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "true", "recording")
+    wait_for(
+        lambda: [p for p in (launch.folder / "recordings").glob("*.mcap") if p.stat().st_size > 1000], "the file grows"
+    )
+    page.locator("#record").click()
+    wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "false", "recorded")
+    page.locator("body").click(position={"x": 2, "y": 400})
+    page.keyboard.press(" ")
+    assert page.locator("#pause").get_attribute("aria-pressed") == "true"
+    page.keyboard.press("+")
+    page.keyboard.press("Home")
+    assert page.locator("#pause").get_attribute("aria-pressed") == "false"
+
+
+@pytest.mark.parametrize("size", [(390, 844), (1440, 900)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_fits_a_phone_and_the_dark(
+    size: tuple[int, int], scheme: str, browser: Browser, launch: RunningLaunch
+) -> None:
+    with opened(browser, url_of(launch)) as page:
+        page.set_viewport_size({"width": size[0], "height": size[1]})
+        page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+        wait_for(lambda: page.locator("html").get_attribute("data-theme") == scheme, scheme)
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        red, *_ = page.evaluate("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
+        assert (red < 60) == (scheme == "dark")
+
+
+def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser, tmp_path: Path) -> None:
+    """The view comes back at its port with its token, so an open page finds it; a dead coupling is called by its name."""
+    words = ("touch_wall", "--view", "--without", "logger")
+    with running(tmp_path, *words) as launch, opened(browser, url_of(launch)) as page:
+        view = int(launch.call("view", "status")["pid"])
+        os.kill(view, signal.SIGKILL)
+        wait_for(lambda: "lost its connection" in shown(page, "#notice"), "the page tells that it is alone")
+        wait_for(lambda: not page.locator("#notice").is_visible(), "the page is back")
+        before = bins(page)
+        wait_for(lambda: bins(page) != before, "and sees again")
+        os.kill(int(launch.call("coupling", "status")["pid"]), signal.SIGKILL)
+        wait_for(lambda: "The run has ended" in shown(page, "#notice"), "the end is told")
+        assert "stays here" in shown(page, "#notice")
+        assert launch.process.wait(60.0) == 1
+
+
+def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_path: Path) -> None:
+    with running(tmp_path, "touch_wall", "--view") as launch, opened(browser, url_of(launch)) as page:
+        page.locator("#stop").click()
+        assert shown(page, "#stop") == "End the run?"
+        page.locator("#stop").click()
+        wait_for(lambda: "The run has ended: stop requested" in shown(page, "#words"), "the end is told")
+        kept = bins(page)
+        figures = launch.finish()
+        assert figures["exit_reason"] == "stop requested"
+        assert bins(page) >= kept > 0
+        replayed = figures["recording"]
+    assert (tmp_path / replayed).exists()

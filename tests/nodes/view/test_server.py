@@ -1,0 +1,181 @@
+"""Who may open the page, and who may not; what a page may ask; a recording behind the same page."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import struct
+import subprocess
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from tests.support.browser import url_of
+from tests.support.launching import HAPTIC, RunningLaunch, haptic, launch_json, running, wait_for
+
+
+@pytest.fixture(scope="module")
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+    with running(tmp_path_factory.mktemp("view"), "touch_wall", "--view", "--without", "logger") as found:
+        yield found
+
+
+def get(url: str, **headers: str) -> tuple[int, str]:
+    request = urllib.request.Request(url, headers=headers)  # noqa: S310  # ours
+    try:
+        with urllib.request.urlopen(request, timeout=20.0) as answer:  # noqa: S310  # ours
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read().decode()
+
+
+def live(url: str, **more: Any) -> ClientConnection:
+    return connect(url.replace("http", "ws") + "live", compression=None, open_timeout=20.0, max_size=1 << 26, **more)
+
+
+def texts(page: ClientConnection, kind: str, **wanted: Any) -> dict[str, Any]:
+    """Wait for a document of a kind."""
+    while True:
+        found = page.recv(timeout=30.0)
+        if isinstance(found, str):
+            document: dict[str, Any] = json.loads(found)
+            if document["type"] == kind and all(document.get(key) == value for key, value in wanted.items()):
+                return document
+
+
+def test_only_who_has_the_token_gets_anything(launch: RunningLaunch) -> None:
+    url = url_of(launch)
+    root = url.split("/", 3)[0] + "//" + url.split("/")[2]
+    assert get(url)[0] == 200
+    assert get(url + "main.js")[0] == 200
+    for path in ("/", "/main.js", "/live", "/x/", "/" + url.split("/")[3][:-1] + "x/", "/favicon.ico"):
+        status, text = get(root + path)
+        assert (status, "token" in text) == (403, True), path
+    # Nothing outside the page's own folder has a name.
+    for path in ("../server.py", "..%2fserver.py", "vendor/../../server.py", "none.js"):
+        assert get(url + path)[0] == 404
+    with pytest.raises(InvalidStatus, match="403"):
+        live(root + "/wrong/")
+
+
+def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: RunningLaunch) -> None:
+    url = url_of(launch)
+    for origin in ("https://elsewhere.example", "http://localhost:1", "null"):
+        with pytest.raises(InvalidStatus, match="403"):
+            live(url, origin=origin)
+        assert get(url, Origin=origin)[0] == 403
+    # DNS rebinding: a name of somebody else's that leads to this machine.
+    assert get(url, Host="elsewhere.example")[0] == 403
+    with live(url, origin="/".join(url.split("/")[:3])) as page:
+        assert texts(page, "hello")["scenario"] == "touch_wall"
+
+
+def test_a_page_asks_what_it_may_and_nothing_else(launch: RunningLaunch) -> None:
+    with live(url_of(launch)) as page:
+
+        def ask(**request: Any) -> dict[str, Any]:
+            page.send(json.dumps({"id": 7, **request}))
+            return texts(page, "answer", id=7)
+
+        assert "unknown request" in ask(op="configure")["error"]
+        assert "unknown request" in ask(op="param.set", node="coupling", values={})["error"]
+        assert "no node is named" in ask(op="set", node="../x", values={"a": 1})["error"]
+        assert "law" in ask(op="law", field="stiffness", value=1.0, force=True)["error"]
+        assert "three numbers" in ask(op="hand", target=[1, 2])["error"]
+        done = ask(op="set", node="coupling", values={"ramp": 40})
+        assert done["ok"]
+        assert launch.call("coupling", "param.get", name="ramp") == 40
+        assert ask(op="undo")["ok"]
+        assert launch.call("coupling", "param.get", name="ramp") == 0
+        assert ask(op="undo")["error"] == "view: nothing to undo"
+        page.send("not JSON")
+        with pytest.raises(Exception, match="1003"):
+            texts(page, "never")
+
+
+def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: RunningLaunch) -> None:
+    def memory() -> float:
+        return float(launch.call("view", "status")["memory"])
+
+    # What drawing maps needs is imported with the first one.
+    with live(url_of(launch)) as page:
+        texts(page, "map")
+    before = memory()
+    idle = [live(url_of(launch), max_queue=1) for _ in range(4)]
+    launch.wait_ticks(1500)
+    # Four rings of a minute would be 15 MB; a frame under way each is far below 4.
+    assert memory() - before < 4e6
+    for page in idle:
+        page.close()
+
+
+def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
+    told = haptic(tmp_path, "view", "--address", "0.0.0.0", "--port", "8080", code=2).stderr  # noqa: S104
+    assert "ssh -L 8080:127.0.0.1:8080" in told
+
+
+@contextlib.contextmanager
+def viewing(launch_folder: Path, *words: str, environment: Any = None) -> Iterator[str]:
+    """Run ``haptic view`` for the length of a with block."""
+    process = subprocess.Popen(
+        [*HAPTIC, "view", "--json", *words], cwd=launch_folder, env=environment, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    try:
+        yield json.loads(process.stdout.readline())["url"]
+    finally:
+        process.send_signal(signal.SIGINT)
+        rest = process.stdout.read()
+        process.stdout.close()
+        assert process.wait(30.0) == 0
+        assert json.loads(rest.splitlines()[-1])
+
+
+def test_a_view_beside_a_launch_sees_the_same(launch: RunningLaunch) -> None:
+    with viewing(launch.folder, environment=launch.environment) as url, live(url) as page:
+        assert texts(page, "hello")["hand"]
+        assert texts(page, "laws")["active"] == launch.call("coupling", "law.list")["active"]
+        assert texts(page, "status", level="rest")["rate_hz"] >= 0.0
+
+
+def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
+    figures = launch_json(tmp_path, "floor_swap", "pace:=lockstep")
+    with viewing(tmp_path, "--replay", figures["recording"]) as url, live(url) as page:
+        hello = texts(page, "hello")
+        assert (hello["replay"], hello["hand"]) == (True, False)
+        assert (hello["begin_s"], hello["end_s"]) == (0.0, pytest.approx(6.0))
+        assert texts(page, "laws")["active"] == "pd"
+        assert texts(page, "map")["stable"]
+
+        def ask(**request: Any) -> dict[str, Any]:
+            page.send(json.dumps({"id": 1, **request}))
+            return texts(page, "answer")
+
+        # At 3 s PDα renders, at 5 s multi-term, and back again.
+        for t, law in ((3.0, "pd_alpha"), (5.0, "multi_term"), (1.0, "pd")):
+            assert ask(op="seek", t=t)["ok"]
+            assert texts(page, "laws")["active"] == law
+        assert ask(op="pause")["ok"]
+        assert ask(op="speed", factor=4.0)["ok"]
+        assert "this is a recording" in ask(op="law", field="stiffness", value=1.0)["error"]
+        assert "this is a recording" in ask(op="stop")["error"]
+        ask(op="seek", t=6.0)
+        frame = wait_for(lambda: found if isinstance(found := page.recv(timeout=20.0), bytes) else None, "a frame")
+        time, _, _, z = struct.unpack_from("<4d", frame, 16)
+        # At rest under the softer law: the recording's own last position.
+        assert time == pytest.approx(6.0)
+        assert z == pytest.approx(figures["final"]["position_m"], abs=1e-6)
+
+
+def test_what_cannot_be_replayed_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.mcap").write_text("not a recording", encoding="utf-8")
+    assert "text.mcap" in haptic(tmp_path, "view", "--replay", "text.mcap", code=2).stderr
+    assert "none.mcap" in haptic(tmp_path, "view", "--replay", "none.mcap", code=2).stderr

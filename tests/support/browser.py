@@ -1,0 +1,104 @@
+"""A real browser for the tests: Debian's chromium through Playwright, whose own downloads are not used."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.support.launching import RunningLaunch, wait_for
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt install chromium")
+
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+
+@contextlib.contextmanager
+def chromium() -> Iterator[Browser]:
+    """Start a browser for the length of a with block.
+
+    Yields
+    ------
+    Browser
+        Playwright's.
+    """
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def url_of(launch: RunningLaunch) -> str:
+    """Read the page's URL, the first line that a launch with --view --json prints.
+
+    Parameters
+    ----------
+    launch : RunningLaunch
+        The launch.
+
+    Returns
+    -------
+    str
+        Token included.
+    """
+
+    def first() -> str:
+        lines = (launch.folder / "stdout.txt").read_text(encoding="utf-8").splitlines()
+        return str(json.loads(lines[0])["url"]) if lines else ""
+
+    return str(wait_for(first, "the URL"))
+
+
+def shown(page: Page, selector: str) -> str:
+    """Read what stands at a place of the page.
+
+    Parameters
+    ----------
+    page : Page
+        The page.
+    selector : str
+        CSS.
+
+    Returns
+    -------
+    str
+        Its text.
+    """
+    return page.locator(selector).inner_text()
+
+
+def bins(page: Page) -> int:
+    """Count the bins that a page has received.
+
+    Parameters
+    ----------
+    page : Page
+        The page.
+
+    Returns
+    -------
+    int
+        0 before the first one.
+    """
+    return int(page.evaluate("Number(document.body.dataset.bins || 0)"))
