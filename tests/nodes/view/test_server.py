@@ -37,8 +37,12 @@ def get(url: str, **headers: str) -> tuple[int, str]:
             return error.code, error.read().decode()
 
 
-def live(url: str, **more: Any) -> ClientConnection:
-    return connect(url.replace("http", "ws") + "live", compression=None, open_timeout=20.0, max_size=1 << 26, **more)
+@contextlib.contextmanager
+def live(url: str, **more: Any) -> Iterator[ClientConnection]:
+    with connect(
+        url.replace("http", "ws") + "live", compression=None, open_timeout=20.0, max_size=1 << 26, **more
+    ) as page:
+        yield page
 
 
 def texts(page: ClientConnection, kind: str, **wanted: Any) -> dict[str, Any]:
@@ -62,15 +66,15 @@ def test_only_who_has_the_token_gets_anything(launch: RunningLaunch) -> None:
     # Nothing outside the page's own folder has a name.
     for path in ("../server.py", "..%2fserver.py", "vendor/../../server.py", "none.js"):
         assert get(url + path)[0] == 404
-    with pytest.raises(InvalidStatus, match="403"):
-        live(root + "/wrong/")
+    with pytest.raises(InvalidStatus, match="403"), live(root + "/wrong/"):
+        pass
 
 
 def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: RunningLaunch) -> None:
     url = url_of(launch)
     for origin in ("https://elsewhere.example", "http://localhost:1", "null"):
-        with pytest.raises(InvalidStatus, match="403"):
-            live(url, origin=origin)
+        with pytest.raises(InvalidStatus, match="403"), live(url, origin=origin):
+            pass
         assert get(url, Origin=origin)[0] == 403
     # DNS rebinding: a name of somebody else's that leads to this machine.
     assert get(url, Host="elsewhere.example")[0] == 403
@@ -109,12 +113,12 @@ def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Runn
     with live(url_of(launch)) as page:
         texts(page, "map")
     before = memory()
-    idle = [live(url_of(launch), max_queue=1) for _ in range(4)]
-    launch.wait_ticks(1500)
-    # Four rings of a minute would be 15 MB; a frame under way each is far below 4.
-    assert memory() - before < 4e6
-    for page in idle:
-        page.close()
+    with contextlib.ExitStack() as idle:
+        for _ in range(4):
+            idle.enter_context(live(url_of(launch), max_queue=1))
+        launch.wait_ticks(1500)
+        # Four rings of a minute would be 15 MB; a frame under way each is far below 4.
+        assert memory() - before < 4e6
 
 
 def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
