@@ -22,7 +22,7 @@ from messages.types import Message, NodeStatus
 from nodes.base import realtime
 from nodes.base.events import Telling
 from nodes.base.handover import Changes
-from nodes.base.setup import Setup
+from nodes.base.setup import Axis, Setup
 from nodes.parameters.paths import check_paths
 from nodes.parameters.store import ParameterError, ParameterStore, differences
 
@@ -105,6 +105,25 @@ class Node(Telling):
             With path, value, limit and remedy.
         """
         del setup
+
+    @classmethod
+    def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
+        """Tell which axes the scene must compute for what a node does.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Of the node, as written.
+        name : str
+            Of the node.
+
+        Returns
+        -------
+        tuple of str
+            Axes; none for a node that does not care.
+        """
+        del parameters, name
+        return ()
 
     @classmethod
     def subscribes(cls, parameters: Any) -> tuple[str, ...]:
@@ -421,19 +440,3 @@ class Node(Telling):
             clock_offset=self.clock_offset,
             clock_error=self.clock_error,
         )
-
-
-def describe(parameters: Mapping[str, Any]) -> str:
-    """Write parameters in one line.
-
-    Parameters
-    ----------
-    parameters : mapping
-        Builtins.
-
-    Returns
-    -------
-    str
-        JSON, which is YAML flow style too.
-    """
-    return msgspec.json.encode(parameters).decode()

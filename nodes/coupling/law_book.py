@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from nodes.base.node import describe
 from nodes.coupling.parameters import CouplingParameters
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.laws.presets import PRESETS, preset_names
-from nodes.parameters.store import ParameterError
+from nodes.parameters.store import ParameterError, describe
 
 FIXED = ("memory", "schedule")
 """Parameters that cannot change while the node runs."""

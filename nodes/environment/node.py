@@ -6,18 +6,18 @@ that the coupling needs one input only.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
 from messages import topics
 from messages.codec import Decoder, encode
-from messages.types import DeviceState, Proxy
+from messages.types import DeviceState, Proxy, Vector
 from nodes.base.follow import follow
 from nodes.base.node import Node
-from nodes.base.setup import Setup
-from nodes.environment.surfaces import parse_surface
+from nodes.base.setup import AXIS_INDEX, Axis, Setup
+from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
 
 if TYPE_CHECKING:
     from nodes.tick.answering import CompiledTicks
@@ -59,12 +59,54 @@ class Environment(Node):
         ParameterError
             With path, value, limit and remedy.
         """
-        parse_surface(setup.parameters.get("surface", {"kind": "free"}), f"{setup.name}.surface")
+        where = f"{setup.name}.surface"
+        meet_axes(parse_surface(setup.parameters.get("surface", {"kind": "free"}), where), setup.axes, where)
+
+    @classmethod
+    def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
+        """Tell which axes the scene must compute.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Of the node, as written.
+        name : str
+            Of the node.
+
+        Returns
+        -------
+        tuple of str
+            Those along which the surface can push.
+        """
+        return parse_surface(parameters.get("surface", {"kind": "free"}), f"{name}.surface").pushes() or ()
 
     def configure(self) -> None:
         """Build the surface."""
-        self.surface = parse_surface(self.store.current.surface, f"{self.setup.name}.surface")
-        self._meet = self.surface.meeting()
+        self.surface, self._meet = self._built(self.store.current)
+
+    def _built(self, parameters: EnvironmentParameters) -> tuple[Surface, Callable[[Vector], Meeting]]:
+        where = f"{self.setup.name}.surface"
+        surface = parse_surface(parameters.surface, where)
+        meet_axes(surface, self.setup.axes, where)
+        meet = surface.meeting()
+        return surface, meet if surface.pushes() is not None else self._watched(meet)
+
+    def _watched(self, meet: Callable[[Vector], Meeting]) -> Callable[[Vector], Meeting]:
+        """Tell of a surface that pushes along an axis which the scene does not compute."""
+        left_out = [(i, axis) for axis, i in AXIS_INDEX.items() if axis not in self.setup.axes]
+
+        def watched(position: Vector) -> Meeting:
+            met = meet(position)
+            if met[3]:
+                for i, axis in left_out:
+                    if met[0][i] != position[i]:
+                        computed = ", ".join(self.setup.axes)
+                        self.tell(
+                            "axes", f"the surface pushes along {axis}, but run.axes is [{computed}]: no force there"
+                        )
+            return met
+
+        return watched
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare another surface.
@@ -79,8 +121,7 @@ class Environment(Node):
         callable
             Puts it in place between two ticks.
         """
-        surface = parse_surface(parameters.surface, f"{self.setup.name}.surface")
-        meet = surface.meeting()
+        surface, meet = self._built(parameters)
 
         def apply(seq: int) -> dict[str, Any]:
             self.surface, self._meet = surface, meet

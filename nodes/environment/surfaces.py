@@ -6,7 +6,7 @@ points ``haptic.surfaces``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import msgspec
@@ -62,6 +62,16 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         """
         raise TypeError(f"surface kind {type(self).kind!r} does not define meeting()")
 
+    def pushes(self) -> tuple[Axis, ...] | None:
+        """Tell along which axes the surface can push: a scene must compute all of them, or nothing would be felt.
+
+        Returns
+        -------
+        tuple of str or None
+            The axes; None when it is not known beforehand, and looked for at each contact.
+        """
+        return None
+
     def on_axis(self, axis: Axis) -> AxisSurface | None:
         """Reduce the surface to one axis, so that one process can play it too.
 
@@ -93,6 +103,16 @@ class Free(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
             The proxy is the device position, always.
         """
         return lambda position: (position, ZERO, 0.0, False)
+
+    def pushes(self) -> tuple[Axis, ...]:
+        """Tell along which axes it can push.
+
+        Returns
+        -------
+        tuple of str
+            None of them.
+        """
+        return ()
 
     def on_axis(self, axis: Axis) -> AxisSurface:
         """Reduce to one axis.
@@ -153,6 +173,16 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
         return meet
 
+    def pushes(self) -> tuple[Axis, ...]:
+        """Tell along which axes it can push.
+
+        Returns
+        -------
+        tuple of str
+            The one that it lies across.
+        """
+        return (self.axis,)
+
     def on_axis(self, axis: Axis) -> AxisSurface:
         """Reduce to one axis.
 
@@ -191,6 +221,16 @@ class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """
         anchor = self.position
         return lambda _: (anchor, ZERO, 0.0, True)
+
+    def pushes(self) -> tuple[Axis, ...]:
+        """Tell along which axes a device that is not there is pulled, wherever it moves.
+
+        Returns
+        -------
+        tuple of str
+            Those on which the point is not at 0.
+        """
+        return tuple(axis for axis, i in AXIS_INDEX.items() if self.position[i] != 0.0)  # type: ignore[misc]
 
     def on_axis(self, axis: Axis) -> AxisSurface:
         """Reduce to one axis.
@@ -240,3 +280,28 @@ def parse_surface(data: dict[str, Any], where: str) -> Surface:
         )
     made: Surface = convert({k: v for k, v in data.items() if k != "kind"}, kind, where)
     return made
+
+
+def meet_axes(surface: Surface, axes: Sequence[str], where: str) -> None:
+    """Refuse a surface that pushes where the scene computes no force.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface.
+    axes : sequence of str
+        Axes that the scene computes.
+    where : str
+        Path of the surface, for the error.
+
+    Raises
+    ------
+    ParameterError
+        Naming both.
+    """
+    left_out = [axis for axis in surface.pushes() or () if axis not in axes]
+    if left_out:
+        raise ParameterError(
+            f"{where}: a {surface.kind} that pushes along {', '.join(left_out)}, but run.axes is [{', '.join(axes)}]: nothing "
+            "would be felt there; name all axes, or leave axes out and they are taken from the surface"
+        )

@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from nodes.base.kinds import node_kinds
+from nodes.base.kinds import load, node_kinds
 from nodes.launcher.launch_spec import Argument, Launch, LaunchText, NodeSpec, RunSpec
 from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
@@ -217,6 +217,13 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) ->
         if made.watch:
             made = msgspec.structs.replace(made, parameters=_watched(node, made, where))
         nodes[node] = made
+    if not run.axes:
+        wanted = dict.fromkeys(
+            axis for node, spec in nodes.items() for axis in load(kinds[spec.kind]).axes(spec.parameters, node)
+        )
+        run = msgspec.structs.replace(run, axes=list(wanted) or ["z"])
+    elif len(set(run.axes)) < len(run.axes):
+        raise ParameterError(f"{path.name}.run.axes: [{', '.join(run.axes)}]: an axis stands twice")
     return Launch(
         scenario=path.stem,
         summary=file.summary,

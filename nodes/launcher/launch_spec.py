@@ -52,7 +52,7 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     duration : float
         How long [s]; 0 runs until stopped.
     axes : list of str
-        Axes that the scene computes.
+        Axes that the scene computes; when left out, those along which its surface pushes, or z where that is not known.
     cpu : int or str
         Core of the chain driver-environment-coupling; ``auto`` takes the one that devices interrupt least where there are
         several, ``any`` does not pin.
@@ -74,7 +74,7 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     pace: Pace = "realtime"
     apply: Apply = "on_arrival"
     duration: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
-    axes: Annotated[list[Axis], msgspec.Meta(min_length=1, max_length=3)] = msgspec.field(default_factory=lambda: ["z"])
+    axes: Annotated[list[Axis], msgspec.Meta(max_length=3)] = []
     cpu: int | Literal["auto", "any"] = "auto"
     fifo: Annotated[int, msgspec.Meta(ge=0, le=90)] | Literal["auto"] = "auto"
     tick: Wanted = "auto"

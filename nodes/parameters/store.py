@@ -188,6 +188,22 @@ def differences(before: msgspec.Struct, after: msgspec.Struct) -> dict[str, list
     }
 
 
+def describe(parameters: Mapping[str, Any]) -> str:
+    """Write parameters in one line.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Builtins.
+
+    Returns
+    -------
+    str
+        JSON, which is YAML flow style too.
+    """
+    return msgspec.json.encode(parameters).decode()
+
+
 class ParameterStore:
     """The parameters a node runs with, and how to make changed ones.
 

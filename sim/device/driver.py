@@ -212,7 +212,7 @@ class SimDriver(Driver):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check that a pointer has a hand to drag, beside what every driver checks.
+        """Check that it has one axis, and a pointer a hand to drag, beside what every driver checks.
 
         Parameters
         ----------
@@ -225,6 +225,11 @@ class SimDriver(Driver):
             With path, value, limit and remedy.
         """
         super().check(setup)
+        if len(setup.axes) > 1:
+            raise ParameterError(
+                f"{setup.name}: the virtual device moves along one axis, but the scene computes {', '.join(setup.axes)} "
+                "(run.axes, or the axes along which its surface pushes); name the one that it moves along"
+            )
         parameters: SimDriverParameters = convert(setup.parameters, SimDriverParameters, setup.name)
         if parameters.pointer is not None and parameters.device.hand is None:
             raise ParameterError(
