@@ -230,7 +230,7 @@ class SimDriver(Driver):
                 f"{setup.name}: the virtual device moves along one axis, but the scene computes {', '.join(setup.axes)} "
                 "(run.axes, or the axes along which its surface pushes); name the one that it moves along"
             )
-        parameters: SimDriverParameters = convert(setup.parameters, SimDriverParameters, setup.name)
+        parameters: SimDriverParameters = convert(setup.parameters, cls.Parameters, setup.name)
         if parameters.pointer is not None and parameters.device.hand is None:
             raise ParameterError(
                 f"{setup.name}.pointer: needs {setup.name}.device.hand, whose target a page can drag; declare its stiffness "

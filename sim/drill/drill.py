@@ -7,6 +7,7 @@ force or to the next fresh one.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from messages.transport.requests import ControlError
 from messages.types import ZERO, DeviceState
 from sim.measure.launches import MeasurementError
 from sim.measure.rig import Rig, RigError
@@ -22,6 +24,7 @@ from sim.measure.rig import Rig, RigError
 RATE = 500.0
 WATCHDOG, DAMPING_TICKS = 10, 10
 PEAK, SLEW = 5.0, 1000.0
+DAMPING = 0.5
 HOLD = 0.05
 """The virtual device's own deadline, as a servo thread has one [s]."""
 
@@ -91,6 +94,10 @@ class Fault:
         Makes ready what it needs, before the launch; gives variables for it. Raises FaultSkippedError where it cannot be had.
     tidy : callable
         Removes what `prepare` made.
+    unread : bool
+        Whether nobody reads what the launch prints.
+    exit_code : int
+        What the launch must end with: not 0 where a node does not come back.
     """
 
     name: str
@@ -99,6 +106,8 @@ class Fault:
     change: Callable[[dict[str, Any]], object] = dict
     prepare: Callable[[], Mapping[str, str]] = dict
     tidy: Callable[[], None] = lambda: None
+    unread: bool = False
+    exit_code: int = 0
 
 
 def scene() -> dict[str, Any]:
@@ -127,6 +136,7 @@ def scene() -> dict[str, Any]:
                     "safety": {
                         "watchdog": WATCHDOG,
                         "damping_ticks": DAMPING_TICKS,
+                        "damping": DAMPING,
                         "peak_force": PEAK,
                         "slew": SLEW,
                         "ramp": 0.02,
@@ -201,6 +211,33 @@ def energy_given_out(states: Sequence[DeviceState]) -> float:
     return most
 
 
+def overdamped(states: Sequence[DeviceState]) -> float:
+    """Find by how much damping was stronger than a damper is.
+
+    Parameters
+    ----------
+    states : sequence of DeviceState
+        What the driver published.
+
+    Returns
+    -------
+    float
+        Most force beyond damping times velocity, where the force was not already on its way down [N]; 0 when there was none.
+    """
+    most = 0.0
+    for first, second, third in zip(states, states[1:], states[2:], strict=False):
+        ticks = second.seq - first.seq
+        # A respawned driver begins anew.
+        if third.safety != "damping" or second.safety == "fault" or third.force_seq < first.force_seq or ticks <= 0:
+            continue
+        for i in range(3):
+            velocity = (second.position[i] - first.position[i]) * RATE / ticks
+            allowed = max(abs(second.force[i]), DAMPING * abs(velocity))
+            # The last bits of a difference and two products.
+            most = max(most, abs(third.force[i]) - allowed * (1.0 + 1e-9) - 1e-12)
+    return most
+
+
 def in_order(states: Sequence[DeviceState]) -> bool:
     """Whether the last ticks all went as they should.
 
@@ -217,6 +254,49 @@ def in_order(states: Sequence[DeviceState]) -> bool:
     last = states[-CALM:]
     fresh = sum(later.force_seq > earlier.force_seq for earlier, later in pairwise(last))
     return len(last) == CALM and last[-1].safety == "active" and fresh >= 0.8 * (CALM - 1)
+
+
+def kill(node: str) -> Callable[[Rig], None]:
+    """Make a strike that kills a node and waits for another in its place.
+
+    Parameters
+    ----------
+    node : str
+        Its name.
+
+    Returns
+    -------
+    callable
+        Does it.
+    """
+
+    def strike(rig: Rig) -> None:
+        before = rig.kill(node)
+        rig.wait(lambda: another(rig, node, before), 15.0)
+
+    return strike
+
+
+def another(rig: Rig, node: str, before: int) -> bool:
+    """Whether another process answers in a node's place.
+
+    Parameters
+    ----------
+    rig : Rig
+        The launch.
+    node : str
+        The node.
+    before : int
+        Number of the process that was there.
+
+    Returns
+    -------
+    bool
+        True when it answers.
+    """
+    with contextlib.suppress(ControlError):
+        return int(rig.call(node, "status", timeout=0.3)["pid"]) != before
+    return False
 
 
 def drill(fault: Fault, patience: float = 15.0) -> Outcome:
@@ -239,7 +319,7 @@ def drill(fault: Fault, patience: float = 15.0) -> Outcome:
     try:
         environment = fault.prepare()
         fault.change(content)
-        with Rig(content, environment) as rig:
+        with Rig(content, environment, fault.unread) as rig:
             rig.wait(lambda: in_order(rig.states), 10.0)
             struck = len(rig.states) - 1
             fault.strike(rig)
@@ -265,7 +345,9 @@ def drill(fault: Fault, patience: float = 15.0) -> Outcome:
         wrong.append(f"safe after {outcome.safe_ticks} ticks, limit {LIMIT}")
     if not outcome.recovered:
         wrong.append(f"not recovered: {errors[-1000:]}")
-    if rig.exit_code != 0:
+    if (excess := overdamped(window)) > 0.0:
+        wrong.append(f"damped with {excess:.3g} N more than damping times velocity")
+    if rig.exit_code != fault.exit_code:
         wrong.append(f"the launch ended with exit code {rig.exit_code}: {errors[-1000:]}")
     wrong += [f"left behind: {what}" for what in rig.left]
     outcome.passed = not wrong

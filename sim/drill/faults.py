@@ -17,7 +17,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sim.drill.drill import Fault, FaultSkippedError
+from sim.drill import last_line
+from sim.drill.drill import Fault, FaultSkippedError, kill
 from sim.measure.rig import Rig
 
 STOPPED = 0.3
@@ -27,22 +28,6 @@ STOPPED = 0.3
 def _let_pass(rig: Rig, seconds: float) -> None:
     """Let the launch run for a while, unless it ends."""
     rig.wait(lambda: rig.launcher.poll() is not None, seconds)
-
-
-def _kill(node: str) -> Callable[[Rig], None]:
-    def strike(rig: Rig) -> None:
-        before = rig.kill(node)
-        rig.wait(lambda: _another(rig, node, before), 15.0)
-
-    return strike
-
-
-def _another(rig: Rig, node: str, before: int) -> bool:
-    from messages.transport.requests import ControlError
-
-    with contextlib.suppress(ControlError):
-        return int(rig.call(node, "status", timeout=0.3)["pid"]) != before
-    return False
 
 
 def _stop(node: str) -> Callable[[Rig], None]:
@@ -218,7 +203,7 @@ def faults() -> list[Fault]:
         return Fault(name=name, what=what, strike=_bad_link(**values), change=_with_link)
 
     return [
-        *(Fault(name=f"kill {node}", what="SIGKILL, respawned", strike=_kill(node)) for node in chain),
+        *(Fault(name=f"kill {node}", what="SIGKILL, respawned", strike=kill(node)) for node in chain),
         *(Fault(name=f"stop {node}", what=f"SIGSTOP for {STOPPED:g} s", strike=_stop(node)) for node in chain),
         link("flood", "300 old forces after each force", flood=300),
         link("dead link", "every force lost", drop=1.0),
@@ -231,6 +216,7 @@ def faults() -> list[Fault]:
             what="no room under the logger",
             strike=disk.strike,
             change=disk.change,
+            exit_code=1,
             prepare=disk.prepare,
             tidy=disk.tidy,
         ),
@@ -238,4 +224,5 @@ def faults() -> list[Fault]:
             name="clock step", what="wall clock −1 h, +2 h", strike=clock.strike, prepare=clock.prepare, tidy=clock.tidy
         ),
         Fault(name="starvation", what="4 busy processes per core, no FIFO", strike=_starve, change=_no_fifo),
+        *last_line.faults(),
     ]

@@ -102,8 +102,9 @@ class Link(Node):
             payload = heapq.heappop(self._waiting)[2]
             self.publisher.send(topic, payload)
             for n in range(self._now.flood):
-                self.publisher.send(topic, self._old[n % len(self._old)] if self._old else payload)
-            self.sent += 1 + self._now.flood
+                # To the driver only: it is what is flooded, not whoever listens.
+                self.publisher.send_hop(topic, self._old[n % len(self._old)] if self._old else payload)
+            self.sent += 1
             self._old = [*self._old[-63:], payload]
 
     def loop(self) -> None:

@@ -79,6 +79,8 @@ class Rig:
     ----------
     folder : Path
         Working directory of the launch; removed at the end.
+    runtime : Path
+        Its runtime directory.
     states : list of DeviceState
         What the driver published, in the order of receipt.
     figures : dict
@@ -94,11 +96,11 @@ class Rig:
     ) -> None:
         # Short, because the paths of sockets are.
         self.folder = Path(tempfile.mkdtemp(prefix="hd-", dir=Path("/tmp")))  # noqa: S108
-        self._runtime = self.folder / "run"
-        self._runtime.mkdir(mode=0o700)
+        self.runtime = self.folder / "run"
+        self.runtime.mkdir(mode=0o700)
         launch = self.folder / "drill.yaml"
         launch.write_bytes(msgspec.json.encode(content))  # JSON is YAML
-        self.environment = {**os.environ, **(environment or {}), "HAPTIC_RUNTIME_DIR": str(self._runtime)}
+        self.environment = {**os.environ, **(environment or {}), "HAPTIC_RUNTIME_DIR": str(self.runtime)}
         self.states: list[DeviceState] = []
         self.figures: dict[str, Any] = {}
         self.exit_code: int | None = None
@@ -167,7 +169,7 @@ class Rig:
     def info(self) -> RunInfo:
         """What the run consists of."""
         if self._info is None:
-            found = list(self._runtime.glob("runs/*/run.json"))
+            found = list(self.runtime.glob("runs/*/run.json"))
             if not found:
                 raise RigError("the run is not there yet")
             self._info = msgspec.json.decode(found[0].read_bytes(), type=RunInfo)
@@ -282,7 +284,7 @@ class Rig:
         for entry in os.listdir("/proc"):
             with contextlib.suppress(FileNotFoundError, ProcessLookupError, ValueError):
                 line = Path(f"/proc/{int(entry)}/cmdline").read_bytes()
-                if os.fsencode(self._runtime) in line and alive(int(entry)):
+                if os.fsencode(self.runtime) in line and alive(int(entry)):
                     found.append(f"process {entry}: {line.replace(bytes(1), b' ').decode(errors='replace').strip()}")
         return found
 
@@ -309,7 +311,7 @@ class Rig:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.exit_code = self.launcher.wait(END)
         self.wait(lambda: not self.processes(), 5.0)
-        self.left = [*self.processes(), *(f"file {path}" for path in (self._runtime / "runs").rglob("*"))]
+        self.left = [*self.processes(), *(f"file {path}" for path in (self.runtime / "runs").rglob("*"))]
         if self.launcher.poll() is None:
             self.left.append(f"process {self.launcher.pid}: the launcher")
             self.launcher.kill()

@@ -1,0 +1,112 @@
+"""The sim driver with a device that breaks down when it is told to, for the drill."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Any, ClassVar
+
+import msgspec
+
+from messages.types import Vector
+from nodes.driver.device import Device, DeviceLimits
+from sim.device.driver import SimDriver, SimDriverParameters
+
+HANG = "hang"
+"""What the order says for a force that is never taken; anything else is a position [m]."""
+
+
+class FaultyDriverParameters(SimDriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the driver.
+
+    Attributes
+    ----------
+    order : str
+        A file: as long as it exists, the device does what it says.
+    """
+
+    order: str
+
+
+class FaultyDevice:
+    """Passes every call on, but for what its order says.
+
+    Parameters
+    ----------
+    device : Device
+        What works.
+    order : str
+        The file.
+    """
+
+    def __init__(self, device: Device, order: str) -> None:
+        self._device, self._order = device, order
+
+    @property
+    def limits(self) -> DeviceLimits:
+        """What the hardware can bear."""
+        return self._device.limits
+
+    def _ordered(self) -> str:
+        if not os.path.exists(self._order):
+            return ""
+        with open(self._order, encoding="ascii") as file:
+            return file.read()
+
+    def open(self) -> None:
+        """Open it."""
+        self._device.open()
+
+    def read_position(self, seq: int) -> Vector:
+        """Sample the position; when so ordered, another one.
+
+        Parameters
+        ----------
+        seq : int
+            Tick number.
+
+        Returns
+        -------
+        tuple of float, shape (3,)
+            Position [m].
+        """
+        position = self._device.read_position(seq)
+        order = self._ordered()
+        return (float(order),) * 3 if order not in ("", HANG) else position
+
+    def write_force(self, force: Vector, seq: int, offset: float) -> None:
+        """Hand over a force; when so ordered, never come back.
+
+        Parameters
+        ----------
+        force : tuple of float, shape (3,)
+            Force [N].
+        seq : int
+            Tick.
+        offset : float
+            Where in it [ticks].
+        """
+        while self._ordered() == HANG:
+            time.sleep(0.1)
+        self._device.write_force(force, seq, offset)
+
+    def close(self) -> None:
+        """Close it."""
+        self._device.close()
+
+
+class FaultyDriver(SimDriver):
+    """A driver node with such a device."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = FaultyDriverParameters
+
+    def make_device(self) -> Device:
+        """Make the virtual device, and what stands before it.
+
+        Returns
+        -------
+        Device
+            In the driver's time.
+        """
+        parameters: Any = self.store.current
+        return FaultyDevice(super().make_device(), parameters.order)
