@@ -14,6 +14,7 @@ from sim.design.families import best_pd, designed
 from sim.design.robust import Demand
 from sim.device.model import DeviceModel
 from sim.identify.identify import Identified, identify
+from sim.identify.tune import Wanted, demand
 from sim.identify.virtual import draw, excite
 
 PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")
@@ -67,48 +68,9 @@ def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
     return row
 
 
-def demand(found: Identified, spread: float = SPREAD, radius: float = RADIUS, nyquist: float = NYQUIST) -> Demand:
-    """Ask for a law that suits everything that a device may be.
-
-    Parameters
-    ----------
-    found : Identified
-        The device, all of its parameters known.
-    spread : float
-        Factor by which the mass may be off besides, in either direction.
-    radius : float
-        Largest pole radius.
-    nyquist : float
-        Largest |H(−1)| [N/m].
-
-    Returns
-    -------
-    Demand
-        Mass interval widened by `spread`, least damping, whole range of delay, range of a hand's stiffness.
-
-    Raises
-    ------
-    ValueError
-        When mass, damping or delay could not be told; the text says why.
-    """
-    _, lightest, heaviest = found.mass.known()
-    _, damping, _ = found.damping.known()
-    found.delay.known()
-    _, softest, stiffest = found.stiffness.known()
-    return Demand(
-        mass=(lightest / spread, heaviest * spread),
-        damping=damping,
-        delay=found.delay_range,
-        period=found.period,
-        radius=radius,
-        nyquist=nyquist,
-        stiffness=(softest, stiffest),
-    )
-
-
 def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, Any]:
     try:
-        asked = demand(found)
+        asked = demand(found, Wanted(TAPS, SPREAD, RADIUS, NYQUIST))
     except ValueError as error:
         return {"why": str(error)}
     # In lockstep the delay is one number, known to a thousandth of a tick: its upper end stands for the interval.

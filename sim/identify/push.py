@@ -67,6 +67,8 @@ class Loop:
         Sampling period [s].
     axes : tuple of int
         Axes that the scene computes.
+    peak, slew : float or None
+        The driver's limits, by `read_limits`: force [N], change per tick [N].
     """
 
     run: RunInfo
@@ -75,6 +77,8 @@ class Loop:
     coupling: str = ""
     period: float = 0.0
     axes: tuple[int, ...] = field(default=())
+    peak: float | None = None
+    slew: float | None = None
 
     def __post_init__(self) -> None:
         for name, setup in self.run.nodes.items():
@@ -88,6 +92,12 @@ class Loop:
                 self.coupling = name
         if not (self.driver and self.environment and self.coupling):
             raise UsageError(f"{self.run.run}: has no driver, environment and coupling that could push a device")
+
+    def read_limits(self) -> None:
+        """Ask the driver for its limits."""
+        safety = ask(self.run, self.driver, "param.get", name="safety")
+        self.peak = safety["peak_force"]
+        self.slew = None if safety["slew"] is None else safety["slew"] * self.period
 
     def progress(self) -> dict[str, Any]:
         """Ask the driver how it goes.
@@ -216,6 +226,6 @@ def _restore(loop: Loop, law: str, surface: Any, say: Callable[[str], None]) -> 
     try:
         ask(loop.run, loop.environment, "param.set", values={"surface": surface})
         if law != LAW:
-            ask(loop.run, loop.coupling, "law.switch", law=law, ramp=RAMP)
+            ask(loop.run, loop.coupling, "law.switch", law=law, ramp=RAMP, force=True)
     except RefusedError as error:
         say(f"not put back: {error}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any
 
 from sim.identify.identify import Estimate, Identified
@@ -45,13 +47,45 @@ def figures(found: Identified) -> dict[str, Any]:
         "delay_range_ticks": list(found.delay_range),
         "held": found.held,
         "residual_steps": found.residual_steps,
-        "residual_m": found.residual,
+        "residual_m": None if math.isnan(found.residual) else found.residual,
         "held_out_steps": found.held_out_steps,
         "held_out_m": found.held_out,
         "windows": found.windows,
         "windows_dropped": found.dropped,
         "window_ticks": found.ticks,
     }
+
+
+def from_figures(told: Mapping[str, Any]) -> Identified:
+    """Read back what `figures` gave: the inverse, for a step that is run alone.
+
+    Parameters
+    ----------
+    told : mapping
+        Figures of an identified device.
+
+    Returns
+    -------
+    Identified
+        The device.
+    """
+    estimates = {
+        name: Estimate(told[key]["value"], told[key]["low"], told[key]["high"], told[key].get("why", ""))
+        for key, name, _, _ in ROWS
+    }
+    low, high = told["delay_range_ticks"]
+    return Identified(
+        **estimates,
+        delay_range=(low, high),
+        held=told["held"],
+        residual=math.nan if told["residual_m"] is None else told["residual_m"],
+        held_out=told["held_out_m"],
+        dropped=told["windows_dropped"],
+        windows=told["windows"],
+        ticks=told["window_ticks"],
+        axis=told["axis"],
+        period=1.0 / told["rate_hz"],
+    )
 
 
 def text(found: Identified) -> str:

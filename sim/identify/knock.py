@@ -1,0 +1,294 @@
+"""Knock on a held device and see whether it comes to rest: how the edge of stability is approached, in a model and for real.
+
+The coupling holds the device to a point; the point jumps by a knock, which the law sees as a deflection from nothing. What
+is left of the motion in the last third of the window decides. Both edges, the predicted and the measured one, are found by the
+same steps of stiffness and the same verdict, friction, encoder and limits of the driver included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from messages.topics import DEVICE_STATE
+from messages.types import DeviceState
+from nodes.cli.ask import ask
+from nodes.cli.listen import listen
+from nodes.cli.main import RefusedError
+from nodes.laws import CompiledLaw
+from sim.device.model import DeviceModel
+from sim.identify.push import Loop
+from sim.scene.loop import Scene, Surface, run
+
+Array = NDArray[np.float64]
+
+WINDOW = 400
+"""Ticks that a knock is watched."""
+STEP = 1.02
+"""Factor between two stiffnesses that are tried."""
+LEFT = 0.5
+"""Part of the knock that may be left, peak to peak, in the last third of the window."""
+FAR = 4.0
+"""A motion of so many knocks ends the window at once."""
+AGAIN = 10
+"""How often one stiffness is tried when the machine stalls."""
+LAW = "tuned"
+"""Name of the law that is tried."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of one knock.
+
+    Attributes
+    ----------
+    factor : float
+        All taps were multiplied by it.
+    left : float
+        Motion in the last third of the window, as a part of the knock, peak to peak.
+    rests : bool
+        Whether that is little enough.
+    """
+
+    factor: float
+    left: float
+    rests: bool
+
+
+@dataclass
+class Edge:
+    """The steps towards the edge.
+
+    Attributes
+    ----------
+    steps : list of Verdict
+        In the order of the stiffness.
+    ended : str
+        Why no more were tried.
+    """
+
+    steps: list[Verdict] = field(default_factory=list)
+    ended: str = ""
+
+    @property
+    def factor(self) -> float | None:
+        """Smallest factor that does not come to rest; None when all did."""
+        return next((step.factor for step in self.steps if not step.rests), None)
+
+
+def judge(position: Array, knock: float, factor: float) -> Verdict:
+    """Judge one window.
+
+    Parameters
+    ----------
+    position : ndarray, shape (n,)
+        Measured positions after the knock [m].
+    knock : float
+        How far the point jumped [m].
+    factor : float
+        For the verdict.
+
+    Returns
+    -------
+    Verdict
+        Whether the motion has died down.
+    """
+    last = position[-max(2, len(position) // 3) :]
+    with np.errstate(invalid="ignore", over="ignore"):
+        left = float(np.ptp(last)) / knock
+        far = float(np.max(np.abs(position - position[0]))) / knock
+    return Verdict(factor, left, bool(left < LEFT and far < FAR))
+
+
+def factors(low: float, high: float) -> list[float]:
+    """List the steps of stiffness.
+
+    Parameters
+    ----------
+    low, high : float
+        First factor, and the one that the last goes up to.
+
+    Returns
+    -------
+    list of float
+        Each `STEP` times the one before.
+    """
+    count = max(1, int(np.ceil(np.log(high / low) / np.log(STEP))) + 1)
+    return [low * STEP**n for n in range(count)]
+
+
+def predicted_edge(
+    law: CompiledLaw,
+    model: DeviceModel,
+    period: float,
+    knock: float,
+    tried: Sequence[float],
+    peak: float | None,
+    slew: float | None,
+) -> Edge:
+    """Knock on a model at rising stiffness until it does not come to rest.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps at factor 1.
+    model : DeviceModel
+        The device, with the whole delay of the loop.
+    period : float
+        Sampling period [s].
+    knock : float
+        How far the point jumps [m].
+    tried : sequence of float
+        Rising factors.
+    peak, slew : float or None
+        Limits of the driver: force [N], change per tick [N].
+
+    Returns
+    -------
+    Edge
+        All steps up to the first that does not rest.
+    """
+    import msgspec
+
+    device = msgspec.structs.replace(model, position=-knock, velocity=0.0, gravity=None)
+    scene = Scene(device=device, surface=Surface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew)
+    edge = Edge(ended="every factor came to rest")
+    for factor in tried:
+        scaled = CompiledLaw(tuple(factor * tap for tap in law.taps))
+        edge.steps.append(judge(run(scene, scaled, WINDOW).measured, knock, factor))
+        if not edge.steps[-1].rests:
+            edge.ended = f"the model does not come to rest at {factor:.3f} times the law"
+            break
+    return edge
+
+
+def measured_edge(
+    loop: Loop,
+    taps: Sequence[float],
+    place: Sequence[float],
+    knock: float,
+    tried: Sequence[float],
+    say: Callable[[str], None],
+    steps: list[Verdict],
+) -> str:
+    """Knock on the device of a running launch at rising stiffness; stop at the first sign.
+
+    Parameters
+    ----------
+    loop : Loop
+        The launch, its device held by `LAW` at `place`.
+    taps : sequence of float
+        The law at factor 1 [N/m].
+    place : sequence of float, shape (3,)
+        Where the device is held [m].
+    knock : float
+        How far the point jumps [m].
+    tried : sequence of float
+        Rising factors.
+    say : callable
+        Told how it goes.
+    steps : list of Verdict
+        Taken further step by step, so that what is known survives an interruption.
+
+    Returns
+    -------
+    str
+        Why it ended.
+
+    Raises
+    ------
+    RefusedError
+        When a node refuses.
+    """
+    axis = loop.axes[0]
+    centre = list(place)
+    knocks = 0
+
+    def render(factor: float) -> None:
+        # Beyond the law that was designed stability is what is looked for, not what is taken for granted.
+        law = {"kind": "fir", "taps": [factor * tap for tap in taps], "period": loop.period}
+        ask(loop.run, loop.coupling, "param.set", values={f"laws.{LAW}": law}, force=True)
+
+    try:
+        for factor in tried:
+            render(factor)
+            for _ in range(AGAIN):
+                knocks += 1
+                centre[axis] = place[axis] + (knock if knocks % 2 else 0.0)
+                position, reason, disturbed = _window(loop, centre, knock)
+                if not disturbed:
+                    break
+                # A machine that stalls is not a loop that is unstable: the same stiffness again.
+                say(f"{factor:.3f} times the law: again, {disturbed}")
+            else:
+                reason = reason or f"the machine stalled {AGAIN} times in a row: {disturbed}"
+            steps.append(judge(position, knock, factor))
+            say(f"{factor:.3f} times the law: {100 * steps[-1].left:.0f} % of the knock left")
+            if not steps[-1].rests:
+                return f"the device does not come to rest at {factor:.3f} times the law" + (
+                    f": {reason}" if reason else ""
+                )
+            if reason:
+                return reason
+    finally:
+        render(1.0)
+    return "every factor came to rest"
+
+
+def _window(loop: Loop, centre: Sequence[float], knock: float) -> tuple[Array, str, str]:
+    """Jump, and collect positions for a window; break off when the device goes far, energy runs out or forces end."""
+    axis = loop.axes[0]
+    positions: list[float] = []
+    jumped = -1
+    energy, late, overruns = 0.0, 0, 0
+
+    def told(late: int) -> str:
+        return f"{late} ticks were answered late" if late else ""
+
+    heard = listen(loop.run, [DEVICE_STATE], 30.0)
+    try:
+        for message in heard:
+            if message is None or not isinstance(message.message, DeviceState):
+                continue
+            state = message.message
+            if jumped < 0:
+                receipt = ask(
+                    loop.run,
+                    loop.environment,
+                    "param.set",
+                    values={"surface": {"kind": "anchor", "position": list(centre)}},
+                )
+                jumped, energy, overruns = int(receipt["seq"]), state.energy, state.overruns
+                continue
+            if state.seq < jumped:
+                continue
+            positions.append(state.position[axis])
+            if state.safety == "fault":
+                return np.array(positions), "the driver took the force away: the device left its workspace", ""
+            if state.age > 0 or state.safety != "active" or state.overruns > overruns:
+                late += 1
+            if abs(positions[-1] - positions[0]) > FAR * knock:
+                return np.array(positions), f"the device went {FAR:g} knocks far", told(late)
+            # A spring that was stretched by the knock holds ½ F x; far more than that was made by the loop.
+            if state.energy - energy > _allowed(loop, knock):
+                return (
+                    np.array(positions),
+                    f"the loop gave out {state.energy - energy:.2g} J after one knock",
+                    told(late),
+                )
+            if state.seq >= jumped + WINDOW:
+                return np.array(positions), "", told(late)
+    finally:
+        heard.close()  # type: ignore[attr-defined]
+    if len(positions) < WINDOW // 2:
+        raise RefusedError(f"{loop.driver}: {len(positions)} ticks were heard within 30 s; does the launch tick?")
+    return np.array(positions), "", told(late)
+
+
+def _allowed(loop: Loop, knock: float) -> float:
+    """Energy that one knock may set free [J]: four times what the strongest force of the driver does over it."""
+    peak = loop.peak if loop.peak is not None else 20.0
+    return 4.0 * peak * knock
