@@ -27,9 +27,6 @@ from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.parameters.store import ParameterError
 from nodes.recording.logger import LoggerParameters
 
-REST = 1e-6
-"""Largest swing of the last ticks that counts as rest [m]: about what a fingertip feels at its most sensitive, near 250 Hz."""
-
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments.
@@ -163,7 +160,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "startup_s": round(supervisor.startup_s, 3),
         "final": {
             key: (final[key][axis] if single else final[key]) if key in final else None
-            for key in ("position_m", "force_n", "swing_m")
+            for key in ("position_m", "force_n", "motion", "swing_m", "frequency_hz", "velocity_m_per_s")
         },
         "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
     }
@@ -179,6 +176,17 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
     lines = [f"  safety    forces {', '.join(counts)}"] if counts else []
     lines += [f"  safety    {text}" for text in (*safety.get("told", []), *changes)]
     return lines
+
+
+def _ending(final: dict[str, Any]) -> str:
+    """Say how the motion ended: a mass that buzzes or falls is not at rest."""
+    motion, where = final["motion"], f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N"
+    swing, speed = f"{final['swing_m'] * 1e3:.3g} mm", f"{final['velocity_m_per_s']:+.3g} m/s"
+    if motion == "swinging":
+        return f"  swinging  {where}, {swing} to and fro at {final['frequency_hz']:.3g} Hz"
+    if motion == "falling":
+        return f"  falling   {where}, {speed}: there is nothing under it"
+    return f"  at rest   {where}" if motion == "at rest" else f"  moving    {where}, {speed}"
 
 
 def _text(launch: Launch, figures: dict[str, Any]) -> str:
@@ -203,9 +211,7 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
     lines += _safety_text(figures["safety"])
     final = figures["final"]
     if isinstance(final["position_m"], float):
-        swing = final.get("swing_m") or 0.0
-        where = f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N"
-        lines.append(f"  at rest   {where}" if swing <= REST else f"  moving    {where}, swing {swing * 1e3:.3g} mm")
+        lines.append(_ending(final))
     lines += [f"  recording {path}" for path in figures["recordings"]]
     if figures["plot"]:
         lines.append(f"  plot      {figures['plot']}")

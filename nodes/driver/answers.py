@@ -10,6 +10,7 @@ from typing import Any
 from nodes.base.node import Node
 from nodes.base.standstill import Standstill, give_up
 from nodes.driver.device import Device
+from nodes.driver.ending import Ending
 from nodes.driver.motion import Motion
 from nodes.driver.passivity import PassivityGuard
 from nodes.driver.response_times import ResponseTimes
@@ -105,6 +106,7 @@ class Answers(Node):
             Figures with units in the keys.
         """
         span = self._last_stamp - self._first_stamp
+        endings = self._motion.endings(self._safety.force)
         return {
             "complete": self._complete,
             "ticks": self.ticks,
@@ -123,6 +125,6 @@ class Answers(Node):
             "final": {
                 "position_m": list(self._motion.position),
                 "force_n": list(self._safety.force),
-                "swing_m": self._motion.swing(),
+                **{name: list(values) for name, values in zip(Ending._fields, zip(*endings, strict=True), strict=True)},
             },
         }

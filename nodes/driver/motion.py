@@ -10,11 +10,14 @@ from collections import deque
 from collections.abc import Sequence
 
 from messages.types import ZERO, Vector
+from nodes.driver.ending import Ending, ending
 from nodes.driver.mean_force import Latency
 from nodes.driver.passivity import observe
 
-RECENT = 64
-"""Ticks at the end of a run whose swing tells whether the device is at rest."""
+RECENT = 0.25
+"""Time at the end of a run that tells how it ends [s]; at least `LEAST` ticks."""
+
+LEAST = 64
 
 
 class Motion:
@@ -53,7 +56,7 @@ class Motion:
         self.acting: list[float] = [0.0, 0.0, 0.0]
         self.acted = self.acting
         self._latency = latency
-        self._recent: deque[Vector] = deque(maxlen=RECENT)
+        self._recent: deque[Vector] = deque(maxlen=max(LEAST, round(RECENT / period)))
         self.energy = self.highest = 0.0
         self._covered = 0
         self._begun = False
@@ -115,15 +118,21 @@ class Motion:
             self.acting = force
         self._covered = covered + ticks
 
-    def swing(self) -> list[float]:
-        """Tell how far the device has moved to and fro lately.
+    def endings(self, force: Vector) -> list[Ending]:
+        """Tell how the device has moved lately.
+
+        Parameters
+        ----------
+        force : tuple of float, shape (3,)
+            The last force [N].
 
         Returns
         -------
-        list of float, shape (3,)
-            Largest less smallest of the `RECENT` samples [m].
+        list of Ending, shape (3,)
+            One per axis.
         """
-        return [max(axis) - min(axis) for axis in zip(*self._recent, strict=True)] or [0.0, 0.0, 0.0]
+        lately = list(zip(*self._recent, strict=True)) or [(), (), ()]
+        return [ending(samples, acting, self._period) for samples, acting in zip(lately, force, strict=True)]
 
     def velocity(self) -> Vector:
         """Find the velocity between the last two samples.
