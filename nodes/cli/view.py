@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import json
 import signal
+import sys
 from pathlib import Path
 from types import FrameType
 
@@ -77,6 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
         # The sockets' and workers' threads inherit it.
         with realtime.off(found.processors):
             return _beside(found, arguments, ended)
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
     except OSError as error:
         raise RefusedError(f"port {arguments.port}: {error.strerror or error}") from error
 
@@ -94,6 +97,9 @@ def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> 
         async def serve() -> None:
             await pages.server.start(arguments.port)
             announce(pages.server.url, arguments.json)
+            if arguments.foxglove is not None:
+                port = pages.bridge(arguments.foxglove)
+                print(f"Foxglove and Lichtblick find the run at ws://127.0.0.1:{port}", file=sys.stderr, flush=True)
             # A launch tells its end; one that was killed does not.
             await pages.run(lambda: bool(ended or pages.live.ended or not alive(found.launcher)), lambda: None)
 

@@ -120,6 +120,10 @@ class View(Node):
         """
         parameters: ViewParameters = convert(setup.parameters, ViewParameters, setup.name)
         check_address(parameters.address, parameters.port)
+        if parameters.foxglove is not None:
+            from nodes.view.foxglove import load
+
+            load()
 
     def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
         """Listen to all publishers of the run.
@@ -159,6 +163,8 @@ class View(Node):
         parameters: ViewParameters = self.store.current
         await pages.server.start(parameters.port or (before.port if before else 0))
         server = pages.server
+        if parameters.foxglove is not None:
+            self.say(f"Foxglove and Lichtblick find the run at ws://{ADDRESS}:{pages.bridge(parameters.foxglove)}")
         place = Place(url=server.url, port=server.port, token=server.token)
         path = place_file(self.setup.run_dir, self.setup.name)
         draft = path.with_suffix(".draft")

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import zmq
 
@@ -21,6 +21,9 @@ from nodes.view.live import HISTORY, LiveRun, facts_of
 from nodes.view.pointer import SharedHand, pointer_file
 from nodes.view.server import PageServer
 from nodes.view.stability_map import drawn_map
+
+if TYPE_CHECKING:
+    from nodes.view.foxglove import Bridge
 
 DRAIN_PERIOD = 1.0 / 60.0
 """Messages are taken in as often as a screen shows them: being woken for each would cost the machine more [s]."""
@@ -151,6 +154,7 @@ class RunPages:
         self._asking = ThreadPoolExecutor(1, "ask")
         self._mapping = ThreadPoolExecutor(1, "map")
         self._laws: dict[str, Any] = {}
+        self._bridge: Bridge | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
         self._mapped: tuple[str, float] = ("", -1.0)
@@ -188,6 +192,34 @@ class RunPages:
         self.live.changed = True
         return result
 
+    def bridge(self, port: int) -> int:
+        """Let Foxglove and Lichtblick connect too.
+
+        Parameters
+        ----------
+        port : int
+            Port on this machine; 0 takes a free one.
+
+        Returns
+        -------
+        int
+            The port.
+
+        Raises
+        ------
+        ParameterError
+            When the library is not installed, or the port is taken.
+        """
+        from nodes.view.foxglove import Bridge
+
+        def do(method: str, *words: Any) -> Any:
+            # On the library's thread; the sockets belong to the one that asks.
+            return self._asking.submit(getattr(self._commander, method), *words).result(timeout=30.0)
+
+        self._bridge = Bridge(self._run, do, port)
+        self.listeners.append(self._bridge.take)
+        return self._bridge.port
+
     async def run(self, stopping: Callable[[], bool], between: Callable[[], None]) -> None:
         """Take in messages and look after laws and map until told to stop; the server is started by the caller.
 
@@ -207,6 +239,8 @@ class RunPages:
             await self._finish()
         finally:
             await self.server.stop()
+            if self._bridge is not None:
+                await asyncio.get_running_loop().run_in_executor(None, self._bridge.close)
             for job in self._jobs:
                 job.cancel()
             await asyncio.gather(*self._jobs, return_exceptions=True)
@@ -230,7 +264,9 @@ class RunPages:
 
     async def _finish(self) -> None:
         """Take in what is still under way, and let the pages have it."""
-        while await self._drain():
+        # Of a run that goes on without its view there is always more.
+        deadline = time.monotonic() + FINAL
+        while await self._drain() and time.monotonic() < deadline:
             await asyncio.sleep(DRAIN_PERIOD)
         self.live.ended = self.live.ended or "the view was stopped"
         self.live.tick(time.monotonic())
@@ -286,6 +322,8 @@ class RunPages:
         with contextlib.suppress(CommandError):
             self._laws = await asyncio.get_running_loop().run_in_executor(self._asking, ask)
             self.live.board.put("laws", self._laws)
+            if self._bridge is not None:
+                await asyncio.get_running_loop().run_in_executor(None, self._bridge.tell_parameters)
 
     async def _draw_map(self) -> None:
         described, delay = self._laws["laws"][self._laws["active"]], self.live.delay

@@ -1,0 +1,199 @@
+"""Foxglove and Lichtblick, live: topics with their schemas, at most 60 messages a second each, and parameters to set.
+
+An optional extra: ``pip install 'haptic-nodes[foxglove]'``. It is off unless asked for, because Foxglove's protocol knows no
+token: any page in a browser of this machine could connect to the port, and set parameters.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from messages.schema import schema_json
+from messages.topics import LOOP
+from messages.types import Message
+from nodes.launcher.runs import RunInfo
+from nodes.parameters.store import ParameterError
+from nodes.view.commands import CommandError
+
+MOST = 60.0
+"""Most messages per second and topic: Lichtblick warns beyond."""
+
+
+def load() -> Any:
+    """Import Foxglove's own library.
+
+    Returns
+    -------
+    module
+        ``foxglove``.
+
+    Raises
+    ------
+    ParameterError
+        When it is not installed; the text says how to.
+    """
+    try:
+        import foxglove
+    except ImportError as error:
+        raise ParameterError(
+            f"view.foxglove: {error}; install it with: pip install 'haptic-nodes[foxglove]'"
+        ) from error
+    return foxglove
+
+
+class Bridge:
+    """Publishes a run to whoever connects with Foxglove's protocol.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The run.
+    do : callable
+        Asks a node on a thread of its own: from operation, node and arguments to the answer, see `Commander`.
+    port : int
+        Port on 127.0.0.1; 0 takes a free one.
+
+    Attributes
+    ----------
+    port : int
+        Where it is served.
+    sent : int
+        Messages passed on.
+
+    Raises
+    ------
+    ParameterError
+        When the library is not installed, or the port is taken.
+    """
+
+    def __init__(self, run: RunInfo, do: Callable[..., Any], port: int) -> None:
+        library = load()
+        self._library = library
+        self._do = do
+        self._run = run
+        self._context = library.Context()
+        self._channels: dict[str, Any] = {}
+        self._next: dict[str, float] = {}
+        self.sent = 0
+        bridge = self
+
+        class Listener(library.ServerListener):  # type: ignore[misc, name-defined]
+            """Answers what a client asks, on the library's thread."""
+
+            def on_get_parameters(
+                self, client: Any, param_names: list[str], request_id: str | None = None
+            ) -> list[Any]:
+                del client, request_id
+                return bridge.parameters(param_names)
+
+            def on_set_parameters(self, client: Any, parameters: list[Any], request_id: str | None = None) -> list[Any]:
+                del client, request_id
+                return bridge.set_parameters({one.name: one.get_value() for one in parameters})
+
+        try:
+            self._server = library.start_server(
+                name=run.run,
+                host="127.0.0.1",
+                port=port,
+                capabilities=[library.Capability.Parameters],
+                server_listener=Listener(),
+                supported_encodings=["json"],
+                context=self._context,
+                session_id=run.run,
+            )
+        except Exception as error:  # the library raises types of its own
+            raise ParameterError(f"view.foxglove: port {port}: {error}") from error
+        self.port: int = self._server.port
+
+    def take(self, topic: str, message: Message) -> None:
+        """Pass a message on, unless the topic has had its share.
+
+        Parameters
+        ----------
+        topic : str
+            Its topic.
+        message : Message
+            The message.
+        """
+        now = time.monotonic()
+        if now < self._next.get(topic, 0.0):
+            return
+        # Evenly spaced where there is one a tick; what is rare goes at once.
+        self._next[topic] = now + 1.0 / MOST if topic in LOOP else now + 1.0 / MOST / 4.0
+        channel = self._channels.get(topic)
+        if channel is None:
+            kind = type(message)
+            schema = self._library.Schema(name=f"haptic.{kind.__name__}", encoding="jsonschema", data=schema_json(kind))
+            channel = self._channels[topic] = self._library.Channel(
+                topic, schema=schema, message_encoding="json", context=self._context
+            )
+        wall = message.stamp + self._run.wall_minus_monotonic
+        channel.log(msgspec.json.encode(message), log_time=max(0, round(wall * 1e9)))
+        self.sent += 1
+
+    def parameters(self, wanted: list[str]) -> list[Any]:
+        """Read parameters of all nodes.
+
+        Parameters
+        ----------
+        wanted : list of str
+            ``NODE.path``; empty for all.
+
+        Returns
+        -------
+        list of foxglove.Parameter
+            Those that there are.
+        """
+        found = []
+        for node in self._run.nodes:
+            try:
+                values = self._do("ask", node, "param.list")
+            except CommandError:
+                # A node that is gone has no parameters.
+                continue
+            found += [
+                self._parameter(f"{node}.{path}", value)
+                for path, value in values.items()
+                if value is not None and (not wanted or f"{node}.{path}" in wanted)
+            ]
+        return found
+
+    def _parameter(self, name: str, value: Any) -> Any:
+        kind = self._library.websocket.ParameterType.Float64 if isinstance(value, float) else None
+        return self._library.Parameter(name, value=value, type=kind)
+
+    def set_parameters(self, values: dict[str, Any]) -> list[Any]:
+        """Set parameters, node by node all or nothing; a refusal is told to the clients with its reason.
+
+        Parameters
+        ----------
+        values : dict of str to object
+            ``NODE.path`` to value.
+
+        Returns
+        -------
+        list of foxglove.Parameter
+            As they hold then.
+        """
+        by_node: dict[str, dict[str, Any]] = {}
+        for name, value in values.items():
+            node, _, path = name.partition(".")
+            by_node.setdefault(node, {})[path] = value
+        for node, paths in by_node.items():
+            try:
+                self._do("do", {"op": "set", "node": node, "values": paths})
+            except CommandError as error:
+                self._server.publish_status(str(error), self._library.websocket.StatusLevel.Error)
+        return self.parameters(list(values))
+
+    def tell_parameters(self) -> None:
+        """Tell all clients the parameters as they are now."""
+        self._server.publish_parameter_values(self.parameters([]))
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.stop()
