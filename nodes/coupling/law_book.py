@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from nodes.coupling.parameters import CouplingParameters
-from nodes.laws import CompiledLaw
+from nodes.laws import CompiledLaw, law_names, load_law
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
-from nodes.laws.presets import PRESETS, preset_names
-from nodes.parameters.store import ParameterError, describe
+from nodes.laws.presets import PRESETS, expand, preset_names
+from nodes.parameters.store import ParameterError, choices, describe
 
 FIXED = ("memory", "schedule")
 """Parameters that cannot change while the node runs."""
@@ -43,9 +43,10 @@ class LawBook:
         Returns
         -------
         list of str
-            Named laws, then presets.
+            Named laws, then presets, then installed kinds that need no more than what is usual here.
         """
-        return [*parameters.laws, *(name for name in preset_names() if name not in parameters.laws)]
+        kinds = [kind for kind in law_names() if kind not in PRESETS and self._usual(parameters, kind)]
+        return [*parameters.laws, *(name for name in [*preset_names(), *kinds] if name not in parameters.laws)]
 
     def description(self, parameters: CouplingParameters, name: str) -> dict[str, Any]:
         """Describe a law completely.
@@ -91,10 +92,19 @@ class LawBook:
     def _find(self, parameters: CouplingParameters, name: str) -> Any:
         if name in parameters.laws:
             return parameters.laws[name]
-        if name in PRESETS:
-            return {"kind": name}
-        there = ", ".join(self.names(parameters))
-        raise ParameterError(f"{self._node}.law: no law is named {name!r}; there is: {there}")
+        if name in PRESETS or name in law_names():
+            fields = _fields(name)
+            return {"kind": name, **{key: value for key, value in parameters.usual.items() if key in fields}}
+        raise ParameterError(f"{self._node}.law: no law is named {name!r}; {choices(name, self.names(parameters))}")
+
+    def _usual(self, parameters: CouplingParameters, kind: str) -> bool:
+        """Whether a kind is a law with what is usual here."""
+        try:
+            used = set(parameters.usual) & set(_fields(kind))
+            parse_law(self._find(parameters, kind))
+        except ParameterError:
+            return False
+        return bool(used)
 
     def compile(self, parameters: CouplingParameters, name: str) -> CompiledLaw:
         """Compile a law.
@@ -211,9 +221,9 @@ class LawBook:
         taken_until = 0
         for i, swap in sorted(enumerate(parameters.schedule), key=lambda numbered: numbered[1].at):
             where = f"{self._node}.schedule[{i}]"
-            if swap.law not in parameters.laws and swap.law not in PRESETS:
-                there = ", ".join(self.names(parameters))
-                raise ParameterError(f"{where}.law: no law is named {swap.law!r}; there is: {there}")
+            if swap.law not in [*parameters.laws, *PRESETS, *law_names()]:
+                there = choices(swap.law, self.names(parameters))
+                raise ParameterError(f"{where}.law: no law is named {swap.law!r}; {there}")
             self.compile(parameters, swap.law)
             tick = round(swap.at / self._period)
             if tick < taken_until:
@@ -239,3 +249,8 @@ class LawBook:
         for name in FIXED:
             if getattr(now, name) != getattr(wanted, name):
                 raise ParameterError(f"{self._node}.{name}: is fixed while the node runs; set it in the launch file")
+
+
+def _fields(name: str) -> tuple[str, ...]:
+    """Parameters of a preset or kind."""
+    return load_law(str(expand({"kind": name})["kind"])).__struct_fields__

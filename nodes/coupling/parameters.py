@@ -104,10 +104,12 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     Attributes
     ----------
     law : str
-        Name of the active law: one of `laws`, or a preset.
+        Name of the active law: one of `laws`, a preset, or an installed kind.
     laws : dict of str to dict
         Named laws, each with its ``kind`` and parameters (see nodes/laws/), or the bare name of a preset. A name is letters,
         digits, _ and -, at most 64.
+    usual : dict
+        What a law that is not among `laws` (a preset, or any installed kind) is made with, where it has such parameters.
     history : str
         What feeds the laws outside contact: ``penetration`` (zero) or ``position`` (the raw distance).
     clamp : bool
@@ -133,6 +135,7 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
     law: str
     laws: dict[LawName, Any] = {}
+    usual: dict[str, Any] = {}
     history: Literal["penetration", "position"] = "penetration"
     clamp: bool = True
     memory: Annotated[int, msgspec.Meta(ge=2, le=1_000_000)] = 2048

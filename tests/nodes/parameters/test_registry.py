@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.launching import haptic, private_runtime_dir
+from tests.support.launching import haptic, launch_json, private_runtime_dir, running
 
 HALF_DERIVED = "{kind: pd_alpha, stiffness: 1000, damping: 3, order: 0.5, taps: 4, gains: physical, derivative: half}"
 GROUPS = ("laws", "derivatives", "surfaces", "nodes", "verbs")
@@ -63,3 +63,32 @@ def test_who_asks_for_it_is_told_what_is_wrong_and_whose_it_is(
     if noun != "kind of node":
         assert f"'half': the {noun} cannot be imported" in told
         assert "half-finished" in told
+
+
+SOFT = """
+from nodes.laws import CompiledLaw, Law
+
+class Soft(Law, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    kind = "soft"
+    stiffness: float
+
+    def compile(self, period):
+        return CompiledLaw((self.stiffness,))
+"""
+
+
+def test_an_installed_law_is_taken_by_name_in_every_scenario(tmp_path: Path) -> None:
+    info = tmp_path / "site" / "soft_laws-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info.parent / "soft_laws.py").write_text(SOFT, encoding="utf-8")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: soft-laws\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text("[haptic.laws]\nsoft = soft_laws:Soft\n", encoding="utf-8")
+    environment = {"PYTHONPATH": f"{info.parent}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    figures = launch_json(
+        tmp_path, "floor_drop", "law:=soft", "stiffness:=500", "duration:=10", "pace:=lockstep", environment=environment
+    )
+    # m g / K with the scenario's K; the device's own damper less K T/2, 0.5 N s/m, leaves e^-25 of the bounce after 10 s.
+    assert figures["final"]["position_m"] == pytest.approx(-0.1 * 9.81 / 500.0, rel=1e-5)
+    with running(tmp_path, "wall_press", "duration:=0", environment=environment) as launch:
+        assert "soft" in launch.call("coupling", "law.list")["laws"]
+        assert launch.call("coupling", "law.show", law="soft")["h1_n_per_m"] == 1000.0
