@@ -16,6 +16,7 @@ from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
 from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
 from sim.device.model import DeviceModel, Hand
+from sim.device.presets import preset
 from sim.device.state import VirtualDevice
 
 
@@ -37,6 +38,13 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
     device: DeviceModel
     hold: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
     pointer: PointerParameters | None = None
+    preset: str = ""
+
+    def __post_init__(self) -> None:
+        if self.preset not in ("", "none"):
+            values = msgspec.to_builtins(self.device) | preset(self.preset)
+            # Frozen for everybody else: this is a part of its making.
+            msgspec.structs.force_setattr(self, "device", msgspec.convert(values, DeviceModel))
 
 
 class DraggedHand:

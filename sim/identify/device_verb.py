@@ -24,10 +24,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of the verb ``device``.
     """
-    sub = parser.add_subparsers(dest="chosen", metavar="list|identify", required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="list|presets|identify", required=True)
     listed = sub.add_parser("list", help="which devices can be driven from here")
     listed.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
     listed.set_defaults(run=_list)
+    known = sub.add_parser("presets", help="what is known of real devices, and from where: device:=touch_x")
+    known.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    known.set_defaults(run=_presets)
     text = "Push the device of a running launch (or of a scenario, started for it) and identify it."
     own = sub.add_parser("identify", help=text, description=text)
     own.add_argument("scenario", nargs="?", help="start this launch file; left out: the running launch, or identify")
@@ -68,6 +71,13 @@ def _list(arguments: argparse.Namespace) -> int:
     from sim.identify.devices import figures, text
 
     answer(arguments.json, {"devices": figures()}, text())
+    return 0
+
+
+def _presets(arguments: argparse.Namespace) -> int:
+    from sim.device.presets import figures, text
+
+    answer(arguments.json, {"presets": figures()}, text())
     return 0
 
 

@@ -1,0 +1,156 @@
+"""Virtual stand-ins for real devices: what is known of each, from where, and what is only remembered.
+
+``device:=touch_x`` takes the known values in place of the scenario's own; what nobody published (the delay, the damping) stays
+the scenario's. A value that is only remembered is a starting point: `haptic device identify` measures it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+CHAI3D = "CHAI3D 3.2, device specifications in its sources"
+SHEET = "3D Systems, data sheet of the Touch X (formerly PHANTOM Desktop)"
+MEMORY = "remembered, not checked"
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One value and where it comes from.
+
+    Attributes
+    ----------
+    value : float
+        In SI units.
+    source : str
+        Publication.
+    remembered : bool
+        Whether nobody has looked it up again.
+    """
+
+    value: float
+    source: str
+    remembered: bool = False
+
+
+def _remembered(value: float) -> Fact:
+    return Fact(value, MEMORY, remembered=True)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What is known of a device.
+
+    Attributes
+    ----------
+    title : str
+        Maker and name.
+    model : mapping of str to Fact
+        Fields of `sim.device.model.DeviceModel`: mass [kg], friction [N], resolution [m], peak_force [N].
+    limits : mapping of str to Fact
+        What its maker or CHAI3D advises: ``stiffness`` [N/m], ``damping`` [N s/m], ``continuous_force`` [N]; told, not
+        applied.
+    """
+
+    title: str
+    model: Mapping[str, Fact]
+    limits: Mapping[str, Fact]
+
+
+PRESETS: dict[str, Preset] = {
+    "touch_x": Preset(
+        "3D Systems Touch X (PHANTOM Desktop)",
+        {
+            "mass": _remembered(0.035),
+            "friction": _remembered(0.06),
+            "resolution": Fact(2.3e-5, SHEET),
+            "peak_force": Fact(7.9, SHEET),
+        },
+        {"stiffness": Fact(1000.0, CHAI3D), "continuous_force": Fact(1.75, SHEET)},
+    ),
+    "touch": Preset(
+        "3D Systems Touch",
+        {"mass": _remembered(0.045), "friction": _remembered(0.26), "peak_force": Fact(3.3, CHAI3D)},
+        {"stiffness": Fact(400.0, CHAI3D), "damping": Fact(4.0, CHAI3D)},
+    ),
+    "omni": Preset(
+        "SensAble PHANTOM Omni",
+        {
+            "mass": _remembered(0.045),
+            "friction": _remembered(0.26),
+            "resolution": _remembered(5.5e-5),
+            "peak_force": Fact(3.3, CHAI3D),
+        },
+        {"stiffness": Fact(700.0, CHAI3D), "damping": Fact(5.0, CHAI3D)},
+    ),
+    "omega_3": Preset(
+        "Force Dimension omega.3",
+        {"resolution": _remembered(1e-5), "peak_force": Fact(12.0, CHAI3D)},
+        {"stiffness": Fact(5000.0, CHAI3D), "damping": Fact(30.0, CHAI3D)},
+    ),
+    "delta_3": Preset("Force Dimension delta.3", {"peak_force": Fact(20.0, CHAI3D)}, {}),
+}
+"""By name; a value that is not here stays the scenario's."""
+
+
+def preset(name: str) -> dict[str, float]:
+    """Give the known values of a device.
+
+    Parameters
+    ----------
+    name : str
+        One of `PRESETS`.
+
+    Returns
+    -------
+    dict of str to float
+        Fields of `sim.device.model.DeviceModel`.
+
+    Raises
+    ------
+    ValueError
+        When there is none of that name; the text lists what there is.
+    """
+    if name not in PRESETS:
+        raise ValueError(f"preset is {name!r}, expected none or one of {', '.join(PRESETS)} (haptic device presets)")
+    return {field: fact.value for field, fact in PRESETS[name].model.items()}
+
+
+def figures() -> list[dict[str, Any]]:
+    """Tell all presets with their sources.
+
+    Returns
+    -------
+    list of dict
+        ``name``, ``title``, ``model`` and ``limits``: per field ``value``, ``source`` and ``remembered``.
+    """
+
+    def facts(given: Mapping[str, Fact]) -> dict[str, Any]:
+        return {
+            field: {"value": fact.value, "source": fact.source, "remembered": fact.remembered}
+            for field, fact in given.items()
+        }
+
+    return [
+        {"name": name, "title": one.title, "model": facts(one.model), "limits": facts(one.limits)}
+        for name, one in PRESETS.items()
+    ]
+
+
+def text() -> str:
+    """Tell all presets to people.
+
+    Returns
+    -------
+    str
+        A line per value.
+    """
+    lines = []
+    for name, one in PRESETS.items():
+        lines.append(f"{name}: {one.title}")
+        for field, fact in one.model.items():
+            lines.append(f"  {field:18} {fact.value:<8g} {fact.source}")
+        for field, fact in one.limits.items():
+            lines.append(f"  advised {field:10} {fact.value:<8g} {fact.source}")
+    return "\n".join(lines)
