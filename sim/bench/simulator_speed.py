@@ -27,7 +27,8 @@ from sim.device.model import DeviceModel, coefficients
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.measure.launches import MeasurementError
 from sim.measure.stopwatch import Timing, interleaved
-from sim.scene.loop import PLANE, Array, Scene, play_compiled
+from sim.scene.loop import Array, Scene, contact_of, motion_of
+from sim.scene.tick_loop import Laws, Records, play_compiled
 
 SOURCE = r"""
 void play(long ticks, double x, double v, const double *c, double load, double surface, double normal,
@@ -128,17 +129,15 @@ def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:
         Plays and returns the positions, shape (ticks,) [m].
     """
     here = scene()
-    device = here.device
-    step = coefficients(device.mass, device.damping, 0.0, PERIOD)
-    taps, none, positions = np.array(law.taps), np.empty(0, dtype=np.int64), np.empty(ticks)
-    bounds, no_states = np.array([0, len(taps)]), np.zeros(2, dtype=np.int64)
+    motion, contact = motion_of(here, ticks), contact_of(here)
+    none, positions = np.empty(0, dtype=np.int64), np.empty(ticks)
+    taps = np.array(law.taps)
+    rendered = Laws(taps, np.array([0, len(taps)]), None, np.zeros(2, dtype=np.int64), none, none)
+    records = Records(positions, None, None, None, None)
 
     def play() -> Array:
-        play_compiled(
-            ticks, device.position, 0.0, device.mass, device.damping, 0.0, 0.0, None, PERIOD, step, None, None, None,
-            device.load(0, PERIOD), None, np.zeros(2), PLANE, 0.0, 1.0, False, True, None, None, taps, bounds, None,
-            np.zeros(0), no_states, none, none, np.zeros(2 * len(taps)), positions, None, None, None, None,
-        )  # fmt: skip
+        history, commands = np.zeros(2 * len(taps)), np.zeros(motion.waiting)
+        play_compiled(ticks, motion, contact, rendered, np.zeros(0), history, commands, records)
         return positions
 
     return play

@@ -22,7 +22,7 @@ from sim.chart.derivative_errors import analyse
 from sim.chart.points import Detail, Group, Point
 from sim.measure.stopwatch import interleaved
 from sim.scene.compiled import compiled
-from sim.scene.loop import evaluate
+from sim.scene.tick_loop import evaluate
 
 ORDERS = (0.5, 1.5)
 PERIOD = 0.002

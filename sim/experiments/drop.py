@@ -11,17 +11,19 @@ or the figures do not compare (drop and press read 70–99 % of the linear limit
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from nodes.laws import CompiledLaw
-from sim.device.model import DeviceModel, Hand, coefficients, split_delay
+from sim.device.model import DeviceModel, Hand
 from sim.scene.compiled import compiled, kernel
-from sim.scene.loop import Array, Scene, Surface, play_compiled
+from sim.scene.loop import Array, Scene, Surface, contact_of, motion_of
+from sim.scene.tick_loop import Contact, Laws, Motion, Records, play_compiled
 
 
 @dataclass(frozen=True)
@@ -159,86 +161,32 @@ def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
 
 
 def _trials(
-    ticks: int,
-    x: float,
-    v: float,
-    mass: float,
-    damping: float,
-    grip: float,
-    early: float,
-    early_map: Any,
-    late: float,
-    late_map: Any,
-    resolution: float | None,
-    friction: float | None,
-    motor: float | None,
-    load: float,
-    loads: Any,
-    waiting: int,
-    kind: int,
-    surface: float,
-    normal: float,
-    raw: bool,
-    clamp: bool,
-    peak: float | None,
-    slew: float | None,
-    taps: Any,
-    recursive: Any,
-    results: Any,
+    first: int, last: int, ticks: int, motion: Motion, contact: Contact, taps: Any, recursive: Any, results: Any
 ) -> None:
-    count, length = taps.shape
+    length = taps.shape[1]
     width = 0 if recursive is None else recursive.shape[1]
-    for p in numba.prange(count):
+    for p in range(first, last):
         own = _row(recursive, p)
         positions = np.empty(ticks)
         forces = np.empty(ticks)
-        bounds = np.array([0, length])
-        states = np.array([0, width // 2])
         none = np.empty(0, dtype=np.int64)
+        laws = Laws(taps[p], np.array([0, length]), own, np.array([0, width // 2]), none, none)
         play_compiled(
             ticks,
-            x,
-            v,
-            mass,
-            damping,
-            grip,
-            early,
-            early_map,
-            late,
-            late_map,
-            resolution,
-            friction,
-            motor,
-            load,
-            loads,
-            np.zeros(waiting),
-            kind,
-            surface,
-            normal,
-            raw,
-            clamp,
-            peak,
-            slew,
-            taps[p],
-            bounds,
-            own,
+            motion,
+            contact,
+            laws,
             np.zeros(width // 2),
-            states,
-            none,
-            none,
             np.zeros(2 * max(length, 2)),
-            positions,
-            None,
-            None,
-            None,
-            forces,
+            np.zeros(motion.waiting),
+            Records(positions, None, None, None, forces),
         )
-        verdict = _judge(positions, forces, surface, normal)
+        verdict = _judge(positions, forces, contact.surface, contact.normal)
         for i in range(5):
             results[p, i] = verdict[i]
 
 
-_trials_compiled = compiled(parallel=True)(_trials)
+_trials_compiled = compiled()(_trials)
 
 
 def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
@@ -297,11 +245,6 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
             )
     if scene.passivity is not None and scene.passivity.guard == "on":
         raise ValueError("scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out")
-    device, surface = scene.device, scene.surface
-    mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
-    whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
-    early = part * scene.period
-    late = scene.period - early
     ticks = criterion.ticks
     taps = np.zeros((len(laws), max(len(law.taps) for law in laws)))
     most = max(len(law.sections) for law in laws)
@@ -310,34 +253,20 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
         taps[i, : len(law.taps)] = law.taps
         recursive[i, : 4 * len(law.sections)] = [c for section in law.sections for c in section]
     results = np.empty((len(laws), 5))
-    _trials_compiled(
-        ticks,
-        device.position,
-        device.velocity,
-        mass,
-        damping,
-        grip,
-        early,
-        coefficients(mass, damping, grip, early) if early > 0.0 else None,
-        late,
-        coefficients(mass, damping, grip, late),
-        device.resolution,
-        device.friction,
-        device.peak_force,
-        device.load(0, scene.period),
-        np.array([device.load(k, scene.period) for k in range(ticks)]) if device.hand else None,
-        whole + 2,
-        surface.code,
-        surface.position,
-        surface.normal if surface.kind == "plane" else 0.0,
-        scene.raw,
-        scene.clamp,
-        scene.peak,
-        scene.slew,
-        taps,
-        recursive if most else None,
-        results,
-    )
+    motion = motion_of(scene, ticks)
+    if motion.loads is not None:
+        motion = motion._replace(loads=np.array(motion.loads))
+    contact = contact_of(scene)
+    cores = min(len(os.sched_getaffinity(0)), len(laws))
+    bounds = [len(laws) * i // cores for i in range(cores + 1)]
+
+    def play(part: int) -> None:
+        own = recursive if most else None
+        _trials_compiled(bounds[part], bounds[part + 1], ticks, motion, contact, taps, own, results)
+
+    # Compiled code holds no interpreter lock: threads are cores.
+    with ThreadPoolExecutor(cores) as threads:
+        list(threads.map(play, range(cores)))
     return [_verdict(scene, law, told, criterion) for law, told in zip(laws, results.tolist(), strict=True)]
 
 

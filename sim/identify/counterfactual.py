@@ -19,7 +19,8 @@ from sim.device.friction import move
 from sim.device.model import DeviceModel, coefficients, quantise, saturate
 from sim.experiments.drop import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
-from sim.scene.loop import Swap, evaluate, respond, run
+from sim.scene.loop import Swap, run
+from sim.scene.tick_loop import evaluate, respond
 
 Array = NDArray[np.float64]
 

@@ -80,7 +80,7 @@ def _cache_folder() -> str | None:
     text = hashlib.sha256()
     for module in (nodes.kernels, nodes.driver.passivity, sim.device.model, sim.device.friction):
         text.update(Path(str(module.__file__)).read_bytes())
-    text.update(Path(__file__).with_name("loop.py").read_bytes())
+    text.update(Path(__file__).with_name("tick_loop.py").read_bytes())
     base = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(base) / "haptic-nodes" / f"numba-{text.hexdigest()[:16]}"
     try:
@@ -95,13 +95,10 @@ def _cache_folder() -> str | None:
 _FOLDER = _cache_folder()
 
 
-def compiled(parallel: bool = False) -> Callable[[Function], Function]:
+def compiled() -> Callable[[Function], Function]:
     """Decorate a function to be compiled on first use, for each combination of argument types (None is a type).
 
-    Parameters
-    ----------
-    parallel : bool
-        Whether its `numba.prange` loops are spread over the cores.
+    Compiled code runs without the interpreter's lock.
 
     Returns
     -------
@@ -113,7 +110,7 @@ def compiled(parallel: bool = False) -> Callable[[Function], Function]:
         before = _CONFIG.CACHE_DIR
         _CONFIG.CACHE_DIR = _FOLDER or before
         try:
-            result = cast(Function, numba.njit(parallel=parallel, cache=_FOLDER is not None)(function))
+            result = cast(Function, numba.njit(nogil=True, cache=_FOLDER is not None)(function))
         finally:
             _CONFIG.CACHE_DIR = before
         return result

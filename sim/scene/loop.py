@@ -7,23 +7,19 @@ nodes call.
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.driver.passivity import PassivityParameters, backlog, control, forget, line_of, observe, through
-from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_distance, push, sections, warm_up
+from nodes.driver.passivity import PassivityParameters, line_of
 from nodes.laws import CompiledLaw
-from sim.device.friction import move
-from sim.device.model import Coefficients, DeviceModel, coefficients, quantise, saturate, split_delay
-from sim.scene.compiled import compiled, kernel
+from sim.device.model import DeviceModel, coefficients, split_delay
+from sim.scene.tick_loop import ANCHOR, FREE, PLANE, Contact, Guard, Laws, Motion, Records, play, play_compiled
 
 Array = NDArray[np.float64]
-
-FREE, PLANE, ANCHOR = 0, 1, 2
 
 
 @dataclass(frozen=True)
@@ -162,219 +158,6 @@ class Trace:
         return np.arange(len(self.position), dtype=np.float64) * np.float64(self.period)
 
 
-@kernel
-def respond(
-    measured: float,
-    kind: int,
-    surface: float,
-    normal: float,
-    raw: bool,
-    history: MutableSequence[float],
-    head: int,
-    length: int,
-) -> tuple[int, float, bool]:
-    """Environment and first half of the coupling: from the sample to the newest deflection in the history.
-
-    Parameters
-    ----------
-    measured : float
-        Measured position [m].
-    kind : int
-        `FREE`, `PLANE` or `ANCHOR`.
-    surface : float
-        Coordinate of the surface [m].
-    normal : float
-        ±1 for a plane, else 0.
-    raw : bool
-        As in `Scene`.
-    history : sequence of float, shape (2 * length,)
-        Ring of deflections, changed in place.
-    head : int
-        Index of the newest value so far.
-    length : int
-        How many values the ring remembers.
-
-    Returns
-    -------
-    tuple of int, float and bool
-        New head, deflection [m], whether there is contact.
-    """
-    distance = 0.0
-    contact = kind == ANCHOR
-    if kind == PLANE:
-        distance = plane_distance(measured, surface, normal)
-        contact = distance < 0.0
-    proxy = surface if contact else measured
-    newest = deflection(measured, proxy, distance, normal, contact, raw)
-    return push(history, head, length, newest), newest, contact
-
-
-@kernel
-def evaluate(
-    taps: Sequence[float],
-    recursive: Sequence[float] | None,
-    state: MutableSequence[float],
-    history: Sequence[float],
-    head: int,
-) -> float:
-    """Force of one law over the history.
-
-    Parameters
-    ----------
-    taps : sequence of float, shape (n + 1,)
-        Taps [N/m].
-    recursive : sequence of float, shape (4 * s,), or None
-        Coefficients of recursive sections; None when no law of the run has any.
-    state : sequence of float, shape (2 * s,)
-        State of the sections, changed in place.
-    history : sequence of float
-        Ring of deflections.
-    head : int
-        Index of the newest value.
-
-    Returns
-    -------
-    float
-        Force [N].
-    """
-    force = fir(taps, history, head)
-    if recursive is not None and len(recursive) > 0:
-        force += sections(recursive, state, history[head], history[head + 1])
-    return force
-
-
-def _play(
-    ticks: int,
-    x: float,
-    v: float,
-    mass: float,
-    damping: float,
-    grip: float,
-    early: float,
-    early_map: Coefficients | None,
-    late: float,
-    late_map: Coefficients,
-    resolution: float | None,
-    friction: float | None,
-    motor: float | None,
-    load: float,
-    loads: Sequence[float] | None,
-    commands: MutableSequence[float],
-    kind: int,
-    surface: float,
-    normal: float,
-    raw: bool,
-    clamp: bool,
-    peak: float | None,
-    slew: float | None,
-    taps: Sequence[float],
-    taps_from: Sequence[int],
-    recursive: Sequence[float] | None,
-    states: MutableSequence[float],
-    states_from: Sequence[int],
-    swap_at: Sequence[int],
-    swap_ramp: Sequence[int],
-    history: MutableSequence[float],
-    positions: MutableSequence[float],
-    velocities: MutableSequence[float] | None,
-    measureds: MutableSequence[float] | None,
-    deflections: MutableSequence[float] | None,
-    forces: MutableSequence[float] | None,
-    guard: float | None = None,
-    guard_stiffness: float | None = None,
-    guard_late: float = 0.0,
-    guard_line: MutableSequence[float] | None = None,
-    guard_part: float = 0.0,
-    low: float | None = None,
-    high: float | None = None,
-) -> tuple[float, float]:
-    length = len(history) // 2
-    waiting = len(commands)
-    head = 0
-    applied = 0.0
-    done = 0
-    ramp = 0
-    slot = 0
-    energy = 0.0
-    acting = 0.0
-    before = 0.0
-    step = 0.0
-    now_taps = taps[taps_from[0] : taps_from[1]]
-    now_state = states[states_from[0] : states_from[1]]
-    old_taps = now_taps
-    old_state = now_state
-    now_recursive = None if recursive is None else recursive[2 * states_from[0] : 2 * states_from[1]]
-    old_recursive = now_recursive
-    # One span per law: inside a span nothing about the law changes, which is worth a factor of 1.7 in speed.
-    start = 0
-    for law in range(len(swap_at) + 1):
-        if law > 0:
-            ramp = swap_ramp[law - 1]
-            done = 0
-            old_taps = now_taps
-            old_state = now_state
-            now_taps = taps[taps_from[law] : taps_from[law + 1]]
-            now_state = states[states_from[law] : states_from[law + 1]]
-            if recursive is not None:
-                old_recursive = now_recursive
-                now_recursive = recursive[2 * states_from[law] : 2 * states_from[law + 1]]
-                warm_up(now_recursive, now_state, history, head, length)
-        end = ticks
-        if law < len(swap_at) and swap_at[law] < ticks:
-            end = swap_at[law]
-        for k in range(start, end):
-            measured = quantise(x, resolution)
-            head, newest, contact = respond(measured, kind, surface, normal, raw, history, head, length)
-            force = evaluate(now_taps, now_recursive, now_state, history, head)
-            if done < ramp:
-                force = cross_fade(evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp)
-                done += 1
-            force = one_sided(force, normal, contact, raw, clamp)
-            if guard is not None and guard_line is not None:
-                if k > 0:
-                    step = measured - before
-                    energy = observe(energy, acting, step)
-                energy = forget(energy, force, guard_stiffness)
-                on_its_way = guard_late * applied + backlog(guard_line, guard_part)
-                force = control(energy + on_its_way * step, force, step, guard)
-                before = measured
-                acting = applied
-            if low is not None and high is not None and not low <= measured <= high:
-                force = 0.0
-            applied = limit(force, applied, peak, slew)
-            if guard is not None and guard_line is not None:
-                if guard_late == 0.0:
-                    acting = applied
-                acting = through(guard_line, acting, guard_part)
-            positions[k] = x
-            if velocities is not None:
-                velocities[k] = v
-            if measureds is not None:
-                measureds[k] = measured
-            if deflections is not None:
-                deflections[k] = newest
-            if forces is not None:
-                forces[k] = applied
-            # A ring of the last i + 2 commands; of those still under way, tick k−i−1's acts first, then tick k−i's.
-            commands[slot] = applied
-            older = slot + 1 if slot + 1 < waiting else 0
-            newer = older + 1 if older + 1 < waiting else 0
-            slot = older
-            if loads is not None:
-                load = loads[k]
-            if early_map is not None:
-                u = saturate(commands[older], motor) + load
-                x, v = move(x, v, u, early, early_map, mass, damping, grip, friction)
-            u = saturate(applied if waiting == 2 else commands[newer], motor) + load
-            x, v = move(x, v, u, late, late_map, mass, damping, grip, friction)
-        start = end
-    return x, v
-
-
-play_compiled: Any = compiled()(_play)
-"""The loop, compiled: for other compiled functions that play many scenes."""
-
-
 def run(
     scene: Scene,
     law: CompiledLaw,
@@ -427,12 +210,6 @@ def run(
             raise ValueError(
                 f"law {i} of the run has code of its own, which cannot be compiled: play it with the nodes"
             )
-    device = scene.device
-    mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
-    whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
-    early = part * scene.period
-    late = scene.period - early
-    plane = scene.surface.kind == "plane"
     recursive = any(candidate.sections for candidate in laws)
     ring = max(2, memory, *(len(candidate.taps) for candidate in laws))
     taps_from = [0]
@@ -440,35 +217,57 @@ def run(
     for candidate in laws:
         taps_from.append(taps_from[-1] + len(candidate.taps))
         states_from.append(states_from[-1] + 2 * len(candidate.sections))
-    guarded = scene.passivity if scene.passivity is not None and scene.passivity.guard == "on" else None
-    line, guard_part = line_of(device.delay)
-    values = {
-        "guard_line": line if guarded is not None else None,
-        "loads": [device.load(k, scene.period) for k in range(ticks)] if device.hand else None,
-        "commands": [0.0] * (whole + 2),
-        "taps": [tap for candidate in laws for tap in candidate.taps],
-        "recursive": [c for candidate in laws for s in candidate.sections for c in s] if recursive else None,
-        "states": [0.0] * states_from[-1],
-        "history": [0.0] * (2 * ring),
-    }
-    counts = {
-        "taps_from": taps_from,
-        "states_from": states_from,
-        "swap_at": [swap.tick for swap in swaps],
-        "swap_ramp": [swap.ramp for swap in swaps],
-    }
-    records = {name: [0.0] * ticks for name in ("positions", "velocities", "measureds", "deflections", "forces")}
-    call = _play
-    lists: dict[str, object] = {**values, **counts, **records}
-    if not interpreted:
-        call = play_compiled
-        for name, numbers in lists.items():
-            if numbers is not None:
-                lists[name] = np.array(numbers, dtype=np.int64 if name in counts else np.float64)
-    final = call(
-        ticks=ticks,
-        x=device.position,
-        v=device.velocity,
+
+    def numbers(values: list[Any], kind: Any = np.float64) -> Any:
+        return values if interpreted else np.array(values, dtype=kind)
+
+    motion = motion_of(scene, ticks)
+    records = Records(*(numbers([0.0] * ticks) for _ in Records._fields))
+    final = (play if interpreted else play_compiled)(
+        ticks,
+        motion if interpreted or motion.loads is None else motion._replace(loads=numbers(list(motion.loads))),
+        contact_of(scene),
+        Laws(
+            numbers([tap for candidate in laws for tap in candidate.taps]),
+            numbers(taps_from, np.int64),
+            numbers([c for candidate in laws for s in candidate.sections for c in s]) if recursive else None,
+            numbers(states_from, np.int64),
+            numbers([swap.tick for swap in swaps], np.int64),
+            numbers([swap.ramp for swap in swaps], np.int64),
+        ),
+        numbers([0.0] * states_from[-1]),
+        numbers([0.0] * (2 * ring)),
+        numbers([0.0] * motion.waiting),
+        records,
+        _guard_of(scene, numbers),
+    )
+    position, velocity, measured, deflections, force = (np.asarray(row, dtype=np.float64) for row in records)
+    return Trace(scene.period, position, velocity, measured, deflections, force, final)
+
+
+def motion_of(scene: Scene, ticks: int) -> Motion:
+    """Prepare the device of a scene for the loop.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    ticks : int
+        How many ticks will be played.
+
+    Returns
+    -------
+    Motion
+        Its loads, where there are any, as a list.
+    """
+    device = scene.device
+    mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
+    whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
+    early = part * scene.period
+    late = scene.period - early
+    return Motion(
+        position=device.position,
+        velocity=device.velocity,
         mass=mass,
         damping=damping,
         grip=grip,
@@ -480,20 +279,33 @@ def run(
         friction=device.friction,
         motor=device.peak_force,
         load=device.load(0, scene.period),
-        kind=scene.surface.code,
-        surface=scene.surface.position,
-        normal=scene.surface.normal if plane else 0.0,
-        raw=scene.raw,
-        clamp=scene.clamp,
-        peak=scene.peak,
-        slew=scene.slew,
-        low=None if scene.workspace is None else scene.workspace[0],
-        high=None if scene.workspace is None else scene.workspace[1],
-        guard=None if guarded is None else guarded.damping / scene.period,
-        guard_stiffness=None if guarded is None else guarded.stiffness,
-        guard_late=1.0 if scene.next_tick else 0.0,
-        guard_part=guard_part,
-        **lists,  # type: ignore[arg-type]
+        loads=[device.load(k, scene.period) for k in range(ticks)] if device.hand else None,
+        waiting=whole + 2,
     )
-    position, velocity, measured, deflections, force = (np.asarray(lists[name], dtype=np.float64) for name in records)
-    return Trace(scene.period, position, velocity, measured, deflections, force, final)
+
+
+def contact_of(scene: Scene) -> Contact:
+    """Prepare surface, conventions and limits of a scene for the loop.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    Contact
+        Numbers only.
+    """
+    surface = scene.surface
+    normal = surface.normal if surface.kind == "plane" else 0.0
+    low, high = (None, None) if scene.workspace is None else scene.workspace
+    return Contact(surface.code, surface.position, normal, scene.raw, scene.clamp, low, high, scene.peak, scene.slew)
+
+
+def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None:
+    if scene.passivity is None or scene.passivity.guard != "on":
+        return None
+    line, part = line_of(scene.device.delay)
+    late = 1.0 if scene.next_tick else 0.0
+    return Guard(scene.passivity.damping / scene.period, scene.passivity.stiffness, late, numbers(list(line)), part)
