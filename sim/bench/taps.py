@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.cli.main import UsageError, answer
+from sim.results import fresh
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -82,7 +83,6 @@ def _write(figures: dict[str, Any], folder: Path) -> list[Path]:
 
     from matplotlib.figure import Figure
 
-    folder.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.add_subplot(xlabel="taps", ylabel="time per tick [µs]", xscale="log", yscale="log")
     taps = [point["taps"] for point in figures["points"]]
@@ -95,7 +95,7 @@ def _write(figures: dict[str, Any], folder: Path) -> list[Path]:
     axes.set_title(f"Adding n taps, {figures['machine']['cpu']}", fontsize=9)
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3, which="both")
-    paths = [folder / f"bench_taps.{suffix}" for suffix in ("json", "png", "svg")]
+    paths = [fresh(folder / f"bench_taps.{suffix}") for suffix in ("json", "png", "svg")]
     paths[0].write_text(json.dumps(figures, indent=1) + "\n")
     for path in paths[1:]:
         figure.savefig(path, dpi=150)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from sim.chart.derivative_errors import lengths_taken
 from sim.chart.derivatives import GAIN, PERIOD, STIFFNESS
 from sim.chart.points import Group, Point
+from sim.results import fresh
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,8 +75,7 @@ def draw(group: Group, folder: Path) -> list[Path]:
     _ticks(axes, max(p.cost for p in shown) / min(p.cost for p in shown))
     axes.grid(alpha=0.25, which="both")
     axes.legend(fontsize=8)
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"chart_{group.name}.{suffix}" for suffix in ("png", "svg")]
+    paths = [fresh(folder / f"chart_{group.name}.{suffix}") for suffix in ("png", "svg")]
     for path in paths:
         figure.savefig(path, dpi=150)
     return paths

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from sim.results import fresh
+
 Detail = float | int | str | None
 
 
@@ -181,9 +183,8 @@ def save(groups: Sequence[Group], machine: dict[str, Any], seconds: float, folde
     list of Path
         The files.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     data = as_json(groups, machine, seconds)
-    whole, table = folder / "chart.json", folder / "chart.csv"
+    whole, table = fresh(folder / "chart.json"), fresh(folder / "chart.csv")
     whole.write_text(json.dumps(data, indent=1, allow_nan=True) + "\n")
     keys = sorted({key for group in groups for point in group.points for key in point.detail})
     with table.open("w", newline="") as file:

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sim.results import fresh
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -96,8 +98,7 @@ def save(
     dict
         Figures, ``claims``, and ``plot`` and ``data``, the paths written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    plot, data = folder / f"{name}.png", folder / f"{name}.json"
+    plot, data = fresh(folder / f"{name}.png"), fresh(folder / f"{name}.json")
     picture.savefig(plot, dpi=150)
     whole = {**figures, "claims": [asdict(claim) for claim in claims]}
     data.write_text(json.dumps(whole, indent=1, allow_nan=False) + "\n")

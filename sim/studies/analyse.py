@@ -15,6 +15,7 @@ from nodes.stability.closed_loop import law_figures
 from nodes.stability.every_delay import every_delay
 from nodes.stability.k_max import Device, edge_of, k_max, tolerance, without_spring
 from nodes.stability.rest import rest, stiffest_at_rest
+from sim.results import fresh
 from sim.studies import arguments as shared
 
 
@@ -192,7 +193,6 @@ def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Device, perio
     axes.axhline(device.damping - spring, color="k", linestyle="--", label="passive below b − H(1)T/2")
     axes.legend()
     axes.grid(alpha=0.3)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    path: Path = arguments.out / "analyse.png"
+    path: Path = fresh(arguments.out / "analyse.png")
     figure.savefig(path, dpi=150)
     return path

@@ -141,7 +141,14 @@ def add_answer(parser: argparse.ArgumentParser) -> None:
         Parser of the study.
     """
     parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
-    parser.add_argument("--out", type=Path, default=Path("studies"), help="directory of files (default: %(default)s)")
+    parser.add_argument(
+        "--out-dir",
+        "--out",
+        type=Path,
+        default=Path("studies"),
+        dest="out",
+        help="directory of files (default: %(default)s)",
+    )
 
 
 def device(arguments: argparse.Namespace) -> Device:

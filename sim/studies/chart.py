@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from nodes.cli.main import UsageError, answer
+from sim.results import fresh
 from sim.studies.arguments import add_answer
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     files = save(groups, where, seconds, arguments.out)
     for group in groups:
         files += draw(group, arguments.out)
-    read = arguments.out / "chart.md"
+    read = fresh(arguments.out / "chart.md")
     read.write_text(page(groups, where, seconds))
     lines = conclusions(groups)
     figures = as_json(groups, where, seconds) | {

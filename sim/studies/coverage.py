@@ -9,6 +9,7 @@ from typing import Any
 
 from nodes.cli.main import UsageError, answer
 from sim.measure.sweep import add_cluster
+from sim.results import fresh
 from sim.studies import arguments as shared
 
 WANTED = 0.90
@@ -140,5 +141,4 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         bottom.axvspan(-1.0, 1.0, alpha=0.12)
         bottom.set(xlabel="error / half width of the 95 % interval")
     panels[0][0].legend(fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    figure.savefig(fresh(path), dpi=110)

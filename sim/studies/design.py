@@ -20,6 +20,7 @@ from sim.design.passive import Passive, stiffest_passive
 from sim.design.recorded_loop import Measured, measure
 from sim.design.replay import replayed_radius
 from sim.design.robust import Demand
+from sim.results import fresh
 from sim.studies import arguments as shared
 
 _REPLAYED = 2000
@@ -143,7 +144,6 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
     if demand.damping > 0.0:
         _say("passive")
         passive = stiffest_passive(arguments.taps, demand.period, demand.damping, demand.delay, demand.nyquist)
-    arguments.out.mkdir(parents=True, exist_ok=True)
     figures: dict[str, Any] = {
         "demand": _wanted(demand),
         "designed": None,
@@ -159,18 +159,18 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
             f"one: {figures['replayed_radius']}"
         )
     if law.found is not None and law.law is not None:
-        path = arguments.out / "designed.yaml"
+        path = fresh(arguments.out / "designed.yaml")
         path.write_text(to_yaml(law.law, comment=_describe(demand)), encoding="utf-8")
         figures["designed"] = _row(law, demand) | {"yaml": str(path)}
         lines += [_line(figures["designed"]), _line(figures["best_pd"]), f"haptic param load coupling {path}"]
-        plot = arguments.out / "design.png"
+        plot = fresh(arguments.out / "design.png")
         _draw(plot, demand, law, pd, passive)
         figures["plot"] = str(plot)
         lines.append(str(plot))
     else:
         lines.append("no law of this length keeps the demand: allow a larger radius, a narrower range or more taps")
     if passive is not None:
-        path = arguments.out / "passive.yaml"
+        path = fresh(arguments.out / "passive.yaml")
         told = f"passive for any mass and hand: {_describe(demand)}"
         path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=told), encoding="utf-8")
         figures["passive"] = _passive_row(passive, demand) | {"yaml": str(path)}

@@ -11,6 +11,7 @@ from nodes.driver.passivity import PassivityParameters
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel
 from sim.experiments.guarded_drop import Drop, compare
+from sim.results import fresh
 from sim.studies.arguments import not_negative, positive
 
 
@@ -125,7 +126,6 @@ def _draw(arguments: argparse.Namespace, drops: list[Drop]) -> Path:
         f"{arguments.rate:g} Hz, delay {int(arguments.next_tick)} tick",
         fontsize=9,
     )
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    path: Path = arguments.out / "guard.png"
+    path: Path = fresh(arguments.out / "guard.png")
     figure.savefig(path, dpi=130)
     return path

@@ -11,6 +11,7 @@ from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
 from nodes.stability.k_max import Device, KMax, k_max, with_spring, without_spring
 from sim.device.model import DeviceModel, Hand
+from sim.results import fresh
 from sim.studies import arguments as shared
 
 if TYPE_CHECKING:
@@ -231,7 +232,6 @@ def _draw(arguments: argparse.Namespace, points: list[dict[str, Any]]) -> Path:
     )
     axes.legend()
     axes.grid(alpha=0.3)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    path: Path = arguments.out / "kmax.png"
+    path: Path = fresh(arguments.out / "kmax.png")
     figure.savefig(path, dpi=150)
     return path

@@ -17,6 +17,7 @@ from nodes.laws.presets import PRESETS
 from nodes.stability.k_max import Device, k_max, without_spring
 from sim.paper.descent import Descent, Targets, cost, damping_curve, paper_targets, survey
 from sim.paper.shaping import Shape, best_orders, free_taps, measured
+from sim.results import fresh
 from sim.studies import arguments as shared
 
 OUTCOMES = ("converged", "slow", "out_of_range", "diverged")
@@ -213,7 +214,6 @@ def _draw(arguments: argparse.Namespace, descents: dict[float, list[Descent]], r
     right.grid(alpha=0.3)
     if rows:
         right.legend(fontsize=8)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    path: Path = arguments.out / "optimise.png"
+    path: Path = fresh(arguments.out / "optimise.png")
     figure.savefig(path, dpi=150)
     return path

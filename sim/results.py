@@ -1,0 +1,51 @@
+"""Where a study's files go: what an earlier run left under the same name is set aside, never overwritten."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+EARLIER = "earlier"
+"""Folder beside the results, with one folder per run that set something aside."""
+
+_told: dict[Path, Path] = {}
+"""By folder of results, where this run sets files aside."""
+
+
+def fresh(path: Path) -> Path:
+    """Make room for a file that a study writes, its folder included.
+
+    An earlier file of that name goes to ``earlier/DATE-TIME/`` beside it, which is said on standard error once per run.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+
+    Returns
+    -------
+    Path
+        The same.
+    """
+    folder = path.parent
+    folder.mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        aside = _told.get(folder)
+        if aside is None or (aside / path.name).exists():
+            aside = _told[folder] = _new(folder / EARLIER)
+            print(f"{folder}: files of an earlier run are kept in {aside}", file=sys.stderr, flush=True)
+        path.rename(aside / path.name)
+    return path
+
+
+def _new(folder: Path) -> Path:
+    name = time.strftime("%Y%m%d-%H%M%S")
+    for number in range(1, 1000):
+        made = folder / (name if number == 1 else f"{name}-{number}")
+        try:
+            made.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return made
+    raise FileExistsError(f"{folder}: a thousand folders of the same second")
