@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sim.axes import name_points
 from sim.chart.derivative_errors import lengths_taken
 from sim.chart.derivatives import GAIN, PERIOD, STIFFNESS
 from sim.chart.points import Group, Point
@@ -17,6 +18,7 @@ from sim.results import fresh
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.transforms import BboxBase
 
 _FLOOR = 1e-16
 _FRONT, _REST, _SEED = "#1f5fa8", "#b9bec5", "#d9822b"
@@ -70,11 +72,14 @@ def draw(group: Group, folder: Path) -> list[Path]:
         )
     best = [p for p in shown if p.on_front]
     axes.step([p.cost for p in best], [max(p.error, floor) for p in best], where="post", color=_FRONT, lw=1, alpha=0.6)
-    _name(axes, best, floor)
-    _name_beaten(axes, shown, floor)
     _ticks(axes, max(p.cost for p in shown) / min(p.cost for p in shown))
     axes.grid(alpha=0.25, which="both")
-    axes.legend(fontsize=8)
+    legend = axes.legend(fontsize=8)
+    figure.draw_without_rendering()
+    taken: list[BboxBase] = [legend.get_window_extent()]
+    for some, must, letters, ink in ((best, True, 7.0, _FRONT), (_beaten(shown), False, 6.0, "#6b7178")):
+        named = [(p.name if p.error > 0.0 else f"{p.name} (0)", p.cost, max(p.error, floor)) for p in some]
+        name_points(axes, named, taken, must=must, size=letters, color=ink)
     paths = [fresh(folder / f"chart_{group.name}.{suffix}") for suffix in ("png", "svg")]
     for path in paths:
         figure.savefig(path, dpi=150)
@@ -93,46 +98,14 @@ def _ticks(axes: Axes, span: float) -> None:
         axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _name(axes: Axes, points: Sequence[Point], floor: float) -> None:
-    for i, point in enumerate(points):
-        text = point.name if point.error > 0.0 else f"{point.name} (0)"
-        at = (point.cost, max(point.error, floor))
-        right = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > 0.8
-        axes.annotate(
-            text,
-            at,
-            textcoords="offset points",
-            xytext=(-6 if right else 6, 5 if i % 2 == 0 else -11),
-            ha="right" if right else "left",
-            fontsize=7,
-            color=_FRONT,
-        )
-
-
-def _name_beaten(axes: Axes, points: Sequence[Point], floor: float) -> None:
-    """Name the best member of every family that has none on the front, where there is room for its name."""
+def _beaten(points: Sequence[Point]) -> list[Point]:
+    """Best member of every family that has none on the front."""
     ahead = {p.family for p in points if p.on_front}
     best: dict[str, Point] = {}
     for point in points:
         if point.family not in ahead and (point.family not in best or point.error < best[point.family].error):
             best[point.family] = point
-    places = [axes.transData.transform((p.cost, max(p.error, floor))) for p in points if p.on_front]
-    for point in best.values():
-        at = (point.cost, max(point.error, floor))
-        place = axes.transData.transform(at)
-        if any(abs(place[0] - x) < 90.0 and abs(place[1] - y) < 9.0 for x, y in places):
-            continue
-        places.append(place)
-        right = axes.transAxes.inverted().transform(place)[0] > 0.8
-        axes.annotate(
-            point.name,
-            at,
-            textcoords="offset points",
-            xytext=(-5 if right else 5, -2),
-            ha="right" if right else "left",
-            fontsize=6,
-            color="#6b7178",
-        )
+    return list(best.values())
 
 
 def conclusions(groups: Sequence[Group]) -> list[str]:

@@ -8,6 +8,7 @@ import sys
 
 import msgspec
 
+from nodes.cli.colour import coloured
 from nodes.cli.main import UsageError, answer
 from sim.drill.drill import HOLD, LIMIT, RATE, Outcome, drill
 from sim.drill.faults import faults
@@ -35,6 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="share of ticks that a soak may miss (default: %(default)s)",
     )
     parser.add_argument("--list", action="store_true", help="list the faults")
+    parser.add_argument("--markdown", action="store_true", help="write the table as Markdown, for a page")
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
     parser.set_defaults(run=run)
 
@@ -80,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         "passed": not failed,
         "drills": msgspec.to_builtins(outcomes),
     }
-    answer(arguments.json, figures_all, table(outcomes))
+    answer(arguments.json, figures_all, table(outcomes, arguments.markdown))
     return 1 if failed else 0
 
 
@@ -93,31 +95,32 @@ def _soak(arguments: argparse.Namespace) -> int:
     return 0 if found.passed else 1
 
 
-def table(outcomes: list[Outcome]) -> str:
+HEADS = ("fault", "what was done", "safe after [ticks]", "ticks lost", "given out [mJ]", "recovered", "result")
+"""Columns of the table; the third to the fifth hold numbers."""
+
+
+def table(outcomes: list[Outcome], markdown: bool = False) -> str:
     """Write the table of a drill.
 
     Parameters
     ----------
     outcomes : list of Outcome
         What came of each fault.
+    markdown : bool
+        Whether to write Markdown, for a page, instead of columns.
 
     Returns
     -------
     str
         One line per fault; below, why one failed or was skipped, and what the columns mean.
     """
-    lines = [
-        "| fault | what was done | safe after [ticks] | ticks lost | given out [mJ] | recovered | result |",
-        "| --- | --- | ---: | ---: | ---: | --- | --- |",
-    ]
-    for one in outcomes:
-        if one.skipped:
-            lines.append(f"| {one.fault} | {one.what} | | | | | skipped |")
-            continue
-        lines.append(
-            f"| {one.fault} | {one.what} | {one.safe_ticks} | {one.lost_ticks} of {one.window_ticks} "
-            f"| {one.energy_j * 1e3:.2f} | {'yes' if one.recovered else 'no'} | {'passed' if one.passed else 'FAILED'} |"
-        )
+    rows = [HEADS, *map(_row, outcomes)]
+    if markdown:
+        lines = [f"| {' | '.join(row)} |" for row in rows]
+        lines.insert(1, "| --- | --- | ---: | ---: | ---: | --- | --- |")
+    else:
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [_laid_out(row, widths) for row in rows]
     lines.append(
         f"safe after: longest time for which an old force or damping acted, limit {LIMIT} ticks of {1e3 / RATE:g} ms "
         f"(the device itself lets go after {HOLD * 1e3:g} ms)"
@@ -126,3 +129,28 @@ def table(outcomes: list[Outcome]) -> str:
         lines += [f"{one.fault}: skipped: {one.skipped}"] if one.skipped else []
         lines += [f"{one.fault}: {reason}" for reason in one.reasons] if not (one.passed or one.skipped) else []
     return "\n".join(lines)
+
+
+def _row(one: Outcome) -> tuple[str, ...]:
+    if one.skipped:
+        return (one.fault, one.what, "", "", "", "", "skipped")
+    return (
+        one.fault,
+        one.what,
+        str(one.safe_ticks),
+        f"{one.lost_ticks} of {one.window_ticks}",
+        f"{one.energy_j * 1e3:.2f}",
+        "yes" if one.recovered else "no",
+        "passed" if one.passed else "FAILED",
+    )
+
+
+def _laid_out(row: tuple[str, ...], widths: list[int]) -> str:
+    cells = [
+        cell.rjust(width) if 2 <= i <= 4 else cell.ljust(width)
+        for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+    ]
+    color = {"passed": "green", "FAILED": "red"}.get(row[-1])
+    if color:
+        cells[-1] = coloured(cells[-1], color, sys.stdout)
+    return "  ".join(cells).rstrip()

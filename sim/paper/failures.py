@@ -85,16 +85,16 @@ def edges() -> Iterator[Edge]:
     short = without_spring(PDAlpha(stiffness=1.0, damping=2.0, order=1.5, taps=8, gains="paper"), PERIOD)
     cases = [
         ("spring", spring, Device(0.1, 1.0)),
-        ("PD B 2", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0)),
-        ("PD B 2", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0, 1.0)),
-        ("PD B 2", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0, 0.4)),
-        ("PD B 40", without_spring(PD(stiffness=1.0, damping=40.0), PERIOD), Device(0.1, 1.0)),
-        ("PDα 1.5, 8 taps", short, Device(0.05, 1.0)),
-        ("PDα 0.8, Oustaloup", recursive, Device(0.1, 1.0, 1.0)),
-        ("paper's optimum B 3", optimum(3.0), Device(0.1, 1.0)),
-        ("paper's optimum B 3", optimum(3.0), Device(0.1, 1.0, 1.0)),
-        ("paper's optimum B 30", optimum(30.0), Device(0.1, 1.0)),
-        ("paper's optimum B 3, hand 300 N/m", optimum(3.0), Device(0.1, 1.0, 0.0, 300.0)),
+        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0)),
+        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0, 1.0)),
+        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0, 0.4)),
+        ("PD, B 40 N s/m", without_spring(PD(stiffness=1.0, damping=40.0), PERIOD), Device(0.1, 1.0)),
+        ("PDα, α 1.5, 8 taps", short, Device(0.05, 1.0)),
+        ("PDα, α 0.8, Oustaloup", recursive, Device(0.1, 1.0, 1.0)),
+        ("paper's optimum, B 3 N s/m", optimum(3.0), Device(0.1, 1.0)),
+        ("paper's optimum, B 3 N s/m", optimum(3.0), Device(0.1, 1.0, 1.0)),
+        ("paper's optimum, B 30 N s/m", optimum(30.0), Device(0.1, 1.0)),
+        ("paper's optimum, B 3 N s/m, hand 300 N/m", optimum(3.0), Device(0.1, 1.0, 0.0, 300.0)),
     ]
     for name, derivative, device in cases:
         limit = k_max(derivative, PERIOD, device).k_max_n_per_m
@@ -103,7 +103,9 @@ def edges() -> Iterator[Edge]:
         laws = [with_spring(derivative, limit * share) for share in (1.0 - MARGIN, 1.0 + MARGIN)]
         inside, outside = (radius(law, device) for law in laws)
         settled = settles(free_scene(model(device), PERIOD), laws, Criterion(HORIZON))
-        yield Edge(f"{name}, m {device.mass:g}, d {device.delay:g}", limit, inside, outside, settled[0], settled[1])
+        yield Edge(
+            f"{name}, m {device.mass:g} kg, d {device.delay:g} ticks", limit, inside, outside, settled[0], settled[1]
+        )
 
 
 def traps() -> list[Claim]:

@@ -294,6 +294,7 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
     from matplotlib.figure import Figure
 
     from nodes.stability.effective_damping import effective_damping
+    from sim.axes import plain_log
 
     named = [(one.family, one.found.taps) for one in (law, pd) if one.found is not None]
     if passive is not None:
@@ -315,6 +316,7 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
             compiled, demand.period, theta / demand.period, whole
         )
         right.plot(theta / np.pi, needed, label=label)
+    plain_log(left.xaxis, float(masses[0]), float(masses[-1]))
     left.axhline(demand.radius, color="k", linestyle="--")
     left.axvspan(*demand.mass, alpha=0.1)
     left.set(xlabel="mass [kg]", ylabel="pole radius", title=f"delay {demand.delay[1]:.3g} ticks")

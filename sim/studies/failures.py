@@ -60,11 +60,11 @@ def run(arguments: argparse.Namespace) -> int:
         "euler_bias": [{"substeps": n, "found": a, "predicted": b} for n, (a, b) in bias.items()],
     }
     saved = save("failures", figures, claims, _draw(found, bias), arguments.out)
-    lines = [f"{'boundary':46} {'K [N/m]':>9}  pole radius − 1 at K ∓ {100.0 * MARGIN:g} %  simulated"]
+    lines = [f"{'boundary':64} {'K [N/m]':>9}  pole radius − 1 at K ∓ {100.0 * MARGIN:g} %  simulated"]
     for edge in found:
         simulated = " / ".join("settled" if s else "not" for s in (edge.settled_inside, edge.settled_outside))
         lines.append(
-            f"{edge.name:46.46} {edge.stiffness:9.1f}  {edge.inside - 1.0:+.1e} / {edge.outside - 1.0:+.1e}"
+            f"{edge.name:64.64} {edge.stiffness:9.1f}  {edge.inside - 1.0:+.1e} / {edge.outside - 1.0:+.1e}"
             f"        {simulated}{'' if edge.agreed else '   DISAGREE'}"
         )
     answer(arguments.json, saved, "\n".join(lines) + f"\n\n{table(claims)}\n{saved['plot']}")
@@ -74,7 +74,9 @@ def run(arguments: argparse.Namespace) -> int:
 def _draw(edges: list[Edge], bias: dict[int, tuple[float, float]]) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.6, 4.6), layout="constrained")
+    from sim.axes import legend_below
+
+    figure = Figure(figsize=(11.5, 5.0), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     for row, edge in enumerate(edges):
         for radius, settled in ((edge.inside, edge.settled_inside), (edge.outside, edge.settled_outside)):
@@ -83,14 +85,15 @@ def _draw(edges: list[Edge], bias: dict[int, tuple[float, float]]) -> Figure:
     left.set_xscale("symlog", linthresh=1e-5)
     left.set_yticks(range(len(edges)), [edge.name for edge in edges], fontsize=7)
     left.invert_yaxis()
-    left.set_xlabel("pole radius − 1")
+    left.margins(x=0.1)
+    left.set_xlabel("pole radius − 1 [1]")
     left.set_title("just inside and outside: ● simulation settled, × it did not", fontsize=9)
     counts = sorted(bias)
     right.plot(counts, [bias[n][1] for n in counts], "0.5", label="1/(1 − 1/n_sub)")
     right.plot(counts, [bias[n][0] for n in counts], "C1o", label="semi-implicit Euler, heavy device")
-    right.set(xscale="log", xlabel="sub-steps per tick", ylabel="K_max over the exact one")
+    right.set(xscale="log", xlabel="sub-steps per tick", ylabel="K_max over the exact one [1]")
     right.set_xticks(counts, [str(n) for n in counts])
     right.minorticks_off()
     right.set_title("what an integrator adds to K_max", fontsize=9)
-    right.legend(fontsize=8)
+    legend_below(figure, right)
     return figure

@@ -105,6 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _draw(setting: Setting, curves: list[Curve]) -> Figure:
     from matplotlib.figure import Figure
 
+    from sim.axes import legend_below, plain_log
     from sim.paper.fig4 import DELAYS, LAWS
 
     figure = Figure(figsize=(10.0, 7.0), layout="constrained")
@@ -119,19 +120,19 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
                 stiffness.plot(gains, felt, color, marker="x", linestyle="none", markersize=4)
                 continue
             nominal = [f.k_max_n_per_m or float("nan") for f in curve.found]
-            stiffness.plot(gains, nominal, color, label=f"{curve.law}, nominal K")
+            stiffness.plot(gains, nominal, color, label=curve.law)
             stiffness.plot(gains, felt, color, linestyle="--", linewidth=0.9)
             swings = [f.frequency_hz or float("nan") for f in curve.found]
-            frequency.plot(gains, swings, color, label=curve.law)
+            frequency.plot(gains, swings, color)
         stiffness.axhline(2.0 * setting.damping / setting.period, color="0.5", linestyle=":", label="2b/T")
         stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles [N/m]")
         stiffness.set_title(f"d = {delay:g}: nominal K full, felt H(1) dashed, Touch X sensor × (H(1))", fontsize=9)
-        stiffness.legend(fontsize=8)
+        plain_log(stiffness.yaxis, *stiffness.get_ylim())
+        plain_log(stiffness.xaxis, setting.gains[0], setting.gains[-1])
         frequency.set(xlabel="B [N s/m]", ylabel="measured swing at the limit [Hz]")
-        if frequency.lines:
-            frequency.legend(fontsize=8)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
+    legend_below(figure, axes[0][0])
     figure.suptitle(
         f"Drop of {setting.mass:g} kg, b = {setting.damping:g} N s/m, {1.0 / setting.period:g} Hz, "
         f"{setting.criterion.ticks} ticks, history = penetration, clamped",

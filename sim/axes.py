@@ -1,0 +1,104 @@
+"""Axes of the studies' figures: what is written beside them can be read, and does not lie over anything."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+    from matplotlib.transforms import BboxBase
+
+_NEAR = ((6, 4, "left"), (6, -10, "left"), (-6, 4, "right"), (-6, -10, "right"), (0, 8, "center"), (0, -14, "center"))
+"""Where a name is tried beside its point [points], and how it is aligned there."""
+
+_FAR = tuple(
+    (distance * x, distance * y, side)
+    for distance in (18, 30, 44, 60)
+    for x, side in ((1.0, "left"), (-1.0, "right"), (0.0, "center"))
+    for y in (1.0, -1.0)
+)
+"""The same further off, with a line to the point."""
+
+
+def name_points(
+    axes: Axes, named: Iterable[tuple[str, float, float]], taken: list[BboxBase], *, must: bool, size: float, color: str
+) -> None:
+    """Write names beside points so that none lies over another.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        All else drawn, limits as they stay.
+    named : iterable of tuple
+        Name, x and y, the most important first.
+    taken : list of Bbox
+        What is written already [pixel]; the names that are placed are added.
+    must : bool
+        Whether a name without room beside its point is written further off, with a line to it; otherwise it is left out.
+    size : float
+        Size of the letters [points].
+    color : str
+        Their colour.
+    """
+    figure = axes.get_figure()
+    assert figure is not None  # noqa: S101  # axes that are drawn belong to one
+    inside = axes.get_window_extent()
+    for text, x, y in named:
+        for dx, dy, side in _NEAR + (_FAR if must else ()):
+            note = axes.annotate(
+                text,
+                (x, y),
+                xytext=(dx, dy),
+                textcoords="offset points",
+                ha=side,
+                fontsize=size,
+                color=color,
+                arrowprops={"arrowstyle": "-", "color": color, "lw": 0.4} if (dx, dy, side) in _FAR else None,
+            )
+            note.set_in_layout(False)
+            box = super(type(note), note).get_window_extent()
+            within = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
+            if within and not any(box.overlaps(other) for other in taken):
+                taken.append(box)
+                break
+            note.remove()
+
+
+def plain_log(axis: Axis, low: float, high: float) -> None:
+    """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, over many decades only the 1.
+
+    matplotlib writes the minor ticks of a short span as powers of ten, which run into each other.
+
+    Parameters
+    ----------
+    axis : matplotlib.axis.Axis
+        Of an axes whose scale is logarithmic.
+    low, high : float
+        What it shows, both positive.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def legend_below(figure: Figure, axes: Axes, columns: int = 6) -> None:
+    """Put one legend for all panels below them, where no curve is.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        With constrained layout.
+    axes : matplotlib.axes.Axes
+        The panel whose curves have the labels.
+    columns : int
+        Entries side by side.
+    """
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
