@@ -44,8 +44,8 @@ def name_points(
     color : str
         Their colour.
     """
-    figure = axes.get_figure()
-    assert figure is not None  # noqa: S101  # axes that are drawn belong to one
+    from matplotlib.text import Text
+
     inside = axes.get_window_extent()
     for text, x, y in named:
         for dx, dy, side in _NEAR + (_FAR if must else ()):
@@ -60,7 +60,9 @@ def name_points(
                 arrowprops={"arrowstyle": "-", "color": color, "lw": 0.4} if (dx, dy, side) in _FAR else None,
             )
             note.set_in_layout(False)
-            box = super(type(note), note).get_window_extent()
+            # Puts the text in its place; the line to the point is no part of it.
+            note.get_window_extent()
+            box = Text.get_window_extent(note)
             within = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
             if within and not any(box.overlaps(other) for other in taken):
                 taken.append(box)

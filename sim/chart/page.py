@@ -76,7 +76,7 @@ def draw(group: Group, folder: Path) -> list[Path]:
     axes.grid(alpha=0.25, which="both")
     legend = axes.legend(fontsize=8)
     figure.draw_without_rendering()
-    taken: list[BboxBase] = [legend.get_window_extent()]
+    taken: list[BboxBase] = [legend.get_window_extent(), *_dots(axes, shown, floor)]
     for some, must, letters, ink in ((best, True, 7.0, _FRONT), (_beaten(shown), False, 6.0, "#6b7178")):
         named = [(p.name if p.error > 0.0 else f"{p.name} (0)", p.cost, max(p.error, floor)) for p in some]
         name_points(axes, named, taken, must=must, size=letters, color=ink)
@@ -96,6 +96,18 @@ def _ticks(axes: Axes, span: float) -> None:
         axes.xaxis.set_minor_formatter("{x:g}")
     else:
         axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _dots(axes: Axes, points: Sequence[Point], floor: float) -> list[BboxBase]:
+    """Boxes of the dots [pixel], which no name should cover."""
+    from matplotlib.transforms import Bbox
+
+    found: list[BboxBase] = []
+    for point in points:
+        x, y = axes.transData.transform((point.cost, max(point.error, floor)))
+        half = 4.0 if point.on_front else 2.0
+        found.append(Bbox.from_extents(x - half, y - half, x + half, y + half))
+    return found
 
 
 def _beaten(points: Sequence[Point]) -> list[Point]:
