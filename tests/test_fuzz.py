@@ -5,8 +5,11 @@ set does a few hundred per parser; a long run is asked for with::
 
     HAPTIC_FUZZ_SECONDS=600 pytest tests/test_fuzz.py
 
-which shares the seconds among the parsers, and with HAPTIC_FUZZ_SEED=… repeats or varies it. What breaks a parser is shown
-as a Python literal, to become a test of that parser.
+which shares the seconds among the parsers, or by the number of inputs that each parser gets::
+
+    HAPTIC_FUZZ_INPUTS=10000000 pytest tests/test_fuzz.py -k "wire or request"
+
+HAPTIC_FUZZ_SEED=… repeats or varies it. What breaks a parser is shown as a Python literal, to become a test of that parser.
 """
 
 from __future__ import annotations
@@ -48,6 +51,7 @@ from tests.support.launching import private_runtime_dir
 from tests.support.recorded import drop
 
 SECONDS = float(os.environ.get("HAPTIC_FUZZ_SECONDS", "0"))
+INPUTS = int(os.environ.get("HAPTIC_FUZZ_INPUTS", "0"))
 SEED = int(os.environ.get("HAPTIC_FUZZ_SEED", "1"))
 EXAMPLES = 100
 
@@ -317,13 +321,16 @@ def test_damaged_input_raises_the_documented_error_only(target: Target, luck: ra
     attempt(target, luck)
 
 
-@pytest.mark.skipif(not SECONDS, reason="a long run is asked for with HAPTIC_FUZZ_SECONDS=600")
+@pytest.mark.skipif(
+    not (SECONDS or INPUTS), reason="a long run is asked for with HAPTIC_FUZZ_SECONDS or HAPTIC_FUZZ_INPUTS"
+)
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_long_run(target: Target) -> None:
     until = time.monotonic() + SECONDS / len(TARGETS)
-    count = 0
-    while time.monotonic() < until:
-        attempt(target, random.Random(f"{SEED} {count}"))  # noqa: S311  # to be repeated
+    count = valid = 0
+    while count < INPUTS or time.monotonic() < until:
+        valid += attempt(target, random.Random(f"{SEED} {count}"))  # noqa: S311  # to be repeated
         count += 1
     assert count
+    print(f"{target.name}: {count} inputs, {valid} of them still valid")

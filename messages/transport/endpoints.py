@@ -30,6 +30,12 @@ if TYPE_CHECKING:
 DOMAIN = b"haptic"
 """ZAP domain of the encrypted sockets; with it set and enforced, a process without a gate lets nobody in."""
 
+MAX_MESSAGE = 16 * MAX_PAYLOAD
+"""Longest frame that is received from a publisher or asked of a node; a longer one ends the connection [bytes]."""
+
+MAX_UPSTREAM = 1024
+"""Longest frame that a listener may send to a publisher: a subscription [bytes]."""
+
 HEARTBEAT_MS = 500
 """How often a silent tcp peer is asked whether it is still there; it is given up after three times as long [ms]."""
 
@@ -140,7 +146,7 @@ def connect(socket: Socket, endpoint: str) -> None:
     """
     bare, key = split(endpoint)
     socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
-    socket.setsockopt(zmq.MAXMSGSIZE, 16 * MAX_PAYLOAD)
+    socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE)
     if bare.startswith("tcp://"):
         _set_tcp(socket)
     if key:
@@ -187,7 +193,9 @@ def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
         When the endpoint or this machine's keys cannot be used, or the address is taken.
     """
     bare, key = (endpoint, "") if is_open and is_open_place(endpoint) else split(endpoint)
-    socket.setsockopt(zmq.MAXMSGSIZE, 16 * MAX_PAYLOAD)
+    socket.setsockopt(zmq.MAXMSGSIZE, MAX_UPSTREAM if socket.type == zmq.XPUB else MAX_MESSAGE)
+    # What never introduces itself must not keep a place.
+    socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
     if bare.startswith("ipc://"):
         # A respawned node finds the socket file of its killed predecessor.
         remove_ipc(bare)

@@ -149,8 +149,13 @@ def new_identity(replace: bool = False) -> Identity:
     return Identity(public, secret)
 
 
-def identity() -> Identity:
+def identity(folder: Path | None = None) -> Identity:
     """Read this machine's key pair.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Directory of the keys, when it is not that of `key_dir`.
 
     Returns
     -------
@@ -162,7 +167,7 @@ def identity() -> Identity:
     KeyRefusedError
         When there is none, or its file is damaged or open to others.
     """
-    path = key_dir() / "identity.key"
+    path = (folder or key_dir()) / "identity.key"
     if not path.exists():
         raise KeyRefusedError(f"{path}: no such file; this machine has no keys yet: haptic keys new")
     words = _read(path)
@@ -227,6 +232,58 @@ def allowed(folder: Path | None = None) -> dict[str, str]:
             raise KeyRefusedError(f"{path}: not one public key; remove it, and: haptic keys allow {path.stem} KEY")
         found[path.stem] = parse_key(words[0])
     return found
+
+
+def trusted(folder: Path | None = None) -> tuple[dict[str, str], str]:
+    """Tell whose keys are let in at this moment; nobody's by what cannot be read.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Directory of the keys, when it is not that of `key_dir`.
+
+    Returns
+    -------
+    tuple of dict and str
+        Public key to the name of its machine, ``self`` for this one; and why some are missing, empty when none are.
+    """
+    found: dict[str, str] = {}
+    why = ""
+    try:
+        found = {key: name for name, key in allowed(folder).items()}
+    except (KeyRefusedError, OSError) as error:
+        why = str(error)
+    try:
+        found[identity(folder).public] = "self"
+    except (KeyRefusedError, OSError) as error:
+        why = why or str(error)
+    return found, why
+
+
+def revoke(name: str) -> Path:
+    """Let a machine in no more; what runs ends its connections within a second.
+
+    Parameters
+    ----------
+    name : str
+        What it is called here.
+
+    Returns
+    -------
+    Path
+        The file removed.
+
+    Raises
+    ------
+    KeyRefusedError
+        When there is none of that name.
+    """
+    path = key_dir() / "allowed" / f"{name}.key"
+    if not _NAME.match(name) or (not path.is_symlink() and not path.exists()):
+        there = sorted(found.stem for found in (key_dir() / "allowed").glob("*.key"))
+        raise KeyRefusedError(f"no key of {name!r} is allowed here; there is: {', '.join(there) or 'none'}")
+    path.unlink()
+    return path
 
 
 def key_of(name: str) -> str:

@@ -15,6 +15,7 @@ import zmq
 from messages.codec import MAX_PAYLOAD, MessageRefusedError
 from messages.errors import HapticError
 from messages.transport.endpoints import connect
+from messages.transport.keys import trusted
 from messages.types import Name, Text
 
 
@@ -165,6 +166,7 @@ class Line:
         payload = msgspec.msgpack.encode(Request(op, args))
         if len(payload) > MAX_REQUEST:
             raise ControlError(f"{self._endpoint}: {op}: a request of {len(payload)} bytes, limit {MAX_REQUEST}")
+        self._refuse_revoked()
         socket = self._socket = self._socket or self._connected()
         socket.rcvtimeo = socket.sndtimeo = int(timeout * 1000)
         try:
@@ -183,6 +185,13 @@ class Line:
         if not reply.ok:
             raise ControlError(reply.error)
         return reply.result
+
+    def _refuse_revoked(self) -> None:
+        """Ask no machine whose key is not allowed here any more, and hear nothing from it."""
+        bare, _, key = self._endpoint.partition("#")
+        if key and key not in trusted()[0]:
+            self.drop()
+            raise ControlError(f"{bare}: its key {key} is not allowed here; to allow it: haptic keys allow NAME {key}")
 
     def _connected(self) -> zmq.Socket[bytes]:
         socket = self._context.socket(zmq.REQ)

@@ -12,16 +12,19 @@ import select
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import zmq
 
+from messages.transport.audience import UPSTREAM_QUEUE, Audience
+from messages.transport.context import move_aside as move_aside
+from messages.transport.context import new_context as new_context
 from messages.transport.endpoints import bind, connect, remove_ipc
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context, Socket
     from messages.transport.gate import Gate
+    from messages.transport.links import Links
     from messages.transport.waker import Waker
 
 SEND_QUEUE = 4096
@@ -36,41 +39,6 @@ _POLLIN = int(zmq.POLLIN)
 
 TimedOut = zmq.Again
 """Raised by `Subscription.next_frame` when nothing came in time."""
-
-
-def new_context(aside: bool = False) -> Context:
-    """Make a context whose sockets never delay its end.
-
-    The I/O threads inherit affinity and priority of the calling thread: set both first.
-
-    Parameters
-    ----------
-    aside : bool
-        Whether to have a second I/O thread, for listeners: see `Publisher` and `move_aside`.
-
-    Returns
-    -------
-    zmq.Context
-        With linger 0.
-    """
-    context: Context = zmq.Context(io_threads=2 if aside else 1)
-    context.linger = 0
-    return context
-
-
-def move_aside() -> None:
-    """Take the second I/O thread off the chain's core and out of its priority.
-
-    It serves the listeners; nothing in the loop waits for it. Call it when the context's first socket exists.
-    """
-    for path in Path("/proc/self/task").iterdir():
-        # libzmq names its threads by their number.
-        if (path / "comm").read_text(encoding="ascii", errors="replace").strip().endswith("IO/1"):
-            thread = int(path.name)
-            others = set(range(os.cpu_count() or 1)) - os.sched_getaffinity(0)
-            os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
-            if others:
-                os.sched_setaffinity(thread, others)
 
 
 class Publisher:
@@ -133,12 +101,16 @@ class Publisher:
         self._aside = super(zmq.Socket, self._sockets[-1]).send
         self._batch = batch
         self._held: list[tuple[bytes, bytes]] = []
-        self._peers: dict[tuple[int, bytes], int] = {}
+        self._audience = Audience(
+            [(one, places[0]) for one, places in zip(self._sockets, self._endpoints, strict=False)]
+        )
         self.endpoint = endpoint
 
     def _bound(self, context: Context, thread: int, places: tuple[str, ...]) -> Socket:
         socket = context.socket(zmq.XPUB)
         socket.setsockopt(zmq.XPUB_VERBOSER, 1)
+        # What listeners send is taken in by the thread that publishes: so much of it between two messages.
+        socket.rcvhwm = UPSTREAM_QUEUE
         socket.sndhwm = SEND_QUEUE
         # Bit 0 is the first I/O thread, bit 1 the second.
         socket.setsockopt(zmq.AFFINITY, 1 << thread)
@@ -223,17 +195,23 @@ class Publisher:
         int
             Live subscriptions to this publisher; every listener of a launch makes one.
         """
-        for i, socket in enumerate(self._sockets):
-            while int(socket.get(_EVENTS)) & _POLLIN:
-                frame = socket.recv(zmq.NOBLOCK)
-                # Anything else than a subscription or its end is a peer's attempt to talk back; nobody listens.
-                if frame[:1] in (b"\x00", b"\x01"):
-                    key = (i, frame[1:])
-                    count = self._peers.get(key, 0) + (1 if frame[:1] == b"\x01" else -1)
-                    self._peers[key] = count
-                    if not count:
-                        del self._peers[key]
-        return sum(self._peers.values())
+        self._audience.tend(1000)
+        return self._audience.count()
+
+    def tend(self, most: int = 16) -> tuple[list[str], bool]:
+        """Take in what listeners have sent: subscriptions and their ends, nothing else and not too many.
+
+        Parameters
+        ----------
+        most : int
+            How many at once; each costs the publishing thread some microseconds.
+
+        Returns
+        -------
+        tuple of list and bool
+            One sentence for each listener that was put out, and whether there is more to take in.
+        """
+        return self._audience.tend(most)
 
     def watched_by(self, gate: Gate) -> None:
         """Let a gate watch who tries to connect.
@@ -243,8 +221,8 @@ class Publisher:
         gate : Gate
             The gate of the process, not yet started.
         """
-        for socket in self._sockets:
-            gate.watch(socket, "server")
+        for socket, places in zip(self._sockets, filter(None, self._endpoints), strict=True):
+            gate.watch(socket, places)
 
     def _close_sockets(self, linger_ms: int) -> None:
         for socket in self._sockets:
@@ -278,6 +256,8 @@ class Subscription:
         Topics to take; ``""`` takes all.
     queue : int
         High-water mark; the default serves the loop, a logger takes more.
+    links : Links, optional
+        What looks after its connections: see messages/transport/links.py.
 
     Attributes
     ----------
@@ -291,8 +271,16 @@ class Subscription:
         When an endpoint or this machine's keys cannot be used.
     """
 
-    def __init__(self, context: Context, endpoints: Iterable[str], topics: Iterable[str], queue: int = 1000) -> None:
+    def __init__(
+        self,
+        context: Context,
+        endpoints: Iterable[str],
+        topics: Iterable[str],
+        queue: int = 1000,
+        links: Links | None = None,
+    ) -> None:
         self._socket = context.socket(zmq.SUB)
+        endpoints = list(endpoints)
         self._socket.rcvhwm = queue
         self._socket.setsockopt(zmq.AFFINITY, 1)
         self._timeout_ms = -1
@@ -301,6 +289,8 @@ class Subscription:
         self._returned: deque[bytes] = deque()
         self._get = self._socket.get
         self._fd = self._socket.FD
+        if links is not None:
+            links.watch(self._socket, endpoints)
         try:
             for endpoint in endpoints:
                 connect(self._socket, endpoint)
@@ -439,16 +429,6 @@ class Subscription:
             return topic, self.next_frame(_NOBLOCK)
         except TimedOut:
             return topic, b""
-
-    def watched_by(self, gate: Gate) -> None:
-        """Let a gate watch who answers where this connects.
-
-        Parameters
-        ----------
-        gate : Gate
-            The gate of the process, not yet started.
-        """
-        gate.watch(self._socket, "client")
 
     def close(self) -> None:
         """Close the socket."""

@@ -6,6 +6,7 @@ node's outbox, what must change is handed over between two ticks. Whatever a req
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import threading
 import time
@@ -26,9 +27,19 @@ from nodes.parameters.yaml_io import WatchedFile
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
     from messages.transport.gate import Gate
+    from messages.transport.links import Links
     from nodes.base.node import Node
 
 STATUS_PERIOD = 0.5
+QUEUE = 4
+"""Requests of one peer that wait."""
+
+BURST, RATE = 50, 100.0
+"""Requests that are served at once, and how many a second after that: each takes the interpreter from the loop."""
+
+END_TIMEOUT = 10.0
+"""How long a request that is being served may take at the node's end [s]."""
+
 WATCH_PERIOD = 0.1
 
 WAKE = "inproc://control-wake"
@@ -44,25 +55,33 @@ class ControlServer(threading.Thread):
         The node to serve.
     context : zmq.Context
         Context of the process.
+    links : Links
+        The node's connections, to be looked after.
     """
 
-    def __init__(self, node: Node, context: Context) -> None:
+    def __init__(self, node: Node, context: Context, links: Links) -> None:
         super().__init__(name=f"{node.setup.name}-control", daemon=True)
         self._node = node
         self._ending = threading.Event()
         self._socket = context.socket(zmq.REP)
+        # Requests are carried by the thread that serves listeners, off the loop's processor where there is another.
+        self._socket.setsockopt(zmq.AFFINITY, 1 << (int(context.get(zmq.IO_THREADS)) - 1))
+        self._socket.rcvhwm = QUEUE
         try:
             bind(self._socket, node.setup.control)
             self._socket.bind(WAKE)
         except ValueError:
             self._socket.close(linger=0)
             raise
-        self._asked = time.monotonic()
+        self._asked = self._counted = time.monotonic()
+        self._tokens = float(BURST)
         self._fetched = threading.Event()
         # Each time it wakes up for nothing, it takes the interpreter's lock from the loop for some 100 µs.
         often = node.setup.watch or node.setup.lease
         self._socket.rcvtimeo = int((WATCH_PERIOD if often else STATUS_PERIOD) * 1000)
         self._context = context
+        self._next_status = self._next_watch = 0.0
+        self._links = links
         self._watched = WatchedFile(node.setup.watch) if node.setup.watch else None
         self._operations: dict[str, Callable[..., Any]] = {
             "status": lambda: msgspec.to_builtins(node.status()),
@@ -111,7 +130,7 @@ class ControlServer(threading.Thread):
         gate : Gate
             The gate of the process, not yet started.
         """
-        gate.watch(self._socket, "server")
+        gate.watch(self._socket, [self._node.setup.control], answers=True)
 
     def await_fetch(self, timeout: float) -> None:
         """Go on answering until the launcher has fetched the last report.
@@ -153,12 +172,22 @@ class ControlServer(threading.Thread):
         except Exception as error:  # noqa: BLE001  # e.g. what a law of another package raises while it is compiled
             return Reply(False, error=f"{name}: {request.op}: {type(error).__name__}: {error}"[:4000])
 
+    def _await_turn(self) -> None:
+        """Wait when there were many requests just now; who asks waits too, and nobody is refused."""
+        now = time.monotonic()
+        self._tokens = min(float(BURST), self._tokens + (now - self._counted) * RATE)
+        self._counted = now
+        if self._tokens < 1.0:
+            self._ending.wait((1.0 - self._tokens) / RATE)
+        self._tokens -= 1.0
+
     def _serve(self) -> None:
         try:
             frames = self._socket.recv_multipart()
         except zmq.Again:
             return
         node = self._node
+        self._await_turn()
         self._asked = time.monotonic()
         node.serving += 1
         reply = self._answer(frames)
@@ -172,22 +201,34 @@ class ControlServer(threading.Thread):
     def run(self) -> None:
         """Serve until stopped."""
         realtime.step_aside()
-        next_status = next_watch = 0.0
         while not self._ending.is_set():
-            self._serve()
-            now = time.monotonic()
+            try:
+                self._serve()
+            except zmq.ZMQError as error:
+                self._node.tell("control", f"a request could not be served: {error}")
             self._node.look_after()
-            self._watch_lease(now)
-            if self._watched is not None and now >= next_watch:
-                next_watch = now + WATCH_PERIOD
-                self._poll_file(self._watched)
-            if now >= next_status:
-                next_status = now + STATUS_PERIOD
-                self._node.serving += 1
-                self._node.post(topics.status(self._node.setup.name), self._node.status())
-                self._node.serving += 1
+            self._watch_lease(time.monotonic())
+            try:
+                self._look_around(time.monotonic())
+            except OSError as error:
+                # Descriptors or memory ran out: what the lease and the next request are for goes on.
+                self._node.tell("control", f"{error}")
+        self._links.close()
         self._socket.close(linger=100)
         remove_ipc(self._node.setup.control)
+
+    def _look_around(self, now: float) -> None:
+        node = self._node
+        if self._watched is not None and now >= self._next_watch:
+            self._next_watch = now + WATCH_PERIOD
+            self._poll_file(self._watched)
+        if now >= self._next_status:
+            self._next_status = now + STATUS_PERIOD
+            node.serving += 1
+            node.post(topics.status(node.setup.name), node.status())
+            # Who answers each tick should hear one all the time, from the first one on.
+            self._links.look(node.ticks or None if node.answers and node.state == "running" else None)
+            node.serving += 1
 
     def _poll_file(self, watched: WatchedFile) -> None:
         node = self._node
@@ -203,14 +244,25 @@ class ControlServer(threading.Thread):
             node.announce("refused", f"{where}{reason}; the running parameters are untouched")
         node.serving += 1
 
-    def stop(self) -> None:
-        """Stop serving and wait for the thread."""
+    def stop(self) -> bool:
+        """Stop serving and wait for the thread, but not for ever.
+
+        Returns
+        -------
+        bool
+            Whether it has ended; when a request is served that does not end, it has not, and its socket is still open.
+        """
         self._ending.set()
         if self.is_alive():
             with self._context.socket(zmq.REQ) as waker:
                 waker.linger = 0
                 waker.connect(WAKE)
-                waker.send(msgspec.msgpack.encode(Request("clock")))
-                self.join()
-        else:
+                # The thread may end this very moment by itself; then nobody takes it.
+                with contextlib.suppress(zmq.Again):
+                    waker.send(msgspec.msgpack.encode(Request("clock")), zmq.NOBLOCK)
+            self.join(END_TIMEOUT)
+            return not self.is_alive()
+        if not self._socket.closed:
+            self._links.close()
             self._socket.close(linger=0)
+        return True

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import msgspec
 
 from messages.codec import Decoder, MessageRefusedError
+from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription
 from messages.types import Message, NodeStatus
 from nodes.base import realtime
@@ -83,6 +84,7 @@ class Node(Telling):
         self.started = threading.Event()
         self.changes = Changes(setup.name)
         self.inbox: Subscription | None = None
+        self.links: Links | None = None
         self.ticks = self.sent = self.received = self.skipped = self.gaps = 0
         self.followed = self.answered = -1
         self.answer = b""
@@ -341,8 +343,25 @@ class Node(Telling):
             self.changes.apply_next(seq)
         if self.outbox:
             self.flush_outbox()
-        if self.changes:
+        if self.tend() or self.changes:
             self.called = True
+
+    def tend(self) -> bool:
+        """Take in what listeners have sent, and connect anew what the control thread found deaf (main thread).
+
+        Returns
+        -------
+        bool
+            Whether there is more to take in.
+        """
+        if self.links is None:
+            # There are no sockets.
+            return False
+        self.links.tend()
+        reasons, is_more = self.publisher.tend()
+        for reason in reasons:
+            self.deny(reason)
+        return is_more
 
     def hand_over(self, apply: Callable[[int], Any], timeout: float = 2.0) -> Any:
         """Hand a prepared change to the loop and wait until it was applied (control thread).

@@ -17,6 +17,7 @@ import msgspec
 
 from messages import topics
 from messages.transport.gate import Gate
+from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription, move_aside, new_context
 from messages.transport.waker import Waker
 from nodes.base import realtime
@@ -52,6 +53,7 @@ def _await_listeners(node: Node) -> None:
                 f"{node.setup.patience:g} s; going on without",
             )
             return
+        node.tend()
         time.sleep(0.002)
 
 
@@ -70,37 +72,31 @@ def _heed_signals(node: Node) -> None:
     signal.signal(signal.SIGIO, signal.SIG_IGN)
 
 
-def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | None]:
-    """Make all sockets, and the gate where one of them is encrypted: where a node has peers on other machines."""
+def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate]:
+    """Make all sockets, and the gate before them."""
     setup = node.setup
-    gate: Gate | None = None
-    if any("#" in place for place in (setup.publish, setup.reach, setup.listen_reach, *setup.sources.values())):
-        gate = Gate(context, node.deny)
+    bound = (setup.publish, setup.control, setup.reach, setup.listen_reach)
+    links = node.links = Links(context, lambda reason: node.tell("link", reason), node.deny, node.call)
+    gate = Gate(context, node.deny, any("#" in place for place in bound), realtime.step_aside)
     try:
         hops, listeners = [setup.reach], [setup.listen, setup.listen_reach]
         batch = LOCKSTEP_BATCH if setup.pace == "lockstep" else max(1, int(LISTENERS_WAIT / setup.period))
         node.publisher = Publisher(
             context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)), batch, setup.open_listen
         )
-        subscriptions: list[Subscription] = []
 
         def subscribe(endpoints: Iterable[str], wanted: Iterable[str], queue: int) -> Subscription:
-            subscriptions.append(Subscription(context, endpoints, wanted, queue))
-            return subscriptions[-1]
+            return Subscription(context, endpoints, wanted, queue, links)
 
         node.connect(subscribe)
         if node.answers and node.inbox is not None:
             node.waker = Waker(context, node.listens_to[0].encode())
             node.inbox.woken_by(node.waker)
-        control = ControlServer(node, context)
-        if gate is not None:
-            node.publisher.watched_by(gate)
-            control.watched_by(gate)
-            for subscription in subscriptions:
-                subscription.watched_by(gate)
+        control = ControlServer(node, context, links)
+        node.publisher.watched_by(gate)
+        control.watched_by(gate)
     except ValueError:
-        if gate is not None:
-            gate.stop()
+        gate.stop()
         raise
     return control, gate
 
@@ -143,8 +139,7 @@ def live(node: Node) -> int:
     code = 1
     try:
         try:
-            if gate is not None:
-                gate.start()
+            gate.start()
             control.start()
             for text in refused:
                 node.tell("realtime", text)
@@ -164,13 +159,12 @@ def live(node: Node) -> int:
     return code
 
 
-def _close(node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int) -> None:
+def _close(node: Node, context: Context, control: ControlServer, gate: Gate, code: int) -> None:
     node.state = "finished" if code == 0 else "failed"
     if node.setup.lease and not node.stop_reason.startswith("launcher lost"):
         control.await_fetch(REPORT_TIMEOUT)
-    if gate is not None:
-        gate.stop()
-    control.stop()
+    gate.stop()
+    is_ended = control.stop()
     # Emptied first, so that the last status tells exactly what was sent before it.
     node.flush_outbox()
     node.post(topics.status(node.setup.name), node.status())
@@ -178,7 +172,8 @@ def _close(node: Node, context: Context, control: ControlServer, gate: Gate | No
     if node.inbox is not None:
         node.inbox.close()
     node.publisher.close()
-    context.term()
+    if is_ended:
+        context.term()
     write_report(node)
 
 

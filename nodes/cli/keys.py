@@ -1,4 +1,4 @@
-"""Keys of this machine and of those that may take part in its launches: new, allow, list."""
+"""Keys of this machine and of those that may take part in its launches: new, allow, revoke, list."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of the verb ``keys``.
     """
-    sub = parser.add_subparsers(dest="chosen", metavar="new|allow|list", required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="new|allow|revoke|list", required=True)
     text = "Make this machine's key pair and print the public key."
     new = sub.add_parser("new", help=text, description=text)
     new.add_argument("--replace", action="store_true", help="replace the pair that is there")
@@ -26,9 +26,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     allow.add_argument("name")
     allow.add_argument("key", help="64 hexadecimal digits, as its haptic keys list prints them")
     allow.add_argument("--replace", action="store_true", help="replace another key under that name")
+    text = "Let a machine in no more: its open connections to whatever runs here end within a second."
+    revoke = sub.add_parser("revoke", help=text, description=text)
+    revoke.add_argument("name")
     text = "Print this machine's public key and the machines that are let in."
     listing = sub.add_parser("list", help=text, description=text)
-    for verb, function in ((new, _new), (allow, _allow), (listing, _list)):
+    for verb, function in ((new, _new), (allow, _allow), (revoke, _revoke), (listing, _list)):
         verb.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
         verb.set_defaults(run=_telling(function))
 
@@ -54,6 +57,13 @@ def _allow(arguments: argparse.Namespace) -> int:
     path = keys.allow(arguments.name, arguments.key, arguments.replace)
     figures = {"name": arguments.name, "public_key": keys.key_of(arguments.name), "file": str(path)}
     answer(arguments.json, figures, f"{arguments.name} is let in ({path})")
+    return 0
+
+
+def _revoke(arguments: argparse.Namespace) -> int:
+    path = keys.revoke(arguments.name)
+    text = f"{arguments.name} is let in no more ({path} removed); what runs here ends its connections within a second"
+    answer(arguments.json, {"name": arguments.name, "file": str(path)}, text)
     return 0
 
 

@@ -121,7 +121,7 @@ class Starter:
         socket = context.socket(zmq.REP)
         try:
             bind(socket, self.control)
-            gate.watch(socket, "server")
+            gate.watch(socket, [self.control], answers=True)
             gate.start()
             socket.rcvtimeo = 200
             return self._serve(socket)

@@ -36,6 +36,8 @@ class LinkParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         Share of the messages of which one byte is changed.
     flood : int
         Copies of old messages sent after each message.
+    oversize : int
+        Length of one more message that is sent after the next one, once for each change [bytes]; 0 for none.
     seed : int
         Of the random numbers.
     """
@@ -45,6 +47,7 @@ class LinkParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     jitter: Time = 0.0
     corrupt: Share = 0.0
     flood: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+    oversize: Annotated[int, msgspec.Meta(ge=0, le=1 << 24)] = 0
     seed: int = 1
 
 
@@ -62,6 +65,7 @@ class Link(Node):
         self._waiting: list[tuple[float, int, bytes]] = []
         self._count = 0
         self._old: list[bytes] = []
+        self._oversize = self._now.oversize
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Take other faults.
@@ -78,7 +82,7 @@ class Link(Node):
         """
 
         def apply(seq: int) -> dict[str, Any]:
-            self._now = parameters
+            self._now, self._oversize = parameters, parameters.oversize
             return {"seq": seq}
 
         return apply
@@ -106,6 +110,9 @@ class Link(Node):
                 self.publisher.send_hop(topic, self._old[n % len(self._old)] if self._old else payload)
             self.sent += 1
             self._old = [*self._old[-63:], payload]
+            if self._oversize:
+                self.publisher.send(topic, bytes(self._oversize))
+                self._oversize = 0
 
     def loop(self) -> None:
         """Pass messages on until stopped."""

@@ -23,6 +23,7 @@ from messages.transport import keys
 from messages.transport.endpoints import bind, connect, split
 from messages.transport.gate import Gate
 from messages.transport.keys import Identity, KeyRefusedError
+from messages.transport.links import Links
 from messages.transport.requests import ControlError, call
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import Force
@@ -163,7 +164,7 @@ class Door:
         self.reply = context.socket(zmq.REP)
         bind(self.reply, self.control)
         self.publisher.watched_by(self.gate)
-        self.gate.watch(self.reply, "server")
+        self.gate.watch(self.reply, [self.control], answers=True)
         self.gate.start()
 
     def close(self) -> None:
@@ -216,6 +217,7 @@ def test_an_unknown_key_hears_and_asks_nothing_until_it_is_allowed(
     with as_somebody_else(tmp_path / "other") as other:
         listener = Subscription(context, [door.endpoint], [""])
         wait_for(denied(door, other.public), "the refusal, with the key")
+        keys.allow("door", split(door.control)[1])
         assert not hears(door, listener)
         with pytest.raises(ControlError, match="no answer"):
             call(context, door.control, "stop", timeout=0.3)
@@ -273,19 +275,19 @@ def test_a_forger_bound_in_a_nodes_place_is_not_heard(context: Context, me: Iden
         keys.allow("victim", me.public)
         fake = Publisher(forgeries, f"tcp://127.0.0.1:{port}#{forger.public}")
         gate.start()
-    watch = Gate(context, told.append)
-    victim = Subscription(context, [f"tcp://127.0.0.1:{port}#{me.public}"], [topics.FORCE])
-    victim.watched_by(watch)
-    watch.start()
+    links = Links(context, told.append, told.append)
+    victim = Subscription(context, [f"tcp://127.0.0.1:{port}#{me.public}"], [topics.FORCE], links=links)
     payload = encode(Force(seq=1, stamp=0.0, force=(0.0, 0.0, 99.0)))
 
     def forged() -> bool:
         fake.send(topics.FORCE.encode(), payload)
         assert victim.receive(5) is None
+        links.look()
+        links.tend()
         return any("does not have the key" in reason for reason in told)
 
     wait_for(forged, "the report about the forger")
-    watch.stop()
+    links.close()
     victim.close()
     gate.stop()
     fake.close(0)
@@ -365,6 +367,7 @@ def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me
             setup = launch.run.nodes["coupling"]
             stranger = new_context()
             with as_somebody_else(tmp_path / "stranger") as other:
+                keys.allow("robot", me.public)
                 spy = Subscription(stranger, [setup.publish], [""])
                 with pytest.raises(ControlError, match="no answer"):
                     call(stranger, setup.control, "stop", timeout=0.3)

@@ -152,6 +152,13 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
     assert name == "killed in start-up" or outcome.lost_ticks > drill.WATCHDOG
 
 
+@pytest.mark.parametrize("name", ["oversize message", "impostor", "revoked key", "fd exhaustion"])
+def test_intruders_are_told_and_put_out_and_the_loop_goes_on(name: str) -> None:
+    outcome = drill.drill(next(fault for fault in faults() if fault.name == name))
+    assert outcome.passed, outcome.reasons
+    assert outcome.left == []
+
+
 def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
     def strike(rig: Rig) -> None:
         rig.call("link", "param.set", values={"drop": 1.0})

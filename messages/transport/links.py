@@ -1,0 +1,207 @@
+"""Links: connections to publishers that must not go deaf in silence.
+
+ZeroMQ tries again when a peer goes away, but gives up for good when what comes breaks its protocol: a message above the
+limit, or another service on a node's port. It says so to nobody. Here a link that was given up, that gets no handshake, or
+over which nothing comes any more, is told with the reason and connected anew. All of it off the loop: the loop's thread only
+takes up what was asked for, between two ticks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+import zmq
+from zmq.utils.monitor import parse_monitor_message
+
+from messages.transport.endpoints import HANDSHAKE_MS, MAX_MESSAGE, connect
+from messages.transport.gate import FAILURES, monitor
+from messages.transport.keys import trusted
+
+if TYPE_CHECKING:
+    from messages.transport.endpoints import Context, Socket
+
+GIVEN_UP = 0.3
+"""So long after the end of a connection without another try ZeroMQ has given it up [s]."""
+
+AGAIN = 1.0
+"""Shortest time between two new connections of a link [s]."""
+
+SILENCE = 3.0
+"""After so long without a message a link is silent [s]."""
+
+_EVENTS = (
+    FAILURES | zmq.EVENT_CONNECTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_HANDSHAKE_SUCCEEDED
+)
+_NOT_LET_IN = "this machine's key is not let in there; there: haptic keys allow NAME KEY"
+_NO_KEY = "whoever answers there does not have the key that is expected; nothing is taken from it"
+_NO_NODE = "whoever answers there is not a node"
+_STATES: dict[int, str] = {
+    zmq.EVENT_CONNECTED: "no handshake",
+    zmq.EVENT_HANDSHAKE_SUCCEEDED: "connected",
+    zmq.EVENT_DISCONNECTED: "given up",
+    zmq.EVENT_CONNECT_RETRIED: "nobody answers",
+}
+
+
+class _Link:
+    """One endpoint that a subscription is connected to."""
+
+    def __init__(self, socket: Socket, endpoint: str) -> None:
+        self.socket, self.endpoint = socket, endpoint
+        self.bare, _, self.key = endpoint.partition("#")
+        self.state, self.since, self.was_open, self.failed = "connected", time.monotonic(), True, ""
+        self.renewed, self.is_revoked = 0.0, False
+
+    def take(self, event: int, now: float) -> str:
+        """Take an event; why the other side was not accepted, or did not accept, when it is that."""
+        if event & FAILURES:
+            self.failed = _NOT_LET_IN if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH else _NO_KEY if self.key else _NO_NODE
+            return self.failed
+        self.state, self.since = _STATES[event], now
+        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+            self.was_open, self.failed = True, ""
+        elif event == zmq.EVENT_CONNECTED:
+            self.was_open = False
+        return ""
+
+    def trouble(self, now: float) -> str:
+        """Why it must be connected anew; empty when it must not."""
+        if self.is_revoked or now - self.renewed < AGAIN:
+            return ""
+        if self.state == "given up" and now - self.since > GIVEN_UP:
+            if self.was_open:
+                return f"what came was longer than {MAX_MESSAGE} bytes, the limit, or no message at all"
+            return self.failed or _NO_NODE
+        if self.state == "no handshake" and now - self.since > 1e-3 * HANDSHAKE_MS + GIVEN_UP:
+            return f"{_NO_NODE}: no handshake"
+        return ""
+
+
+class Links:
+    """Looks after the links of one process.
+
+    Parameters
+    ----------
+    context : zmq.Context
+        Context of the process.
+    tell : callable
+        Takes one sentence: which link, why, and what is done.
+    denied : callable
+        Takes one sentence for every answer that was not accepted.
+    call : callable
+        Called when `tend` has something to do.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        tell: Callable[[str], None],
+        denied: Callable[[str], None],
+        call: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._context, self._tell, self._denied, self._call = context, tell, denied, call
+        self._asked: deque[tuple[_Link, bool]] = deque()
+        self._monitors: list[tuple[Socket, list[_Link]]] = []
+        self._links: list[_Link] = []
+        self._heard, self._heard_at = -1, time.monotonic()
+
+    def watch(self, socket: Socket, endpoints: Iterable[str]) -> None:
+        """Look after a subscription, which calls this before it connects.
+
+        Parameters
+        ----------
+        socket : zmq.Socket
+            Its socket, not yet connected; later looks may be on another thread than its own.
+        endpoints : iterable of str
+            What it will be connected to.
+        """
+        links = [_Link(socket, endpoint) for endpoint in endpoints]
+        self._monitors.append((monitor(self._context, socket, _EVENTS), links))
+        self._links += links
+
+    def look(self, heard: int | None = None) -> None:
+        """See whether a link is in trouble, tell it and ask for a new connection.
+
+        Parameters
+        ----------
+        heard : int, optional
+            Messages heard so far, by a process that should hear some all the time; None for one that need not.
+        """
+        now = time.monotonic()
+        for events, links in self._monitors:
+            with contextlib.suppress(zmq.Again):
+                while True:
+                    told = parse_monitor_message(events.recv_multipart(zmq.NOBLOCK))
+                    for link in _meant(links, told["endpoint"].decode("utf-8", "replace")):
+                        failure = link.take(int(told["event"]), now)
+                        if failure:
+                            self._denied(f"{link.bare}: {failure}")
+        self._drop_revoked(now)
+        for link in self._links:
+            trouble = link.trouble(now)
+            if trouble:
+                self._renew(link, f"{trouble}; connecting anew", now)
+        self._listen_for_silence(heard, now)
+
+    def _renew(self, link: _Link, reason: str, now: float) -> None:
+        link.state, link.since, link.renewed = "asked for", now, now
+        self._tell(f"{link.bare}: {reason}")
+        self._asked.append((link, True))
+        self._call()
+
+    def _drop_revoked(self, now: float) -> None:
+        if not any(link.key for link in self._links):
+            return
+        there, _ = trusted()
+        for link in self._links:
+            if link.key and link.key not in there and not link.is_revoked:
+                link.is_revoked = True
+                self._tell(
+                    f"{link.bare}: its key {link.key} is not allowed here any more; nothing more is taken from it"
+                )
+                self._asked.append((link, False))
+                self._call()
+            elif link.is_revoked and link.key in there:
+                link.is_revoked = False
+                self._renew(link, "its key is allowed again; connecting anew", now)
+
+    def _listen_for_silence(self, heard: int | None, now: float) -> None:
+        if heard is None or heard != self._heard:
+            self._heard, self._heard_at = heard if heard is not None else -1, now
+            return
+        if now - self._heard_at > SILENCE:
+            self._heard_at = now
+            for link in [link for link in self._links if not link.is_revoked]:
+                why = link.failed or link.state
+                self._renew(link, f"no message for {SILENCE:g} s ({why}); connecting anew", now)
+
+    def tend(self) -> None:
+        """Connect anew, and part from, what `look` found; on the thread that receives."""
+        while self._asked:
+            link, again = self._asked.popleft()
+            # ZeroMQ may have given it up and forgotten it.
+            with contextlib.suppress(zmq.ZMQError):
+                link.socket.disconnect(link.bare)
+            if again:
+                # Keys that cannot be read any more connect nobody.
+                with contextlib.suppress(ValueError):
+                    connect(link.socket, link.endpoint)
+
+    def close(self) -> None:
+        """Stop looking; before the subscriptions are closed."""
+        for events, links in self._monitors:
+            if links and not links[0].socket.closed:
+                links[0].socket.disable_monitor()
+            events.close(linger=0)
+        self._monitors = []
+
+
+def _meant(links: list[_Link], place: str) -> list[_Link]:
+    """Links that ZeroMQ means by an endpoint, which it may write with an address in place of a name."""
+    exact = [link for link in links if link.bare == place]
+    port = place.rpartition(":")[2]
+    return exact or [link for link in links if link.bare.startswith("tcp://") and link.bare.rpartition(":")[2] == port]

@@ -1,0 +1,195 @@
+"""Faults that come from somebody else: on a node's port, with a key that was taken away, with too many connections."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from messages.transport import keys
+from messages.transport.endpoints import MAX_MESSAGE, split
+from sim.drill.drill import Fault
+from sim.measure.rig import Rig, RigError
+
+HELD = 1.0
+"""How long an intruder stays [s]."""
+
+FEW = 256
+"""Descriptors that are left to a driver that is flooded."""
+
+
+def _let_pass(rig: Rig, seconds: float) -> None:
+    rig.wait(lambda: rig.launcher.poll() is not None, seconds)
+
+
+@contextlib.contextmanager
+def _keys_of(folder: Path) -> Iterator[None]:
+    """Act as a machine with other keys."""
+    before = os.environ.get("HAPTIC_KEYS")
+    os.environ["HAPTIC_KEYS"] = str(folder)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["HAPTIC_KEYS"]
+        else:
+            os.environ["HAPTIC_KEYS"] = before
+
+
+class _Elsewhere:
+    """A coupling as on another machine: started by hand, over tcp, with keys of its own."""
+
+    def __init__(self) -> None:
+        self.folder = Path()
+        self._node: subprocess.Popen[bytes] | None = None
+
+    def prepare(self) -> Mapping[str, str]:
+        self.folder = Path(tempfile.mkdtemp(prefix="hk-", dir=Path("/tmp")))  # noqa: S108  # short, as sockets' paths must be
+        with contextlib.ExitStack() as held:
+            ports = [held.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(2)]
+            # The next one is for its requests, and most likely free.
+            self.port = min(int(port.getsockname()[1]) for port in ports)
+        made = {}
+        for name in ("near", "far"):
+            with _keys_of(self.folder / name):
+                made[name] = keys.new_identity().public
+        for name, other, called in (("near", "far", "robot"), ("far", "near", "launcher")):
+            with _keys_of(self.folder / name):
+                keys.allow(called, made[other])
+        self.start()
+        return {"HAPTIC_KEYS": str(self.folder / "near")}
+
+    def start(self) -> None:
+        (self.folder / "r").mkdir(mode=0o700, exist_ok=True)
+        self._node = subprocess.Popen(
+            [sys.executable, "-m", "nodes.cli.main", "node", "start", "coupling", "--bind", f"127.0.0.1:{self.port}"],
+            env={**os.environ, "HAPTIC_KEYS": str(self.folder / "far"), "HAPTIC_RUNTIME_DIR": str(self.folder / "r")},
+            cwd=self.folder,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def change(self, content: dict[str, Any]) -> None:
+        content["nodes"]["coupling"] |= {"host": "127.0.0.1", "port": self.port, "key": "robot", "respawn_delay": 0.0}
+
+    def replace(self, rig: Rig) -> None:
+        """Kill it, let another service answer on its port for a while, and start it again."""
+        assert self._node is not None  # noqa: S101  # prepare() came first
+        self._node.kill()
+        self._node.wait()
+        impostor = socket.create_server(("127.0.0.1", self.port))
+        held: list[socket.socket] = []
+
+        def serve() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    held.append(impostor.accept()[0])
+                    held[-1].sendall(b"HTTP/1.1 200 OK\r\n\r\n" * 20)
+
+        threading.Thread(target=serve, daemon=True).start()
+        _let_pass(rig, HELD)
+        impostor.shutdown(socket.SHUT_RDWR)
+        impostor.close()
+        for one in held:
+            one.close()
+        self.start()
+
+    def revoke(self, rig: Rig) -> None:
+        """Take its key away; give it back when it has ended by its lease, and start it again."""
+        assert self._node is not None  # noqa: S101
+        with _keys_of(self.folder / "near"):
+            robot = keys.key_of("robot")
+            keys.revoke("robot")
+            if not rig.wait(lambda: rig.states[-1].safety == "zero", 5.0):
+                raise RigError("a coupling whose key was revoked still commands force after 5 s")
+            rig.wait(lambda: self._node is not None and self._node.poll() is not None, 20.0)
+            keys.allow("robot", robot)
+        self.start()
+
+    def tidy(self) -> None:
+        if self._node is not None:
+            # It ends when its launcher does.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._node.wait(10.0)
+            self._node.kill()
+            self._node.wait()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _send_oversize(rig: Rig) -> None:
+    rig.call("link", "param.set", values={"oversize": MAX_MESSAGE + 1})
+    rig.wait(lambda: rig.states[-1].safety == "zero", 5.0)
+    rig.call("link", "param.set", values={"oversize": 0})
+
+
+def _exhaust(rig: Rig) -> None:
+    """Connect to every socket of the driver, again and again, where it may open only a few files."""
+    driver = rig.pid("driver")
+    resource.prlimit(driver, resource.RLIMIT_NOFILE, (FEW, FEW))
+    setup = rig.info.nodes["driver"]
+    clients: list[socket.socket] = []
+    until = time.monotonic() + HELD
+    while time.monotonic() < until and len(clients) < 3 * FEW:
+        for place in (setup.control, setup.publish, setup.listen):
+            client = socket.socket(socket.AF_UNIX)
+            client.setblocking(False)
+            clients.append(client)
+            # Where the queue is full the kernel refuses, and where the process is gone the drill sees it.
+            with contextlib.suppress(OSError):
+                client.connect(split(place)[0].removeprefix("ipc://"))
+        _let_pass(rig, 0.001)
+    for client in clients:
+        client.close()
+    if rig.pid("driver") != driver:
+        raise RigError("the driver did not survive the flood of connections")
+
+
+def faults() -> list[Fault]:
+    """List the faults that come from somebody else.
+
+    Returns
+    -------
+    list of Fault
+        In the order of the table.
+    """
+    impostor, revoked = _Elsewhere(), _Elsewhere()
+
+    def with_link(content: dict[str, Any]) -> None:
+        content["nodes"]["link"] = {"kind": "link"}
+
+    return [
+        Fault(
+            name="oversize message",
+            what=f"one force of more than {MAX_MESSAGE >> 20} MiB",
+            strike=_send_oversize,
+            change=with_link,
+        ),
+        Fault(
+            name="impostor",
+            what="coupling over tcp killed, a web server on its port",
+            strike=impostor.replace,
+            change=impostor.change,
+            prepare=impostor.prepare,
+            tidy=impostor.tidy,
+        ),
+        Fault(
+            name="revoked key",
+            what="of a coupling over tcp, allowed again later",
+            strike=revoked.revoke,
+            change=revoked.change,
+            prepare=revoked.prepare,
+            tidy=revoked.tidy,
+        ),
+        Fault(name="fd exhaustion", what=f"{3 * FEW} connections, {FEW} descriptors", strike=_exhaust),
+    ]
