@@ -100,7 +100,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     for name in VERBS.names():
         # Another package's sub-verb declares its own arguments and what runs.
         module = VERBS.load(name)
-        text = (module.__doc__ or "").strip().splitlines()[0]
+        text = (module.__doc__ or "").strip().partition("\n")[0]
         own = sub.add_parser(name, help=text, description=text)
         own.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
         module.add(own)

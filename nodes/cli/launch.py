@@ -284,11 +284,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     with _signals(supervisor):
         try:
             supervisor.supervise(progress)
-        except LaunchFailedError as error:
-            supervisor.failed = True
-            supervisor.exit_reason = str(error)
-            say(str(error))
-        except ControlError as error:
+        except (LaunchFailedError, ControlError, OSError) as error:
             supervisor.failed = True
             supervisor.exit_reason = str(error)
             say(str(error))
@@ -307,6 +303,8 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             figures["plot"] = str(picture)
         except RecordError as error:
             say(f"no plot: {error}")
+        except KeyboardInterrupt:
+            say(f"no plot: interrupted; haptic bag plot {here[0]} draws it")
     last_words()
     try:
         answer(arguments.json, figures, _text(launch, figures))

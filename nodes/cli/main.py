@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import io
 import json
 import os
 import re
@@ -116,7 +117,7 @@ def parser_for(chosen: str | None) -> Parser:
             sub.add_parser(name, help=_help_line(name))
             continue
         module = VERBS.load(name)
-        verb = sub.add_parser(name, description=(module.__doc__ or "").strip().splitlines()[0])
+        verb = sub.add_parser(name, description=(module.__doc__ or "").strip().partition("\n")[0])
         module.add(verb)
     return parser
 
@@ -143,6 +144,29 @@ def main(argv: list[str] | None = None) -> int:
         Exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
     """
     argv = sys.argv[1:] if argv is None else argv
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A terminal or a locale without µ gets a question mark, not a traceback.
+            stream.reconfigure(errors="replace")
+    try:
+        return _run(argv)
+    except UsageError as error:
+        print(f"haptic: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        # The reader of a pipe (head, grep -q) went away: not our failure, and Python must not complain at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        # What a disk or a directory refuses is no fault of the program: no traceback.
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"haptic: {where}{error.strerror or error}", file=sys.stderr)
+        return 1
+
+
+def _run(argv: list[str]) -> int:
     chosen = next((word for word in argv if not word.startswith("-")), None)
     try:
         parser = parser_for(chosen if chosen in VERBS.names() else None)
@@ -166,20 +190,11 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     try:
         return int(run(arguments))
-    except UsageError as error:
-        print(f"haptic: {error}", file=sys.stderr)
-        return 2
     except RefusedError as error:
         if getattr(arguments, "json", False):
             print(json.dumps({"error": str(error)}), flush=True)
         print(f"haptic: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:
-        # The reader of a pipe (head, grep -q) went away: not our failure, and Python must not complain at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
 
 
 if __name__ == "__main__":

@@ -121,8 +121,14 @@ def runtime_dir() -> Path:
 
 
 def _private(path: Path) -> Path:
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = path.lstat()
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = path.lstat()
+    except OSError as error:
+        # A file or a dangling link in its place, a disk that is full or read-only.
+        raise RunError(
+            f"{path}: the runtime directory cannot be made: {error.strerror}; set HAPTIC_RUNTIME_DIR to a directory of your own"
+        ) from error
     if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077 or not stat.S_ISDIR(found.st_mode):
         raise RunError(f"{path}: must be a directory of user {os.getuid()} with mode 0700; remove it or chmod 700 it")
     return path

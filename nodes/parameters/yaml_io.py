@@ -9,7 +9,6 @@ from __future__ import annotations
 import fcntl
 import os
 import re
-from pathlib import Path
 from typing import Any, ClassVar
 
 import yaml
@@ -46,7 +45,7 @@ class _Loader(yaml.SafeLoader):
 
     yaml_constructors: ClassVar[dict[str | None, Any]] = {
         f"tag:yaml.org,2002:{name}": yaml.SafeLoader.yaml_constructors[f"tag:yaml.org,2002:{name}"]
-        for name in ("map", "seq", "str", "bool", "null", "float")
+        for name in ("map", "seq", "str", "null", "float")
     }
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # as PyYAML declares it
     depth = 0
@@ -78,8 +77,14 @@ class _Loader(yaml.SafeLoader):
             seen.add(name)
         return super().construct_mapping(node, deep)
 
+    def construct_bool(self, node: Any) -> bool:
+        text = str(self.construct_scalar(node)).lower()
+        if text not in ("true", "false"):
+            raise yaml.YAMLError(f"{text[:40]!r} is neither true nor false{node.start_mark}")
+        return text == "true"
+
     def construct_int(self, node: Any) -> int:
-        text = node.value.replace("_", "")
+        text = str(self.construct_scalar(node)).replace("_", "")
         # The length first: Python refuses to read very long numbers, with advice that helps nobody here.
         value = int(text, 16 if text.startswith("0x") else 10) if len(text) < 100 else MAX_INT + 1
         if not -MAX_INT <= value <= MAX_INT:
@@ -101,6 +106,7 @@ for _name, _pattern, _first in _RESOLVED:
     for _class in (_Loader, _Dumper):
         _class.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", _pattern, list(_first))
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_int)
+_Loader.add_constructor("tag:yaml.org,2002:bool", _Loader.construct_bool)
 _Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
 
 
@@ -177,12 +183,16 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
         When it cannot be read or parsed.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        with open(path, "rb") as file:
+            # A document of that many characters has at most four times as many bytes; a device never ends.
+            content = file.read(4 * MAX_CHARACTERS + 1)
+        if len(content) > 4 * MAX_CHARACTERS:
+            raise ParameterError(f"{path}: more than {4 * MAX_CHARACTERS} bytes, limit {MAX_CHARACTERS} characters")
+        return parse_yaml(content.decode("utf-8"), str(path))
     except OSError as error:
         raise ParameterError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise ParameterError(f"{path}: not UTF-8: {error}") from error
-    return parse_yaml(text, str(path))
 
 
 class WatchedFile:

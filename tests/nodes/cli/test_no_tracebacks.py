@@ -1,0 +1,113 @@
+"""What a careless shell, a bad file or a full disk does to the command: one line that says so, never a traceback."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.support.launching import DEADLINE, haptic, private_runtime_dir
+
+COMMAND = Path(sys.executable).parent / "haptic"
+
+
+@pytest.mark.parametrize(
+    "value", ["!!int [1]", "!!bool x", "!!float x", "!!int {a: 1}", "!!seq x", "!!map x", "!!null [1]"]
+)
+def test_tags_that_do_not_fit_are_refused_where_they_stand(value: str, tmp_path: Path) -> None:
+    (tmp_path / "given.yaml").write_text(f"coupling:\n  ramp: {value}\n", encoding="utf-8")
+    told = haptic(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
+    assert "given.yaml" in told
+    assert "Traceback" not in told
+
+
+def test_a_file_that_never_ends_is_not_read_to_its_end(tmp_path: Path) -> None:
+    told = haptic(tmp_path, "launch", "floor_drop", "--params", "/dev/zero", code=2).stderr
+    assert told.startswith("haptic: /dev/zero: more than ")
+
+
+@pytest.mark.parametrize("what", ["file", "link"])
+def test_a_runtime_directory_that_is_none(what: str, tmp_path: Path) -> None:
+    place = tmp_path / "runtime"
+    if what == "file":
+        place.write_text("", encoding="utf-8")
+    else:
+        place.symlink_to(tmp_path / "nowhere")
+    for words in (("launch", "floor_drop"), ("node", "list"), ("topic", "list")):
+        environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(place)}
+        told = haptic(tmp_path, *words, environment=environment, code=2).stderr
+        assert told.startswith(f"haptic: {place}: ")
+        assert "HAPTIC_RUNTIME_DIR" in told
+        assert "Traceback" not in told
+
+
+def test_no_room_for_the_run_s_directory(tmp_path: Path) -> None:
+    """A full disk: /dev/full cannot hold a directory, a tmpfs of no inodes can be mounted where one may."""
+    mounted = tmp_path / "full"
+    mounted.mkdir()
+    script = f"mount -t tmpfs -o size=4k,nr_inodes=1,mode=700 none {mounted} && exec {COMMAND} launch floor_drop"
+    done = subprocess.run(
+        ["unshare", "-m", "-r", "sh", "-c", script],
+        cwd=tmp_path,
+        env={**os.environ, "HAPTIC_RUNTIME_DIR": str(mounted)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=DEADLINE,
+    )
+    if "unshare" in done.stderr or "mount:" in done.stderr:
+        pytest.skip("no mounts for this user")
+    assert done.returncode != 0
+    assert "No space left on device" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "more", [{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, {"PYTHONOPTIMIZE": "2"}]
+)
+def test_odd_interpreters(more: dict[str, str], tmp_path: Path) -> None:
+    with private_runtime_dir() as runtime_dir:
+        environment = {**os.environ, **more, "HAPTIC_RUNTIME_DIR": str(runtime_dir)}
+        words = ("launch", "floor_drop", "pace:=lockstep", "duration:=0.2", "--no-plot")
+        done = haptic(tmp_path, *words, environment=environment)
+        assert "response  p50" in done.stdout
+        assert "Traceback" not in done.stderr
+        assert "usage: haptic" in haptic(tmp_path, "launch", "--help", environment=environment).stdout
+        haptic(tmp_path, "study", "kmax", "--gain", "3", environment=environment)
+
+
+def test_a_place_that_cannot_be_written_to_is_told_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "notes").write_text("", encoding="utf-8")
+    for out in ("notes/deeper", "/proc/nothing"):
+        told = haptic(tmp_path, "study", "kmax", "--gain", "1..5", "--out", out, code=2)
+        assert told.stderr.startswith(f"haptic: {out}: ")
+        assert "choose another --out" in told.stderr
+        assert told.stdout == ""
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.06, 0.12, 0.2])
+def test_an_interrupt_while_the_command_starts_is_quiet(delay: float, tmp_path: Path) -> None:
+    with private_runtime_dir() as runtime_dir:
+        process = subprocess.Popen(
+            [COMMAND, "launch", "floor_drop", "duration:=600"],
+            cwd=tmp_path,
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        # Not a wait for anything: where in its start the signal meets the command is what differs.
+        until = time.monotonic() + delay
+        while time.monotonic() < until:
+            pass
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=DEADLINE)
+    assert process.returncode in (130, -signal.SIGINT)
+    # Before its first own line runs, it is Python's own start that is interrupted, and says so as it likes.
+    assert "nodes/cli/main.py" not in told
+    assert "nodes/launcher" not in told
