@@ -4,7 +4,7 @@ The run is cut into windows, each with an initial state of its own, so that noth
 error grows from one into the next. Within a window the device moves by the exact map with Coulomb friction
 (`sim.device.friction`), from one force to the next wherever in the tick that one takes effect. The unknowns are taken where the
 motion is nearly linear in them, per unit of mass: 1/m, b/m, c/m, k/m, constant load/m, and the device's own delay. Gauss–Newton
-steps with Levenberg's damping find them all; the initial states are eliminated window by window.
+steps with Levenberg's damping find them all; the initial states are eliminated window by window. THEORY.md §12.
 """
 
 from __future__ import annotations

@@ -1,0 +1,191 @@
+"""A device whose own servo is faster than the loop: a damper between the loop's ticks, and how stiff the wall may be then.
+
+The servo samples the device every T/N and answers with a damper on the backward difference; the coupling's force comes every T,
+some servo ticks late. Over one period of the loop this is one linear map (N exact steps, lifted), so the loop is stable iff the
+pole radius of that map is below 1: no approximation is involved.
+
+A heavy device leaves a closed form, for any delay and damping: at the edge the motion is slow against both rates, the
+servo's damper counts in full, and H(1) ≤ (b + B_s)/(T (½ + d)). THEORY.md §13.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from nodes.stability.held_plant import held_step
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from nodes.laws import CompiledLaw
+
+
+@dataclass(frozen=True)
+class TwoRate:
+    """A device with a servo.
+
+    Attributes
+    ----------
+    mass, damping : float
+        Of the device [kg], [N s/m].
+    servo_damping : float
+        B_s of the servo's damper [N s/m].
+    ratio : int
+        N, servo ticks per tick of the loop.
+    delay : int
+        From the loop's sample to its force taking effect [servo ticks].
+    """
+
+    mass: float
+    damping: float
+    servo_damping: float
+    ratio: int
+    delay: int = 0
+
+    def __post_init__(self) -> None:
+        if not (self.mass > 0.0 and self.damping >= 0.0 and self.servo_damping >= 0.0):
+            raise ValueError(
+                f"mass {self.mass} kg, damping {self.damping}, servo {self.servo_damping} N s/m: no device"
+            )
+        if self.ratio < 1 or self.delay < 0:
+            raise ValueError(
+                f"ratio {self.ratio}, expected at least 1; delay {self.delay} servo ticks, expected 0 or more"
+            )
+
+
+def heavy_limit(device: TwoRate, period: float) -> float:
+    """Largest stiffness of a spring for a heavy device, in closed form.
+
+    Parameters
+    ----------
+    device : TwoRate
+        The device; its mass does not matter.
+    period : float
+        Sampling period T of the loop [s].
+
+    Returns
+    -------
+    float
+        (b + B_s)/(T (½ + d)), d in ticks of the loop [N/m].
+    """
+    return (device.damping + device.servo_damping) / (period * (0.5 + device.delay / device.ratio))
+
+
+def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float64]:
+    """Write one period of the loop as one matrix.
+
+    The state at a tick of the loop is position, velocity, position one servo tick ago, the n older samples of the loop, and the
+    forces that have not taken effect, oldest first.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps only [N/m].
+    period : float
+        Sampling period T of the loop [s].
+    device : TwoRate
+        The device.
+
+    Returns
+    -------
+    ndarray, shape (s, s)
+        From the state at one tick to that at the next.
+
+    Raises
+    ------
+    ValueError
+        When the law has sections.
+    """
+    import numpy as np
+
+    if law.sections:
+        raise ValueError("law: only taps can be lifted over the servo's ticks")
+    short = period / device.ratio
+    _, (a11, a12, a21, a22), (b1, b2), _ = held_step(device.mass, device.damping, short)
+    n, waiting = len(law.taps) - 1, device.delay // device.ratio + 1
+    size = 3 + n + waiting
+    rows = np.eye(size)
+    x, v, before = rows[0], rows[1], rows[2]
+    samples = [x, *(rows[3 + m] for m in range(n))]
+    forces = [rows[3 + n + i] for i in range(waiting)]
+    # The force of this tick pulls back: the deflection is −x.
+    newest = -sum((tap * sample for tap, sample in zip(law.taps, samples, strict=True)), np.zeros(size))
+    queue = [*forces, newest]
+    for j in range(device.ratio):
+        # queue[-1] is this tick's force; it acts from servo tick `delay` on, those before it each N servo ticks earlier.
+        age = (device.delay - j + device.ratio - 1) // device.ratio if j < device.delay else 0
+        acting = queue[-1 - age]
+        servo = -device.servo_damping / short * (x - before)
+        u = acting + servo
+        x, v, before = a11 * x + a12 * v + b1 * u, a21 * x + a22 * v + b2 * u, x
+    return np.array([x, v, before, *samples[:n], *queue[1:]])
+
+
+def two_rate_radius(law: CompiledLaw, period: float, device: TwoRate) -> float:
+    """Pole radius of the loop.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps only.
+    period : float
+        Sampling period T of the loop [s].
+    device : TwoRate
+        The device.
+
+    Returns
+    -------
+    float
+        Below 1 for a stable loop.
+    """
+    import numpy as np
+
+    return float(np.max(np.abs(np.linalg.eigvals(lifted(law, period, device)))))
+
+
+def two_rate_k_max(derivative: CompiledLaw, period: float, device: TwoRate, steps: int = 400) -> float | None:
+    """Find the stiffness up to which the loop is stable.
+
+    Parameters
+    ----------
+    derivative : CompiledLaw
+        The law without its spring.
+    period : float
+        Sampling period T of the loop [s].
+    device : TwoRate
+        The device.
+    steps : int
+        Stiffnesses tried on the way up, evenly in the logarithm over six decades.
+
+    Returns
+    -------
+    float or None
+        Upper end of the lowest stable interval of K [N/m]; None when none is stable.
+    """
+    from dataclasses import replace
+
+    def stable(k: float) -> bool:
+        taps = (derivative.taps[0] + k, *derivative.taps[1:])
+        return two_rate_radius(replace(derivative, taps=taps), period, device) < 1.0
+
+    base: float = heavy_limit(device, period) or 1.0
+    inside: float | None = None
+    for i in range(steps):
+        k: float = base * 10.0 ** (-3.0 + 6.0 * i / (steps - 1))
+        if stable(k):
+            inside = k
+            continue
+        if inside is None:
+            continue
+        low: float = inside
+        high: float = k
+        while high - low > 1e-12 * high:
+            middle = math.sqrt(low * high)
+            if middle in (low, high):
+                break
+            low, high = (middle, high) if stable(middle) else (low, middle)
+        return low
+    return inside
