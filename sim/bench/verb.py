@@ -17,6 +17,7 @@ BENCHMARKS: dict[str, str] = {
     "swaps": "sim.bench.swaps",
     "simulator": "sim.bench.simulator",
     "taps": "sim.bench.taps",
+    "view": "sim.bench.view",
 }
 
 

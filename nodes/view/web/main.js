@@ -76,7 +76,7 @@ const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"),
 
 // -- buttons and keys ---------------------------------------------------------------------------------------------
 
-$("magnify").addEventListener("change", (event) => { scene.magnify = Number(event.target.value); scene.draw(); });
+$("magnify").addEventListener("change", (event) => { scene.magnify = Number(event.target.value); scene.fit(true); });
 $("span").addEventListener("change", (event) => { plots.span = Number(event.target.value); plots.follow(); });
 $("pause").addEventListener("click", () => plots.window ? plots.follow() : plots.pause());
 $("live").addEventListener("click", () => plots.follow());

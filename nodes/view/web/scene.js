@@ -5,6 +5,7 @@ const INDEX = { x: 0, y: 1, z: 2 };
 const STEP = 0.0005;
 const FORCE_PIXELS = 42;
 const TRACE_SECONDS = 1.6;
+const ROOM = 0.008;
 
 export class Scene {
   constructor(canvas, reading, move) {
@@ -106,14 +107,15 @@ export class Scene {
   }
 
   // Keep all that matters in sight, without moving under somebody's hand.
-  fit() {
-    if (this.held !== null || !this.now) return;
-    const a = this.axis, seen = [this.now.position[a], 0];
-    if (this.surface) seen.push(this.surface.at);
+  fit(anyway = false) {
+    if ((this.held !== null && !anyway) || !this.now) return;
+    const a = this.axis, seen = [this.shown(this.now.position[a]), 0];
+    // Some of what lies behind the surface too: room to push.
+    if (this.surface) seen.push(this.surface.at, this.surface.at - this.surface.side * ROOM);
     if (this.springy) seen.push(this.now.target[a]);
     const shown = seen.filter(Number.isFinite);
     const low = Math.min(...shown), high = Math.max(...shown);
-    const wanted = Math.max(0.012, (high - low) * 0.5 * 1.5), middle = (low + high) / 2;
+    const wanted = Math.max(0.012, (high - low) * 0.5 * 1.3), middle = (low + high) / 2;
     // Grows at once, shrinks slowly.
     if (low < this.middle - this.half * 0.92 || high > this.middle + this.half * 0.92) {
       this.middle = middle;
@@ -127,13 +129,12 @@ export class Scene {
   pixels(width, height) { return (this.upright ? height : width) / (2 * this.half); }
 
   // Where a coordinate is along the axis [pixels from the middle]; what is inside the surface may be magnified.
-  along(value, scale) {
+  along(value, scale) { return (this.shown(value) - this.middle) * scale; }
+
+  shown(value) {
     const { surface, magnify } = this;
-    if (surface && magnify > 1) {
-      const depth = (surface.at - value) * surface.side;
-      if (depth > 0) value = surface.at - depth * magnify * surface.side;
-    }
-    return (value - this.middle) * scale;
+    const depth = surface && magnify > 1 ? (surface.at - value) * surface.side : 0;
+    return depth > 0 ? surface.at - depth * magnify * surface.side : value;
   }
 
   draw() {
@@ -215,7 +216,7 @@ export class Scene {
     if (push > 0) {
       const glow = g.createRadialGradient(at, 0, 2, at, 0, 46 + 60 * push);
       glow.addColorStop(0, colour("force"));
-      glow.addColorStop(1, "transparent");
+      glow.addColorStop(1, `${colour("force")}00`);
       g.globalAlpha = 0.1 + 0.3 * push;
       g.fillStyle = glow;
       g.fillRect(at - 120, -120, 240, 240);
