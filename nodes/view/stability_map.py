@@ -29,7 +29,7 @@ MOST_DELAY = 20.0
 """Longest delay that the margin is looked for [ticks]."""
 
 
-def plant_of(declared: Any, driver: Mapping[str, Any]) -> tuple[Plant | None, float]:
+def plant_of(declared: Any, driver: Mapping[str, Any]) -> Plant | None:
     """Find the device that a map is drawn for.
 
     Parameters
@@ -37,23 +37,22 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> tuple[Plant | None, fl
     declared : mapping or None
         ``plant`` of the coupling.
     driver : mapping
-        Parameters of the driver; a virtual device stands in them.
+        Parameters of the driver; a virtual device may stand in them.
 
     Returns
     -------
-    tuple of Plant or None, and float
-        The device, None when nobody says what it is; and the delay that it has beside the loop's [ticks].
+    Plant or None
+        None when nobody says what it is.
     """
-    device = driver.get("device")
-    device = device if isinstance(device, Mapping) else {}
-    own = float(device.get("delay", 0.0))
     if declared is not None:
-        return msgspec.convert(declared, Plant), own
-    if "mass" not in device:
-        return None, own
+        return msgspec.convert(declared, Plant)
+    device = driver.get("device")
+    if not isinstance(device, Mapping) or "mass" not in device:
+        return None
     hand = device.get("hand") or {}
     mass, damping = (float(device.get(part, 0.0)) + float(hand.get(part, 0.0)) for part in ("mass", "damping"))
-    return Plant(mass=mass, damping=damping, stiffness=float(hand.get("stiffness", 0.0))), own
+    stiffness, delay = float(hand.get("stiffness", 0.0)), float(device.get("delay", 0.0))
+    return Plant(mass=mass, damping=damping, stiffness=stiffness, device_delay=delay)
 
 
 def _edge(law: Law, period: float, device: Device) -> KMax:
@@ -154,7 +153,7 @@ def stability_map(law: Law, period: float, plant: Plant, delay: float) -> dict[s
     ValueError
         When the law cannot be realised.
     """
-    delay = delay if plant.delay is None else plant.delay
+    delay = plant.loop_delay(delay)
     device = Device(plant.mass, plant.damping, delay, plant.stiffness)
     compiled = law.compile(period)
     radius = pole_radius(compiled, period, device.mass, device.damping, device.delay, device.stiffness)
@@ -207,13 +206,13 @@ def drawn_map(
     dict
         See `stability_map`; ``why`` when there is no map.
     """
-    plant, own = plant_of(declared, driver)
+    plant = plant_of(declared, driver)
     if plant is None:
         return {
             "why": "No map: the device is not declared. Give the coupling its plant in the launch file, for example "
             "plant: {mass: 0.1, damping: 1.0}."
         }
     try:
-        return stability_map(parse_law(described, "law"), period, plant, delay + own)
+        return stability_map(parse_law(described, "law"), period, plant, delay)
     except (LawRefusedError, ValueError) as error:
         return {"why": f"No map: {error}"}

@@ -68,7 +68,9 @@ def test_a_law_without_k_and_b_has_margins_only_and_an_unknown_device_has_none()
 
 def test_a_virtual_device_stands_in_for_what_is_not_declared() -> None:
     device = {"mass": 0.1, "damping": 1.0, "delay": 0.5, "hand": {"mass": 0.05, "damping": 2.0, "stiffness": 150.0}}
-    plant, own = plant_of(None, {"device": device})
-    assert plant == Plant(mass=0.15000000000000002, damping=3.0, stiffness=150.0)
-    assert own == 0.5
-    assert plant_of({"mass": 0.2}, {"device": device}) == (Plant(mass=0.2), 0.5)
+    plant = plant_of(None, {"device": device})
+    assert plant == Plant(mass=0.1 + 0.05, damping=3.0, stiffness=150.0, device_delay=0.5)
+    # The device's own delay comes on top of what the loop measures.
+    assert stability_map(parse_law(LAWS[0]), T, plant, 0.25)["delay_ticks"] == 0.75
+    assert plant_of({"mass": 0.2}, {"device": device}) == Plant(mass=0.2)
+    assert plant_of(None, {"device": "touch_x"}) is None

@@ -59,6 +59,13 @@ def test_the_target_moves_no_faster_than_it_may_and_comes_back(tmp_path: Path) -
     writer.close()
 
 
+def test_a_hand_that_repeats_its_path_does_so_when_nobody_drags_it(tmp_path: Path) -> None:
+    setup = msgspec.structs.replace(SETUP, run_dir=str(tmp_path))
+    hand = Hand(stiffness=100.0, path=[(0.0, 0.001), (0.02, 0.002)], repeat=0.04)
+    dragged = DraggedHand(hand, PointerParameters(), setup)
+    assert dragged.target(25) == hand.point(0.05) == dragged.target(5) == 0.0015
+
+
 def test_a_pointer_needs_a_hand() -> None:
     setup = msgspec.structs.replace(SETUP, parameters={"device": {"mass": 0.1}, "pointer": {}})
     with pytest.raises(ParameterError, match=r"driver.pointer: needs driver.device.hand"):
