@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +112,7 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
     receipts = [one for one in recording.messages(RECEIPT) if one.action in ("switch", "set")]
     if receipts:
         swaps = tuple(Swap(one.seq, _law_of(one.after, played.scene.period), one.ramp) for one in receipts)
-        played = msgspec_replace(played, swaps)
+        played = replace(played, swaps=swaps)
     axis = played.axis
     answers = np.array([state.force_seq for state in states], dtype=np.int64)
     fresh = np.concatenate([[False], answers[1:] != answers[:-1]])
@@ -135,26 +135,6 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         given=force[used],
         declared=device is None,
     )
-
-
-def msgspec_replace(played: LaunchedScene, swaps: tuple[Swap, ...]) -> LaunchedScene:
-    """Give a scene other swaps.
-
-    Parameters
-    ----------
-    played : LaunchedScene
-        The scene.
-    swaps : tuple of Swap
-        In the order of their ticks.
-
-    Returns
-    -------
-    LaunchedScene
-        The same with these.
-    """
-    from dataclasses import replace
-
-    return replace(played, swaps=swaps)
 
 
 def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:

@@ -116,6 +116,7 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         From `sim.identify.population.study_device`.
     """
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     named = {"mass": "kg", "damping": "N s/m", "friction": "N", "delay": "ticks"}
     figure = Figure(figsize=(10.0, 5.0), layout="constrained")
@@ -138,7 +139,9 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         top.set(title=f"{name} [{unit}]", xlabel="truth", ylabel="identified" if column == 0 else "")
         if name in ("mass", "damping"):
             top.set(xscale="log", yscale="log")
+            for axis in (top.xaxis, top.yaxis):
+                axis.set_minor_formatter(NullFormatter())
         bottom.axvspan(-1.0, 1.0, alpha=0.12)
-        bottom.set(xlabel="error / half width of the 95 % interval")
+        bottom.set(xlabel="error / half interval", ylabel="devices" if column == 0 else "")
     panels[0][0].legend(fontsize=8)
     figure.savefig(fresh(path), dpi=110)
