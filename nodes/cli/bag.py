@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, answer, complain
 from nodes.parameters.registry import Registry
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespac
     try:
         return run(arguments)
     except RecordError as error:
-        print(f"haptic: {error}", file=sys.stderr)
+        complain(error)
         return 1
 
 

@@ -17,6 +17,7 @@ import msgspec
 from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
 from nodes.base.words import instead_of_stderr, last_words
+from nodes.cli.colour import coloured
 from nodes.cli.main import UsageError, answer
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.status_line import StatusLine
@@ -272,7 +273,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
 
     def say(text: str) -> None:
         status.clear()
-        sys.stderr.write(f"[launch] {text}\n")
+        sys.stderr.write(f"{coloured('[launch]', 'dim', sys.stderr)} {text}\n")
 
     page = PageAnnouncer(arguments.json)
 

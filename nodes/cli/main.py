@@ -17,6 +17,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
 
 from messages.errors import HapticError
+from nodes.cli.colour import coloured
 from nodes.parameters.registry import NotInstalledError, Registry
 
 VERBS = Registry("haptic.verbs", "verb")
@@ -88,6 +89,17 @@ def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> None:
     print(json.dumps(figures) if as_json else text, flush=True)
 
 
+def complain(error: object) -> None:
+    """Say on standard error what went wrong.
+
+    Parameters
+    ----------
+    error : object
+        What to say.
+    """
+    print(coloured("haptic:", "red", sys.stderr), error, file=sys.stderr)
+
+
 def parser_for(chosen: str | None) -> Parser:
     """Declare the command line, importing no more verbs than needed.
 
@@ -151,7 +163,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         return _run(argv)
     except UsageError as error:
-        print(f"haptic: {error}", file=sys.stderr)
+        complain(error)
         return 2
     except KeyboardInterrupt:
         return 130
@@ -162,7 +174,7 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:
         # What a disk or a directory refuses is no fault of the program: no traceback.
         where = f"{error.filename}: " if error.filename else ""
-        print(f"haptic: {where}{error.strerror or error}", file=sys.stderr)
+        complain(f"{where}{error.strerror or error}")
         return 1
 
 
@@ -171,7 +183,7 @@ def _run(argv: list[str]) -> int:
     try:
         parser = parser_for(chosen if chosen in VERBS.names() else None)
     except NotInstalledError as error:
-        print(f"haptic: {error}", file=sys.stderr)
+        complain(error)
         return 2
     arguments, left_over = parser.parse_known_args(argv)
     if left_over:
@@ -193,7 +205,7 @@ def _run(argv: list[str]) -> int:
     except RefusedError as error:
         if getattr(arguments, "json", False):
             print(json.dumps({"error": str(error)}), flush=True)
-        print(f"haptic: {error}", file=sys.stderr)
+        complain(error)
         return 1
 
 
