@@ -38,10 +38,25 @@ class Door:
         ZeroMQ's epoll and the listening socket in it.
     data : int
         What ZeroMQ has the kernel hand back with the event.
+
+    Attributes
+    ----------
+    knocks : int
+        A descriptor of our own that is readable when somebody waits in front of the door; -1 before `adopt`.
     """
 
     def __init__(self, epoll: int, descriptor: int, data: int) -> None:
         self._place = (epoll, descriptor, data)
+        self.knocks = -1
+
+    def adopt(self) -> None:
+        """Shut the door, and open `knocks`."""
+        self.close()
+        self.knocks = os.dup(self._place[1])
+
+    def forget(self) -> None:
+        """Close `knocks`; the door stays shut."""
+        os.close(self.knocks)
 
     def open_once(self) -> None:
         """Let in one connection: the next one, or one that waits."""

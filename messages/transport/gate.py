@@ -125,6 +125,7 @@ class Gate(threading.Thread):
         self._tokens, self._counted = float(BURST), time.monotonic()
         self._usual = self._cuts = 0
         self._stands = threading.Event()
+        self._poller = zmq.Poller()
         self._zap = context.socket(zmq.REP)
         if encrypted:
             self._zap.bind(ZAP)
@@ -156,7 +157,7 @@ class Gate(threading.Thread):
     def run(self) -> None:
         """Guard until stopped."""
         self._begin()
-        poller = zmq.Poller()
+        poller = self._poller
         for watched in (self._zap, self._stop_in, *(one.events for one in self._watched)):
             poller.register(watched, zmq.POLLIN)
         following = time.monotonic() + 0.05
@@ -171,19 +172,25 @@ class Gate(threading.Thread):
             if self._zap in ready:
                 self._answer(self._zap.recv_multipart())
             for one in self._watched:
+                for door in one.doors.values():
+                    if door.knocks in ready:
+                        self._admit(one, door)
                 if one.events in ready:
                     self._take_events(one)
             if time.monotonic() >= following:
                 following = time.monotonic() + REVIEW
                 self._review()
             if any(one.waits and len(one.peers) < self._limit for one in self._watched):
-                following = min(following, time.monotonic() + 1.0 / RATE)
+                following = min(following, time.monotonic() + 5.0 / RATE)
         self._close()
 
     def _close(self) -> None:
         for socket in (self._zap, self._stop_in, *(one.events for one in self._watched)):
             socket.close(linger=0)
         os.close(self._statm)
+        for one in self._watched:
+            for door in one.doors.values():
+                door.forget()
 
     # -- how many ----------------------------------------------------------------------------------------------------
 
@@ -194,24 +201,36 @@ class Gate(threading.Thread):
 
     def _find_doors(self) -> bool:
         """Find the listening sockets, which ZeroMQ's threads make in their own time; whether all are there."""
-        found = doors()
-        for one in self._watched:
-            one.doors = {place: door for place, door in found.items() if _is_one_of(place, one.places)}
+        for place, door in doors().items():
+            for one in self._watched:
+                if place not in one.doors and _is_one_of(place, one.places):
+                    one.doors[place] = door
+                    door.adopt()
+                    self._listen_at(door)
         return all(len(one.doors) == len(one.places) for one in self._watched)
 
-    def _admit(self, one: _Watched) -> None:
-        """Let in the next connection of a socket, unless there are many already, or were just now."""
+    def _listen_at(self, door: Door) -> None:
+        """Wait until somebody knocks: only then a descriptor is needed, and only then it is looked whether there is one."""
+        self._poller.register(door.knocks, zmq.POLLIN)
+
+    def _admit(self, one: _Watched, door: Door) -> None:
+        """Let in who knocks, unless there are many already, or were just now, or descriptors run out."""
+        self._poller.unregister(door.knocks)
         now = time.monotonic()
         self._tokens = min(float(BURST), self._tokens + (now - self._counted) * RATE)
         self._counted = now
         if len(one.peers) >= self._limit or self._tokens < 1.0 or not has_descriptors(RESERVED // 4):
             one.waits = True
+            return
+        door.open_once()
+
+    def _let_knock(self, one: _Watched) -> None:
+        """Wait for the next one at the doors of a socket, if there is room."""
+        one.waits = len(one.peers) >= self._limit
+        if not one.waits:
             for door in one.doors.values():
                 door.close()
-            return
-        one.waits = False
-        for door in one.doors.values():
-            door.open_once()
+                self._listen_at(door)
 
     def _take_events(self, one: _Watched) -> None:
         with contextlib.suppress(zmq.Again):
@@ -226,13 +245,13 @@ class Gate(threading.Thread):
             one.peers[int(told["value"])] = Peer(int(told["value"]))
             if len(one.peers) == self._limit:
                 self._denied(f"{len(one.peers)} connections to {place}, the limit: others wait until one ends")
-            self._admit(one)
+            self._let_knock(one)
         elif event == zmq.EVENT_DISCONNECTED:
             one.peers.pop(int(told["value"]), None)
             if one.waits:
-                self._admit(one)
+                self._let_knock(one)
         elif event == zmq.EVENT_ACCEPT_FAILED:
-            self._admit(one)
+            self._let_knock(one)
         elif event != zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             # Unknown keys are told where they are refused, with the key.
             self._denied(
@@ -271,7 +290,7 @@ class Gate(threading.Thread):
         if not all(len(one.doors) == len(one.places) for one in self._watched):
             self._find_doors()
         for one in self._watched:
-            self._admit(one)
+            self._let_knock(one)
         self._review_memory()
 
     def _put_out(self, key: str, addresses: set[str]) -> None:

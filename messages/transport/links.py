@@ -9,6 +9,7 @@ takes up what was asked for, between two ticks.
 from __future__ import annotations
 
 import contextlib
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -29,6 +30,9 @@ GIVEN_UP = 0.3
 
 AGAIN = 1.0
 """Shortest time between two new connections of a link [s]."""
+
+PERIOD = 0.5
+"""How often `Links.keep` looks [s]."""
 
 SILENCE = 3.0
 """After so long without a message a link is silent [s]."""
@@ -104,6 +108,7 @@ class Links:
         call: Callable[[], None] = lambda: None,
     ) -> None:
         self._context, self._tell, self._denied, self._call = context, tell, denied, call
+        self._following = 0.0
         self._asked: deque[tuple[_Link, bool]] = deque()
         self._monitors: list[tuple[Socket, list[_Link]]] = []
         self._links: list[_Link] = []
@@ -179,6 +184,14 @@ class Links:
                 why = link.failed or link.state
                 self._renew(link, f"no message for {SILENCE:g} s ({why}); connecting anew", now)
 
+    def keep(self) -> None:
+        """Look and tend twice a second, for a listener that has one thread; called as often as it likes."""
+        now = time.monotonic()
+        if now >= self._following:
+            self._following = now + PERIOD
+            self.look()
+            self.tend()
+
     def tend(self) -> None:
         """Connect anew, and part from, what `look` found; on the thread that receives."""
         while self._asked:
@@ -205,3 +218,14 @@ def _meant(links: list[_Link], place: str) -> list[_Link]:
     exact = [link for link in links if link.bare == place]
     port = place.rpartition(":")[2]
     return exact or [link for link in links if link.bare.startswith("tcp://") and link.bare.rpartition(":")[2] == port]
+
+
+def say_link(reason: str) -> None:
+    """Write to standard error what became of a link.
+
+    Parameters
+    ----------
+    reason : str
+        One sentence.
+    """
+    print(f"[link] {reason}", file=sys.stderr, flush=True)

@@ -42,9 +42,6 @@ END_TIMEOUT = 10.0
 
 WATCH_PERIOD = 0.1
 
-WAKE = "inproc://control-wake"
-"""Where a request of the node's own process arrives: the one that ends the thread."""
-
 
 class ControlServer(threading.Thread):
     """Serves one node.
@@ -69,7 +66,8 @@ class ControlServer(threading.Thread):
         self._socket.rcvhwm = QUEUE
         try:
             bind(self._socket, node.setup.control)
-            self._socket.bind(WAKE)
+            self._wake = f"inproc://control-wake-{id(self)}"
+            self._socket.bind(self._wake)
         except ValueError:
             self._socket.close(linger=0)
             raise
@@ -256,7 +254,7 @@ class ControlServer(threading.Thread):
         if self.is_alive():
             with self._context.socket(zmq.REQ) as waker:
                 waker.linger = 0
-                waker.connect(WAKE)
+                waker.connect(self._wake)
                 # The thread may end this very moment by itself; then nobody takes it.
                 with contextlib.suppress(zmq.Again):
                     waker.send(msgspec.msgpack.encode(Request("clock")), zmq.NOBLOCK)

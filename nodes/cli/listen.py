@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from messages.codec import Decoder, MessageRefusedError
 from messages.topics import message_type
+from messages.transport.links import Links, say_link
 from messages.transport.sockets import Subscription, new_context
 from messages.types import Message
 from nodes.base import realtime
@@ -68,11 +69,13 @@ def _listen(run: RunInfo, topics: Collection[str], duration: float) -> Iterator[
     names = {topic.encode(): topic for topic in topics}
     decoders = {topic: Decoder(kind) for topic in topics if (kind := message_type(topic)) is not None}
     context = new_context()
-    inbox = Subscription(context, {endpoints[topic] for topic in topics}, topics, QUEUE)
+    links = Links(context, say_link, say_link)
+    inbox = Subscription(context, {endpoints[topic] for topic in topics}, topics, QUEUE, links)
     try:
         until = time.monotonic() + duration if duration else float("inf")
         while True:
             frames = inbox.receive(QUIET_MS)
+            links.keep()
             now = time.monotonic()
             if now >= until:
                 return
@@ -92,5 +95,6 @@ def _listen(run: RunInfo, topics: Collection[str], duration: float) -> Iterator[
                 message = None
             yield Heard(topic, message, len(frames[0]) + len(frames[1]), now)
     finally:
+        links.close()
         inbox.close()
         context.term()

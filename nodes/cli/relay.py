@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import zmq
 
 from messages.transport.endpoints import is_open_place
+from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription, new_context
 from nodes.base import realtime
 from nodes.cli.ask import chosen_run, known_topic
@@ -149,10 +150,12 @@ def _next(arguments: argparse.Namespace, before: list[str]) -> RunInfo:
 def _relay(context: Context, found: RunInfo, topics: list[str], publisher: Publisher, relayed: Counter[str]) -> None:
     known = found.endpoints()
     wanted = {known_topic(found, topic).encode(): topic for topic in topics or known}
-    inbox = Subscription(context, {known[topic] for topic in wanted.values()}, wanted.values(), QUEUE)
+    links = Links(context, _say, _say)
+    inbox = Subscription(context, {known[topic] for topic in wanted.values()}, wanted.values(), QUEUE, links)
     try:
         while True:
             frames = inbox.receive(QUIET_MS)
+            links.keep()
             if frames is None:
                 # Nothing under way any more, and nobody to send more.
                 if not alive(found.launcher):
@@ -165,4 +168,5 @@ def _relay(context: Context, found: RunInfo, topics: list[str], publisher: Publi
                 if relayed.total() % 1024 == 0:
                     publisher.listeners()
     finally:
+        links.close()
         inbox.close()

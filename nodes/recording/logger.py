@@ -18,6 +18,7 @@ import msgspec
 
 from messages.codec import Decoder, MessageRefusedError
 from messages.topics import FIXED, message_type
+from messages.transport.links import Links, say_link
 from messages.transport.sockets import Subscription, new_context
 from messages.types import Message
 from nodes.base import realtime
@@ -336,17 +337,20 @@ def _record(run: RunInfo, path: str, topics: list[str], duration: float, overwri
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
     context = new_context()
-    inbox = Subscription(context, set(run.publishers().values()), topics or [""], QUEUE)
+    links = Links(context, say_link, say_link)
+    inbox = Subscription(context, set(run.publishers().values()), topics or [""], QUEUE, links)
     try:
         with open_writer(path, run.manifest, overwrite) as writer:
             recorder = Recorder(inbox, writer, topics)
             until = time.monotonic() + duration if duration else float("inf")
             while not ended and time.monotonic() < until and run.lives:
                 recorder.take(100)
+                links.keep()
             # While the run lives there is no end to wait for.
             if not run.lives:
                 recorder.drain()
             return recorder.recorded
     finally:
+        links.close()
         inbox.close()
         context.term()

@@ -1,0 +1,181 @@
+"""The control thread under floods, exhaustion and at its end: it goes on, it keeps the lease, and nothing waits for it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+import zmq
+
+from messages.transport import keys
+from messages.transport.endpoints import connect, split
+from messages.transport.links import Links
+from messages.transport.requests import Line, Request, call
+from messages.transport.sockets import new_context
+from nodes.base import control_thread
+from nodes.base.control_thread import ControlServer
+from nodes.base.node import Node
+from nodes.base.setup import Setup
+from tests.support.launching import DEADLINE, HAPTIC, private_runtime_dir, running, wait_for
+from tests.support.ports import free_ports
+
+if TYPE_CHECKING:
+    from messages.transport.endpoints import Context
+
+
+@pytest.fixture
+def context() -> Iterator[Context]:
+    made = new_context()
+    yield made
+    made.destroy(linger=0)
+
+
+def server(context: Context, folder: Path, **operations: Any) -> ControlServer:
+    setup = Setup(
+        run="r", run_dir=str(folder), name="n", kind="k", factory="", period=0.002, pace="realtime",
+        apply="on_arrival", axes=["z"], ticks=0, publish="", control=f"ipc://{folder}/n.ctl", sources={},
+    )  # fmt: skip
+    node = Node(setup)
+    made = ControlServer(node, context, Links(context, node.say, node.deny))
+    made._operations |= operations
+    return made
+
+
+@pytest.mark.parametrize("first", ["thread", "stop", "never started"])
+def test_its_end_waits_for_nobody(context: Context, first: str) -> None:
+    """Whichever comes first: a thread that has ended by itself takes no request that would wake it."""
+    with private_runtime_dir() as folder:
+        control = server(context, folder)
+        if first != "never started":
+            control.start()
+        if first == "thread":
+            control._ending.set()
+            control.join(DEADLINE)
+        ended: list[bool] = []
+        stopping = threading.Thread(target=lambda: ended.append(control.stop()), daemon=True)
+        stopping.start()
+        stopping.join(DEADLINE)
+        assert ended == [True]
+
+
+def test_forty_ends_in_a_row(context: Context) -> None:
+    """One in forty hung when the thread ended at the very moment at which it was woken."""
+    with private_runtime_dir() as folder:
+        for i in range(40):
+            control = server(context, folder)
+            control._socket.rcvtimeo = 1 + i % 3
+            control.start()
+            time.sleep(0.0005 * (i % 7))
+            assert control.stop()
+
+
+def test_a_request_without_an_end_does_not_hold_up_the_node(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control_thread, "END_TIMEOUT", 0.2)
+    release = threading.Event()
+    with private_runtime_dir() as folder:
+        control = server(context, folder, hang=lambda: release.wait(DEADLINE))
+        control.start()
+        with context.socket(zmq.REQ) as asking:
+            asking.linger = 0
+            connect(asking, f"ipc://{folder}/n.ctl")
+            asking.send(msgspec.msgpack.encode(Request("hang")))
+            wait_for(lambda: control._node.serving % 2, "the request is served")
+            assert not control.stop(), "its socket is still open, and is told to be"
+            release.set()
+            control.join(DEADLINE)
+
+
+def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> None:
+    """Floods take the interpreter from the loop; who floods waits, and so does nobody else for long."""
+    with private_runtime_dir() as folder:
+        control = server(context, folder)
+        control.start()
+        line = Line(context, f"ipc://{folder}/n.ctl")
+        begun = time.monotonic()
+        count = 0
+        while time.monotonic() < begun + 1.0:
+            line.call("clock")
+            count += 1
+        assert count <= control_thread.BURST + control_thread.RATE * (time.monotonic() - begun) + 1
+        # Another one takes its turn between two of the flood's.
+        assert "monotonic_s" in call(context, f"ipc://{folder}/n.ctl", "clock", timeout=DEADLINE)
+        line.drop()
+        assert control.stop()
+
+
+def test_exhausted_descriptors_cost_no_control(tmp_path: Path) -> None:
+    """Whatever took them: a file that cannot be opened ends neither thread nor loop, and control works when they are back."""
+    with running(tmp_path, "wall_press", "duration:=0") as launch:
+        line = Line(launch.context, launch.run.nodes["coupling"].control)
+        pid = int(line.call("status")["pid"])
+        number = len(os.listdir(f"/proc/{pid}/fd"))
+        before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, (number, before[1]))
+        clients = []
+        for _ in range(50):
+            client = socket.socket(socket.AF_UNIX)
+            client.setblocking(False)
+            clients.append(client)
+            with contextlib.suppress(BlockingIOError):
+                client.connect(launch.run.nodes["coupling"].control.removeprefix("ipc://"))
+        launch.wait_ticks(300)
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, before)
+        for client in clients:
+            client.close()
+        # Served late at the most, by the same process, which has not lost its place.
+        status = wait_for(lambda: launch.call("coupling", "status", timeout=DEADLINE), "the status")
+        assert status["pid"] == pid
+        line.drop()
+
+
+def test_a_flooded_node_without_a_launcher_ends_by_its_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Strangers keep every place that they are given, and keep coming; the lease is the node's own clock."""
+    monkeypatch.setenv("HAPTIC_KEYS", str(tmp_path / "keys"))
+    me = keys.new_identity()
+    port = free_ports(2)
+    context = new_context()
+    with private_runtime_dir() as runtime, open(tmp_path / "err", "wb") as errors:
+        words = [*HAPTIC, "node", "start", "environment", "--bind", f"127.0.0.1:{port}"]
+        node = subprocess.Popen(
+            ["sh", "-c", "ulimit -n 256; exec \"$@\"", "sh", *words],
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)}, cwd=tmp_path, stderr=errors,
+        )  # fmt: skip
+        try:
+            publish, control = (f"tcp://127.0.0.1:{port + i}#{me.public}" for i in (0, 1))
+            setup = Setup(
+                run="r-1", run_dir="", name="environment", kind="environment", factory="", period=0.002,
+                pace="realtime", apply="on_arrival", axes=["z"], ticks=0, publish=publish, control=control, lease=2.0,
+                sources={"/device/state": f"tcp://127.0.0.1:{free_ports(1)}#{me.public}"}, by_hand=True, patience=1.0,
+            )  # fmt: skip
+            wait_for(lambda: b"waiting for its launcher" in (tmp_path / "err").read_bytes(), "the node waits")
+            call(context, control, "configure", timeout=DEADLINE, setup=msgspec.to_builtins(setup))
+            clients: list[socket.socket] = []
+
+            def keep_coming() -> bool:
+                for place in (publish, control):
+                    client = socket.socket()
+                    client.setblocking(False)
+                    clients.append(client)
+                    with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                        client.connect(("127.0.0.1", int(split(place)[0].rpartition(":")[2])))
+                return node.poll() is not None
+
+            wait_for(keep_coming, "the node ends by its lease")
+            for client in clients:
+                client.close()
+            assert node.returncode == 0
+            assert "launcher lost: no request for 2 s" in (tmp_path / "err").read_text()
+        finally:
+            node.kill()
+            node.wait()
+            context.term()
