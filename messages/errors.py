@@ -10,6 +10,7 @@
 | `EndpointRefusedError` | an address that may not be used |
 | `KeyRefusedError` | a key that is none, or is not allowed |
 | `RunError` | no such run, or its directory cannot be used |
+| `CommandError` | a request of a page that is refused |
 | `LaunchFailedError` | a launch that cannot start, or fails |
 | `RecordError` | a recording that cannot be read or written |
 | `CutError` | of those: one that ends in the middle |

@@ -16,8 +16,9 @@ from typing import Any
 
 import zmq
 
+from messages.errors import HapticError
 from messages.topics import DEVICE_STATE, FORCE
-from messages.transport.requests import ControlError, Line
+from messages.transport.requests import Line
 from nodes.base.kinds import load
 from nodes.launcher.runs import RunInfo
 
@@ -31,7 +32,7 @@ STEPS = 100
 """Steps of undo that are kept."""
 
 
-class CommandError(ValueError):
+class CommandError(HapticError):
     """A request that was refused; the text is for the page."""
 
 
@@ -93,7 +94,7 @@ class Commander:
             self._lines[node] = Line(self._context, self._run.nodes[node].control)
         try:
             return self._lines[node].call(op, TIMEOUT, **args)
-        except (ControlError, ValueError, OverflowError, TypeError) as error:
+        except (HapticError, ValueError, OverflowError, TypeError) as error:
             # Beside refusals: an endpoint or key that cannot be used, a value that no message can carry.
             raise CommandError(str(error)) from error
 

@@ -13,9 +13,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from messages.errors import HapticError
 from nodes.coupling.parameters import Plant
 from nodes.laws import Law
-from nodes.laws.parse import LawRefusedError, parse_law
+from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import Device, KMax, k_max, without_spring
 
@@ -214,5 +215,5 @@ def drawn_map(
         }
     try:
         return stability_map(parse_law(described, "law"), period, plant, delay)
-    except (LawRefusedError, ValueError) as error:
+    except (HapticError, ValueError) as error:
         return {"why": f"No map: {error}"}
