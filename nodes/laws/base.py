@@ -11,11 +11,15 @@ import cmath
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import msgspec
 
 from nodes.parameters.registry import Registry
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 LAWS = Registry("haptic.laws", "law")
 
@@ -41,21 +45,27 @@ class CompiledLaw:
     sections: tuple[tuple[float, float, float, float], ...] = ()
     evaluate: Callable[[Sequence[float], int], float] | None = None
 
-    def response(self, z: complex) -> complex:
+    @overload
+    def response(self, z: complex) -> complex: ...
+
+    @overload
+    def response(self, z: NDArray[np.complex128]) -> NDArray[np.complex128]: ...
+
+    def response(self, z: Any) -> Any:
         """Transfer function from deflection to force.
 
         Parameters
         ----------
-        z : complex
-            Point of the z plane, e.g. exp(jωT).
+        z : complex or ndarray of complex
+            Points of the z plane, e.g. exp(jωT).
 
         Returns
         -------
-        complex
+        complex or ndarray of complex
             H(z) [N/m].
         """
         w = 1.0 / z
-        total = 0j
+        total = 0.0 * w
         for tap in reversed(self.taps):
             total = total * w + tap
         for b0, b1, a1, a2 in self.sections:

@@ -266,7 +266,7 @@ def crossings(derivative: CompiledLaw, period: float, device: Device) -> list[tu
     def curve(theta: NDArray[np.float64] | float) -> NDArray[np.complex128]:
         z = np.exp(1j * np.asarray(theta, dtype=np.float64))
         top = np.polyval(numerator, z)
-        loop = np.polyval(denominator, z) * z ** (plant.whole + 1) + top * _response(derivative, 1.0 / z)
+        loop = np.polyval(denominator, z) * z ** (plant.whole + 1) + top * derivative.response(z)
         return np.asarray(-loop / top)
 
     def imaginary(theta: float) -> float:
@@ -285,13 +285,6 @@ def crossings(derivative: CompiledLaw, period: float, device: Device) -> list[tu
     if abs(np.polyval(numerator, -1.0)) > 1e-12 * np.abs(numerator).sum():
         found.append((float(curve(math.pi).real), math.pi))
     return sorted(found)
-
-
-def _response(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    total = np.polyval(np.array(law.taps[::-1]), w)
-    for b0, b1, a1, a2 in law.sections:
-        total = total + (b0 + b1 * w) / (1.0 + w * (a1 + w * a2))
-    return np.asarray(total, dtype=np.complex128)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.topics import message_type
 from messages.types import DeviceState, Event, Message, NodeStatus, Receipt
 from nodes.launcher.runs import RunInfo
+from nodes.recording.summary import quantile
 from nodes.view.board import Board
 from nodes.view.feed import BINS_PER_SECOND, Feed
 from nodes.view.words import explain
@@ -47,8 +48,7 @@ def quantiles_us(responses: deque[float]) -> dict[str, float]:
     ordered = sorted(responses)
     if not ordered:
         return {}
-    last = len(ordered) - 1
-    return {name: ordered[round(last * part)] * 1e6 for name, part in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
+    return {name: quantile(ordered, part) * 1e6 for name, part in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))}
 
 
 class Facts(NamedTuple):

@@ -13,6 +13,7 @@ from typing import Any
 from messages.topics import DEVICE_STATE
 from nodes.cli.main import answer
 from nodes.recording.reader import Recording
+from nodes.recording.summary import quantile
 from sim.measure.launches import HAPTIC, MeasurementError, Running, machine
 from sim.measure.stopwatch import Progress
 
@@ -111,7 +112,7 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
     for label, began, ended in halves:
         part = [state for state in states if began <= state.stamp <= ended]
         responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
-        quantiles[label].append((responses[len(responses) // 2], responses[int(0.99 * len(responses))]))
+        quantiles[label].append((quantile(responses, 0.5), quantile(responses, 0.99)))
         missed[label] += part[-1].missed - part[0].missed
     quiet = [p99 for _, p99 in quantiles["without"]]
     busy = [p99 for _, p99 in quantiles["with"]]

@@ -18,6 +18,7 @@ from messages.transport.requests import ControlError
 from messages.types import DeviceState, Receipt
 from nodes.cli.main import answer
 from nodes.recording.reader import Recording
+from nodes.recording.summary import quantile
 from sim.measure.launches import Running, machine
 
 LAWS = ("pd", "pd_alpha", "multi_term")
@@ -178,10 +179,8 @@ def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 5
 
 def _quantiles(values: list[float], unit: float) -> dict[str, float]:
     ordered = sorted(values) or [math.nan]
-    last = len(ordered) - 1
     return {
-        name: round(ordered[min(int(share * len(ordered)), last)] * unit, 3)
-        for name, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))
+        name: round(quantile(ordered, share) * unit, 3) for name, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))
     }
 
 

@@ -122,11 +122,8 @@ def response(law: CompiledLaw, angles: Array) -> ComplexArray:
     ndarray of complex, shape (f,)
         H(e^{jωT}).
     """
-    w = np.exp(-1j * np.asarray(angles, dtype=np.float64))
-    total: ComplexArray = np.polyval(np.array(law.taps[::-1] or (0.0,), dtype=np.complex128), w)
-    for b0, b1, a1, a2 in law.sections:
-        total = total + (b0 + b1 * w) / (1.0 + w * (a1 + w * a2))
-    return total
+    found: ComplexArray = law.response(np.exp(1j * np.asarray(angles, dtype=np.float64)))
+    return found
 
 
 def largest_pole(law: CompiledLaw) -> float:
