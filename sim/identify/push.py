@@ -6,11 +6,13 @@ has jumped. Should this process be killed, the excitation ends by itself and lea
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,9 +31,22 @@ HELD_FAST = 1.5
 """A device that is pushed and has not moved for so long is held fast [s]."""
 MOVED = 1e-4
 """Less than this is not a motion [m]."""
-ALARM = 0.3
+ALARM = 1.0
 """A driver that gives no force for so long ends the push; shorter silences are a busy machine's [s]."""
 _POLL = 0.05
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Ignore Ctrl-C while a launch is put back: an impatient second one must not leave it half-way."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @dataclass
@@ -166,10 +181,11 @@ def push(
     except KeyboardInterrupt:
         result.reason = "Ctrl-C"
     finally:
-        _restore(loop, before, surface, say)
-        if recorder is not None:
-            recorder.send_signal(signal.SIGINT)
-            recorder.wait(timeout=30.0)
+        with undisturbed():
+            _restore(loop, before, surface, say)
+            if recorder is not None:
+                recorder.send_signal(signal.SIGINT)
+                recorder.wait(timeout=30.0)
     if not out.exists():
         raise RefusedError(f"{loop.run.run}: nothing was recorded: {result.reason}")
     return result

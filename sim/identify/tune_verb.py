@@ -78,6 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
     excitation(arguments)
     arguments.out.mkdir(parents=True, exist_ok=True)
     tuning = _Tuning(arguments)
+    from sim.identify.push import undisturbed
+
     live = {"identify", "apply", "verify"} & set(arguments.steps)
     code = 0
     with _launched(arguments) if live and arguments.scenario else contextlib.nullcontext():
@@ -96,8 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
         finally:
             if tuning.now:
                 tuning.told["interrupted"] = tuning.now
-            tuning.leave()
-            tuning.write()
+            with undisturbed():
+                tuning.leave()
+                tuning.write()
     answer(arguments.json, tuning.told | {"files": tuning.files}, tuning.text())
     return code
 

@@ -82,7 +82,7 @@ def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
         raise UsageError("--cluster needs Dask: pip install 'haptic-nodes[cluster]'") from error
     dask: Any = distributed
     try:
-        client = dask.Client(arguments.cluster, security=dask.Security(**security) if security else None, timeout="10s")
+        client = dask.Client(arguments.cluster, security=dask.Security(**security) if security else None, timeout="5s")
     except (OSError, TimeoutError) as error:
         raise RefusedError(f"--cluster {arguments.cluster}: no scheduler answers ({error})") from error
     try:

@@ -90,6 +90,8 @@ def test_ctrl_c_leaves_the_launch_as_it_was_and_writes_what_is_known(tmp_path: P
             process_group=0,
         )
         wait_for(lambda: active() == "identify", "the push to take over")
+        # Twice, as impatient people do.
+        os.killpg(process.pid, signal.SIGINT)
         os.killpg(process.pid, signal.SIGINT)
         process.communicate(timeout=60.0)
         assert active() == "pd"
