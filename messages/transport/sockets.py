@@ -261,6 +261,8 @@ class Subscription:
 
     Attributes
     ----------
+    fd : int
+        Descriptor that says when there may be something to receive; edge-triggered, see `receive_until`.
     next_frame : callable
         Waits for the next frame for as long as `set_timeout` says, then raises `TimedOut`. For the loop, where each call
         costs a tick: it compares the first frame with the topic that it expects, and takes the second.
@@ -288,7 +290,7 @@ class Subscription:
         self.next_frame: Callable[..., bytes] = self._socket.recv
         self._returned: deque[bytes] = deque()
         self._get = self._socket.get
-        self._fd = self._socket.FD
+        self.fd = self._socket.FD
         if links is not None:
             links.watch(self._socket, endpoints)
         try:
@@ -423,7 +425,7 @@ class Subscription:
             remaining = deadline - time.monotonic()
             if remaining <= 0.0:
                 return None
-            select.select((self._fd,), (), (), remaining)
+            select.select((self.fd,), (), (), remaining)
         topic = self.next_frame(_NOBLOCK)
         try:
             return topic, self.next_frame(_NOBLOCK)

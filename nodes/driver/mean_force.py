@@ -66,11 +66,18 @@ class Latency:
     ----------
     ticks : float
         Its latency [ticks].
+
+    Attributes
+    ----------
+    lines : list of list of float, shape (3, n)
+        Forces on their way, newest first [N].
+    part : float
+        Fraction of a tick by which the oldest one still acts.
     """
 
     def __init__(self, ticks: float) -> None:
-        self._lines = [line_of(ticks)[0] for _ in range(3)]
-        self._part = line_of(ticks)[1]
+        self.lines = [line_of(ticks)[0] for _ in range(3)]
+        self.part = line_of(ticks)[1]
 
     def acted(self, handed: list[float], ticks: int) -> list[float]:
         """Tell what acted since the sample before.
@@ -87,11 +94,11 @@ class Latency:
         list of float, shape (3,)
             Mean force that acted [N].
         """
-        part = self._part
-        total = [through(line, force, part) for line, force in zip(self._lines, handed, strict=True)]
+        part = self.part
+        total = [through(line, force, part) for line, force in zip(self.lines, handed, strict=True)]
         for _ in range(ticks - 1):
             for i, force in enumerate(handed):
-                total[i] += through(self._lines[i], force, part)
+                total[i] += through(self.lines[i], force, part)
         return total if ticks == 1 else [force / ticks for force in total]
 
     def backlog(self) -> Vector:
@@ -102,5 +109,5 @@ class Latency:
         tuple of float, shape (3,)
             Sum on each axis [N].
         """
-        x, y, z = (backlog(line, self._part) for line in self._lines)
+        x, y, z = (backlog(line, self.part) for line in self.lines)
         return x, y, z

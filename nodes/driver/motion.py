@@ -46,6 +46,12 @@ class Motion:
         Mean force that acted between the two newest samples [N].
     energy, highest : float
         Energy given out up to the newest sample, and the most so far [J].
+    covered : int
+        Ticks since the newest sample whose forces are in `acting`.
+    at, at_before : float
+        When the two newest samples were taken [s].
+    recent : deque of tuple of float
+        The newest samples [m].
     """
 
     def __init__(self, period: float, axes: list[int], virtual: bool, latency: Latency | None = None) -> None:
@@ -56,11 +62,11 @@ class Motion:
         self.acting: list[float] = [0.0, 0.0, 0.0]
         self.acted = self.acting
         self._latency = latency
-        self._recent: deque[Vector] = deque(maxlen=max(LEAST, round(RECENT / period)))
+        self.recent: deque[Vector] = deque(maxlen=max(LEAST, round(RECENT / period)))
         self.energy = self.highest = 0.0
-        self._covered = 0
+        self.covered = 0
         self._begun = False
-        self._at = self._at_before = 0.0
+        self.at = self.at_before = 0.0
 
     def sample(self, position: Vector, at: float) -> bool:
         """Take a new sample.
@@ -77,17 +83,17 @@ class Motion:
         bool
             Whether it ends a step: all but the first do.
         """
-        self._at_before, self._at = self._at, at
-        self._recent.append(position)
+        self.at_before, self.at = self.at, at
+        self.recent.append(position)
         if not self._begun:
             self._begun = True
             self.before = self.position = position
-            self._covered = 0
+            self.covered = 0
             return False
         before = self.before = self.position
         self.position = position
-        self.elapsed = self._covered
-        self._covered = 0
+        self.elapsed = self.covered
+        self.covered = 0
         acted = self.acting if self._latency is None else self._latency.acted(self.acting, self.elapsed)
         energy = self.energy
         for i in self._axes:
@@ -108,7 +114,7 @@ class Motion:
         ticks : int
             How many.
         """
-        covered = self._covered
+        covered = self.covered
         if covered:
             mean = self.acting
             self.acting = [
@@ -116,7 +122,7 @@ class Motion:
             ]
         else:
             self.acting = force
-        self._covered = covered + ticks
+        self.covered = covered + ticks
 
     def endings(self, force: Vector) -> list[Ending]:
         """Tell how the device has moved lately.
@@ -131,7 +137,7 @@ class Motion:
         list of Ending, shape (3,)
             One per axis.
         """
-        lately = list(zip(*self._recent, strict=True)) or [(), (), ()]
+        lately = list(zip(*self.recent, strict=True)) or [(), (), ()]
         return [ending(samples, acting, self._period) for samples, acting in zip(lately, force, strict=True)]
 
     def velocity(self) -> Vector:
@@ -144,7 +150,7 @@ class Motion:
         """
         span = self.elapsed * self._period
         if not self._virtual:
-            span = max(span, self._at - self._at_before)
+            span = max(span, self.at - self.at_before)
         now, before = self.position, self.before
         return (now[0] - before[0]) / span, (now[1] - before[1]) / span, (now[2] - before[2]) / span
 

@@ -11,7 +11,7 @@ import math
 import time
 from collections import deque
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import msgspec
 
@@ -23,6 +23,7 @@ from nodes.base import realtime
 from nodes.base.node import IDLE_MS
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.base.standstill import Standstill
+from nodes.driver.ahead import Ahead
 from nodes.driver.answers import Answers
 from nodes.driver.device import Device
 from nodes.driver.limits import STOP_TIME, undeclared
@@ -112,6 +113,7 @@ class Driver(Answers):
             )
         self._latency = Latency(round(latency / self.setup.period, 9)) if latency else None
         self._motion = Motion(self.setup.period, self._axes, self.virtual, self._latency)
+        self._ahead: Ahead | None = None
         self._open = False
         self._soft_stop_ticks = 0
         # What is on the device, which under ``next_tick`` is not yet what was decided last; and the tick it was written in.
@@ -190,6 +192,8 @@ class Driver(Answers):
         self._doing = ("", math.inf)
         self.started.wait()
         self.state = "running"
+        ticks: Any = self.compiled()
+        self._ahead = ticks
         if not self.stopping:
             end = self.setup.ticks or 2**62
             if self.setup.pace == "lockstep":
@@ -199,6 +203,11 @@ class Driver(Answers):
             self._complete = self.seq >= end
             if self._complete:
                 self.stop("done")
+
+    def wake(self) -> None:
+        """Ask compiled ticks, too, to come back."""
+        if self._ahead is not None:
+            self._ahead.wake()
 
     def _lockstep(self, end: int) -> None:
         inbox = self.inbox
@@ -212,7 +221,16 @@ class Driver(Answers):
         seq = 0
         acting = ZERO
         while seq < end and not self.stopping:
-            sent = asked = self._sample(seq, seq * period)
+            sent: float | None = None
+            if self._ahead is not None:
+                seq, sent, _, done = self._ahead.run(seq, end, 0.0, None)
+                acting = self._handed
+                if done and sent is None:
+                    self.between_ticks(seq)
+                    continue
+            if sent is None:
+                sent = self._sample(seq, seq * period)
+            asked = sent
             while not self.stopping:
                 try:
                     frames = next_frame(), next_frame()
@@ -268,29 +286,37 @@ class Driver(Answers):
         # A virtual device waits for whoever debugs it; what exists does not.
         self._doing = ("a tick", self.store.current.safety.hang or math.inf)
         while seq < end and not self.stopping:
+            sent: float | None = None
+            if self._ahead is not None and belated is None:
+                seq, sent, following_command, done = self._ahead.run(seq, end, epoch, following_command)
+                heard = heard or done > 0
+                if done and sent is None:
+                    self.between_ticks(seq)
+                    continue
             deadline = epoch + seq * period
-            now = realtime.sleep_until(deadline)
-            late = now - deadline
-            if late >= period:
-                # The driver itself was held up: the ticks that are over cannot be sampled any more, only counted.
-                lost = min(int(late / period), end - seq)
-                self._overruns += lost
+            if sent is None:
+                now = realtime.sleep_until(deadline)
+                late = now - deadline
+                if late >= period:
+                    # The driver itself was held up: the ticks that are over cannot be sampled any more, only counted.
+                    lost = min(int(late / period), end - seq)
+                    self._overruns += lost
+                    self._lateness = late
+                    let_go = self._hold(seq, lost)
+                    seq += lost
+                    if let_go or (following_command is not None and seq - safety.force_seq > safety.limits.max_age):
+                        # What was still to be handed over is too old by now.
+                        following_command = None
+                        safety.hold(self._handed)
+                    continue
                 self._lateness = late
-                let_go = self._hold(seq, lost)
-                seq += lost
-                if let_go or (following_command is not None and seq - safety.force_seq > safety.limits.max_age):
-                    # What was still to be handed over is too old by now.
+                if following_command is not None:
+                    # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
+                    write(following_command, seq, 0.0)
                     following_command = None
-                    safety.hold(self._handed)
-                continue
-            self._lateness = late
-            if following_command is not None:
-                # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
-                write(following_command, seq, 0.0)
-                following_command = None
-            sent = self._sample(seq, now + self.clock_offset)
-            if not self.ticks:
-                self._first_stamp = now
+                sent = self._sample(seq, now + self.clock_offset)
+                if not self.ticks:
+                    self._first_stamp = now
             following = deadline + period
             self._age = seq - safety.force_seq if safety.force_seq >= 0 else 0
             # An answer that comes a little late is waited for, and the next tick sampled late: sampled on time, it would take

@@ -23,13 +23,19 @@ class ResponseTimes:
     ----------
     recent : array of float, shape (RECENT,)
         The newest responses [s], in no order; 0 where there was none yet.
+    at : int
+        Where in it the next one goes.
+    bins : array of int, shape (BINS + 1,)
+        How many took so many microseconds; the last one counts all that took longer.
+    counted, longest_counted : int, float
+        How many are in the bins, and the longest of them [s].
     """
 
     def __init__(self) -> None:
-        self._bins = array("Q", [0]) * (BINS + 1)
-        self._counted = 0
-        self._longest = 0.0
-        self._at = 0
+        self.bins = array("Q", [0]) * (BINS + 1)
+        self.counted = 0
+        self.longest_counted = 0.0
+        self.at = 0
         self.recent = array("d", [0.0]) * RECENT
 
     def add(self, response: float) -> None:
@@ -40,15 +46,15 @@ class ResponseTimes:
         response : float
             From publishing the state to receiving its answer [s].
         """
-        at = self._at
+        at = self.at
         self.recent[at] = response
         at += 1
         if at % BLOCK == 0:
-            self._count(self._bins, at)
-            self._longest = max(self._longest, *self.recent[at - BLOCK : at])
-            self._counted += BLOCK
+            self._count(self.bins, at)
+            self.longest_counted = max(self.longest_counted, *self.recent[at - BLOCK : at])
+            self.counted += BLOCK
             at %= RECENT
-        self._at = at
+        self.at = at
 
     def _count(self, bins: array[int], end: int) -> None:
         """Count the responses of a block that ends there."""
@@ -59,12 +65,12 @@ class ResponseTimes:
     @property
     def count(self) -> int:
         """Ticks that were answered."""
-        return self._counted + self._at % BLOCK
+        return self.counted + self.at % BLOCK
 
     @property
     def longest(self) -> float:
         """Longest response [s]."""
-        return max(self._longest, *self.recent)
+        return max(self.longest_counted, *self.recent)
 
     def _percentile(self, bins: array[int], share: float) -> float:
         wanted = share * self.count
@@ -88,9 +94,9 @@ class ResponseTimes:
         list of float
             Upper edges of bins, to the microsecond, but never more than the longest response [s]; 0 without any ticks.
         """
-        bins = self._bins[:]
-        if self._at % BLOCK:
-            self._count(bins, self._at)
+        bins = self.bins[:]
+        if self.at % BLOCK:
+            self._count(bins, self.at)
         return [self._percentile(bins, share) if self.count else 0.0 for share in shares]
 
     def summary_us(self) -> dict[str, float]:

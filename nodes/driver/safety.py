@@ -64,6 +64,10 @@ class Safety:
         Forces lowered, by limit: ``peak``, ``slew``, ``continuous``.
     limits : Limits
         What holds.
+    motor : Motor or None
+        What watches its heat; None without a limit.
+    slewed : list of float, shape (3,)
+        How far the force has changed on each axis in the newest tick [N].
     """
 
     def __init__(
@@ -88,14 +92,14 @@ class Safety:
             if math.isfinite(low) or math.isfinite(high)
         ]
         continuous = self.limits.continuous
-        self._motor = (
+        self.motor = (
             None if continuous is None else Motor(continuous, parameters.thermal_time, period, self.limits.slew)
         )
         # A device without limits needs none of what watches them.
-        self._unlimited = self._motor is None and self.limits.peak is None and self.limits.slew is None
+        self._unlimited = self.motor is None and self.limits.peak is None and self.limits.slew is None
         self._since = 0
         self._tick = -1
-        self._slewed = [0.0, 0.0, 0.0]
+        self.slewed = [0.0, 0.0, 0.0]
         self.state = "waiting"
         self.force: Vector = ZERO
         self.force_seq = -1
@@ -201,6 +205,22 @@ class Safety:
             self._enter("active", seq, f"ramp of {self._ramp_ticks} ticks done")
         return wanted
 
+    def answered(self, force: Vector, seq: int, slewed: list[float]) -> None:
+        """Take over what compiled ticks did, in the state ``active`` and below all limits.
+
+        Parameters
+        ----------
+        force : tuple of float, shape (3,)
+            Handed over last [N].
+        seq : int
+            The tick that it answered, and in which it did.
+        slewed : list of float, shape (3,)
+            How far the force changed in that tick [N].
+        """
+        self.force, self.force_seq, self._since = force, seq, seq
+        if not self._unlimited:
+            self._tick, self.slewed = seq, slewed
+
     def missed(self, seq: int, velocity: Vector, held: Vector | None = None) -> Vector | None:
         """Decide about a tick that closes without the force that answers it.
 
@@ -282,7 +302,7 @@ class Safety:
                 force[i] = wanted[i]
             self.force = (force[0], force[1], force[2])
             return self.force
-        last, slewed, motor = self.force, self._slewed, self._motor
+        last, slewed, motor = self.force, self.slewed, self.motor
         peak, slew = self.limits.peak, self.limits.slew
         if seq != self._tick:
             if motor is not None:

@@ -161,6 +161,16 @@ class CompiledTicks:
 
     # -- the border --------------------------------------------------------------------------------------------------
 
+    def last_sent(self) -> bytes:
+        """Copy the message sent last.
+
+        Returns
+        -------
+        bytes
+            Its payload.
+        """
+        return ctypes.string_at(self.state.sent, self.state.sent_size)
+
     def before(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
         """Put the compiled ticks before the plain one.
 
@@ -186,7 +196,7 @@ class CompiledTicks:
             done = self._kernel(self._at)
             if done:
                 node.seq = node.followed = node.answered = state.seq
-                node.answer = ctypes.string_at(state.sent, state.sent_size)
+                node.answer = self.last_sent()
                 node.ticks = state.ticks
                 node.ticks_compiled += done
                 self.leave(done)

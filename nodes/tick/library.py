@@ -26,8 +26,19 @@ _kept: list[Any] = []
 """What must live as long as its functions may be called."""
 
 
-def _libzmq() -> ctypes.CDLL:
-    """Find the library that pyzmq has loaded."""
+def library_of_pyzmq() -> str:
+    """Find the library that pyzmq has loaded.
+
+    Returns
+    -------
+    str
+        Its path.
+
+    Raises
+    ------
+    NotCompilableError
+        When it is not to be found, or its functions are not visible.
+    """
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
         mapped = sorted({line.split(maxsplit=5)[5].strip() for line in maps if ".so" in line})
     candidates = [path for path in mapped if "zmq" in Path(path).name]
@@ -37,7 +48,7 @@ def _libzmq() -> ctypes.CDLL:
             numbers = [ctypes.c_int() for _ in range(3)]
             library.zmq_version(*map(ctypes.byref, numbers))
             if tuple(number.value for number in numbers) == zmq.zmq_version_info():
-                return library
+                return path
     raise NotCompilableError(f"pyzmq's libzmq is not to be found among {', '.join(candidates) or 'what is loaded'}")
 
 
@@ -54,7 +65,7 @@ def functions() -> dict[str, int]:
     NotCompilableError
         When pyzmq's libzmq is not to be found.
     """
-    libzmq, libc = _libzmq(), ctypes.CDLL(None)
+    libzmq, libc = ctypes.CDLL(library_of_pyzmq()), ctypes.CDLL(None)
     found = {}
     for library, names in ((libzmq, _ZMQ), (libc, _LIBC)):
         for name in names:

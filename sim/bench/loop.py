@@ -1,19 +1,26 @@
-"""The running loop against a bare pyzmq+msgpack loop: lockstep throughput, response, start-up, memory, CPU."""
+"""The running loop, plain and compiled, against bare ones: lockstep throughput, response, start-up, memory, CPU."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import statistics
+import sys
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from nodes.base.realtime import awake, quietest_processor
+from nodes.base.setup import Tick
 from nodes.cli.main import answer
 from nodes.launcher.launch_spec import AWAKE_RATE
-from sim.measure.launches import bare_loop, fifo_granted, launch, machine
+from nodes.tick.choose import choose
+from sim.measure.launches import BARE, bare_loop, c_loop, fifo_granted, launch, machine
 from sim.measure.stopwatch import Progress
 
-RATES = (500, 2000, 4000)
+RATES = (500, 4000, 8000)
+
+NAMES = {"compiled": "compiled", "plain": "plain", "bare": "bare pyzmq + msgpack", "c": "bare C"}
+"""The loops compared; a bare one carries a logger when ours does."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -24,22 +31,47 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of this benchmark.
     """
-    parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each (default 5)")
+    parser.add_argument("--rounds", type=int, default=3, help="interleaved rounds of each (default 3)")
     parser.add_argument("--ticks", type=int, default=20000, help="ticks of a lockstep round (default 20000)")
-    parser.add_argument("--seconds", type=float, default=5.0, help="length of a real-time round (default 5 s)")
+    parser.add_argument("--seconds", type=float, default=4.0, help="length of a real-time round (default 4 s)")
     parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
     parser.set_defaults(run=run)
 
 
-def lockstep(rounds: int, ticks: int, progress: Progress) -> dict[str, Any]:
-    """Time lockstep against the bare loop, round by round.
+def _loops(tick: Tick) -> dict[str, Callable[[int, str, bool], float]]:
+    """Name the loops that are compared in lockstep; each answers with ticks per second."""
+
+    def ours(tick: str) -> Callable[[int, str, bool], float]:
+        def measure(ticks: int, _: str, logger: bool) -> float:
+            words = [] if logger else ["--without", "logger"]
+            words += ["pace:=lockstep", f"duration:={ticks / 500.0}", "--tick", tick]
+            return float(launch("floor_drop", *words)["rate_hz"])
+
+        return measure
+
+    def bare(program: Sequence[str]) -> Callable[[int, str, bool], float]:
+        return lambda ticks, core, logger: float(bare_loop(ticks, core, logger=logger, program=program)["ticks_per_s"])
+
+    loops = {"plain": ours("plain"), "bare": bare(BARE)}
+    if tick == "compiled":
+        loops["compiled"] = ours("compiled")
+    in_c = c_loop()
+    if in_c is not None:
+        loops["c"] = bare(in_c)
+    return loops
+
+
+def lockstep(rounds: int, ticks: int, tick: Tick, progress: Progress) -> dict[str, Any]:
+    """Time lockstep against the bare loops, round by round, without a logger and with one.
 
     Parameters
     ----------
     rounds : int
-        How many pairs.
+        How many.
     ticks : int
         Ticks of one run.
+    tick : str
+        ``plain`` where the compiled tick cannot be had.
     progress : Progress
         Told after every run.
 
@@ -49,25 +81,25 @@ def lockstep(rounds: int, ticks: int, progress: Progress) -> dict[str, Any]:
         Medians, and the median of the ratios bare / ours pair by pair.
     """
     core = str(quietest_processor())
-    ours, bare, ratios, last = [], [], [], {}
-    for _ in range(rounds):
-        bare.append(bare_loop(ticks, core)["ticks_per_s"])
-        progress.step("bare lockstep")
-        words = ("--without", "logger", "pace:=lockstep", f"duration:={ticks / 500.0}")
-        last = launch("floor_drop", *words)
-        ours.append(last["rate_hz"])
-        ratios.append(bare[-1] / ours[-1])
-        progress.step("lockstep")
-    return {
-        "lockstep_ticks_per_s": statistics.median(ours),
-        "bare_ticks_per_s": statistics.median(bare),
-        "ratio": statistics.median(ratios),
-        "ratio_range": [min(ratios), max(ratios)],
-    }
+    loops = _loops(tick)
+    found: dict[str, list[float]] = {f"{name}{key}": [] for key in ("", "_with_logger") for name in loops}
+    names = list(found)
+    for k in range(rounds):
+        # The order rotates: the machine drifts.
+        for name in names[k % len(names) :] + names[: k % len(names)]:
+            loop, _, logger = name.partition("_")
+            found[name].append(loops[loop](ticks, core, bool(logger)))
+            progress.step(f"lockstep, {name.replace('_', ' ')}")
+    figures: dict[str, Any] = {f"{name}_ticks_per_s": statistics.median(rates) for name, rates in found.items()}
+    ratios = [bare / ours for bare, ours in zip(found["bare"], found[tick], strict=True)]
+    figures["lockstep_ticks_per_s"] = figures[f"{tick}_ticks_per_s"]
+    figures["ratio"] = statistics.median(ratios)
+    figures["ratio_range"] = [min(ratios), max(ratios)]
+    return figures
 
 
-def realtime(rounds: int, seconds: float, progress: Progress) -> dict[str, Any]:
-    """Measure response and missed ticks at several rates, interleaved with the bare loop.
+def realtime(rounds: int, seconds: float, tick: Tick, progress: Progress) -> dict[str, Any]:
+    """Measure response and missed ticks at several rates, interleaved with the bare loops.
 
     Parameters
     ----------
@@ -75,37 +107,48 @@ def realtime(rounds: int, seconds: float, progress: Progress) -> dict[str, Any]:
         How many rounds.
     seconds : float
         Length of one run [s].
+    tick : str
+        ``plain`` where the compiled tick cannot be had.
     progress : Progress
         Told after every run.
 
     Returns
     -------
     dict
-        Per rate: median percentiles of the rounds, share of missed ticks; CPU and memory by node.
+        Per rate: median percentiles of the rounds, share of missed ticks; CPU and memory by node. Keys without a loop's name
+        are those of the tick that a launch takes by itself.
     """
     core = str(quietest_processor())
     fifo = 50 if fifo_granted() else 0
-    found: dict[int, list[dict[str, Any]]] = {rate: [] for rate in RATES}
-    yard: dict[int, list[dict[str, Any]]] = {rate: [] for rate in RATES}
-    for _ in range(rounds):
-        for rate in RATES:
-            found[rate].append(launch("floor_drop", f"rate:={rate}", f"duration:={seconds}", "stiffness:=500"))
-            progress.step(f"{rate} Hz")
-            # Whatever the launch asks the machine for, the yardstick gets as well.
-            with awake() if rate >= AWAKE_RATE else contextlib.nullcontext():
-                yard[rate].append(bare_loop(round(seconds * rate), core, fifo, float(rate)))
-            progress.step(f"bare {rate} Hz")
+    in_c = c_loop()
+    programs = {"bare": BARE} if in_c is None else {"bare": BARE, "c": tuple(in_c)}
+    ours = dict.fromkeys(("plain", tick))
+    found: dict[tuple[str, int], list[dict[str, Any]]] = {
+        (name, rate): [] for rate in RATES for name in (*ours, *programs)
+    }
+    pairs = list(found)
+    for k in range(rounds):
+        for name, rate in pairs[k % len(pairs) :] + pairs[: k % len(pairs)]:
+            if name in programs:
+                # Whatever the launch asks the machine for, the yardstick gets as well.
+                with awake() if rate >= AWAKE_RATE else contextlib.nullcontext():
+                    run = bare_loop(round(seconds * rate), core, fifo, float(rate), True, programs[name])
+            else:
+                words = (f"rate:={rate}", f"duration:={seconds}", "stiffness:=500", "--tick", name)
+                run = launch("floor_drop", *words)
+            found[name, rate].append(run)
+            progress.step(f"{rate} Hz, {name}")
     names = ("p50", "p99", "p999", "max")
-    figures: dict[str, Any] = {"response_us": {}, "bare_response_us": {}, "missed_share": {}, "bare_missed_share": {}}
-    for rate in RATES:
+    figures: dict[str, Any] = {}
+    for (name, rate), runs in found.items():
         key = f"{rate}_hz"
-        runs, bares = found[rate], yard[rate]
-        figures["response_us"][key] = {n: statistics.median(r["response_us"][n] for r in runs) for n in names}
-        figures["bare_response_us"][key] = {n: statistics.median(r["response_us"][n] for r in bares) for n in names}
-        lost = sum(r["missed"] + r["overruns"] for r in runs)
-        figures["missed_share"][key] = lost / max(1, sum(r["ticks"] for r in runs))
-        figures["bare_missed_share"][key] = sum(r["missed"] for r in bares) / sum(r["ticks"] for r in bares)
-    slow = found[RATES[0]]
+        response = {n: statistics.median(r["response_us"][n] for r in runs) for n in names}
+        lost = sum(r["missed"] + r.get("overruns", 0) for r in runs)
+        share = lost / max(1, sum(r["ticks"] + r.get("overruns", 0) for r in runs))
+        for prefix in (f"{name}_", *([""] if name == tick else [])):
+            figures.setdefault(f"{prefix}response_us", {})[key] = response
+            figures.setdefault(f"{prefix}missed_share", {})[key] = share
+    slow = found[tick, RATES[0]]
     nodes = slow[0]["nodes"]
     figures["memory_mb"] = {n: statistics.median(r["nodes"][n]["memory"] for r in slow) / 1e6 for n in nodes}
     figures["cpu_share"] = {n: statistics.median(r["nodes"][n]["cpu"] for r in slow) / seconds for n in nodes}
@@ -129,20 +172,25 @@ def text(figures: dict[str, Any]) -> str:
         Several lines.
     """
     low, high = figures["ratio_range"]
-    lines = [
-        figures["machine"] + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO"),
-        f"lockstep   {figures['lockstep_ticks_per_s']:.0f} ticks/s, bare loop {figures['bare_ticks_per_s']:.0f} ticks/s: "
-        f"bare/ours {figures['ratio']:.2f} ({low:.2f} to {high:.2f})",
+    lines = [figures["machine"] + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")]
+    for key, told in (("", "without a logger"), ("_with_logger", "with one")):
+        rates = {name: figures.get(f"{name}{key}_ticks_per_s") for name in NAMES}
+        found = ", ".join(f"{NAMES[name]} {rate:.0f}" for name, rate in rates.items() if rate is not None)
+        lines.append(f"lockstep   {told}, ticks/s: {found}")
+    lines += [
+        f"           bare/ours {figures['ratio']:.2f} ({low:.2f} to {high:.2f})",
         f"start-up   {figures['startup_s']:.2f} s from the command to the first tick; "
         f"mean rate at 500 Hz off by at most {figures['rate_error']:.1e}",
     ]
-    for key, response in figures["response_us"].items():
-        bare = figures["bare_response_us"][key]
-        lines.append(
-            f"{key.replace('_hz', ' Hz'):10} response p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
-            f"max {response['max']:.0f} µs, missed {figures['missed_share'][key]:.3%}; "
-            f"bare p50 {bare['p50']:.0f} µs, p99 {bare['p99']:.0f} µs, missed {figures['bare_missed_share'][key]:.3%}"
-        )
+    for rate in RATES:
+        key = f"{rate}_hz"
+        for name, told in NAMES.items():
+            if f"{name}_response_us" in figures:
+                response, missed = figures[f"{name}_response_us"][key], figures[f"{name}_missed_share"][key]
+                lines.append(
+                    f"{rate:5} Hz   {told:24} response p50 {response['p50']:4.0f} µs, p99 {response['p99']:4.0f} µs, "
+                    f"max {response['max']:5.0f} µs, missed {missed:.3%}"
+                )
     memory = ", ".join(f"{name} {value:.0f} MB" for name, value in figures["memory_mb"].items())
     cpu = ", ".join(f"{name} {value:.1%}" for name, value in figures["cpu_share"].items())
     return "\n".join([*lines, f"memory     {memory}", f"CPU 500 Hz {cpu} of a core, start-up included"])
@@ -162,9 +210,12 @@ def run(arguments: argparse.Namespace) -> int:
         0.
     """
     rounds = arguments.rounds
-    progress = Progress(2 * rounds + 2 * rounds * len(RATES))
-    figures = lockstep(rounds, arguments.ticks, progress)
-    figures.update(realtime(rounds, arguments.seconds, progress))
+    kernels = ("nodes.tick.kernels.environment", "nodes.tick.kernels.coupling", "sim.device.tick.kernel")
+    tick = choose("compiled", kernels, lambda text: print(text, file=sys.stderr))
+    loops = 2 + (tick == "compiled") + (c_loop() is not None)
+    progress = Progress(loops * rounds * (2 + len(RATES)))
+    figures = lockstep(rounds, arguments.ticks, tick, progress)
+    figures.update(realtime(rounds, arguments.seconds, tick, progress))
     figures["machine"] = machine()
     answer(arguments.json, figures, text(figures))
     return 0

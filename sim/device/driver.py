@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import msgspec
 
@@ -18,6 +18,10 @@ from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
 from sim.device.model import DeviceModel, Hand
 from sim.device.presets import preset
 from sim.device.state import VirtualDevice
+
+if TYPE_CHECKING:
+    from nodes.tick.library import Kernel
+    from sim.device.tick.ticks import DriverTicks
 
 
 class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -112,30 +116,45 @@ class TimedDevice:
     ----------
     target : tuple of float, shape (3,)
         Where its hand pulls to during this tick [m]; zero without a hand.
+    dragged : DraggedHand or None
+        The same.
+    device : VirtualDevice
+        The device.
+    axis : int
+        Its axis.
+    tick : int
+        Tick up to which time has passed; -1 before the first sample.
+    acting : float
+        Force that acts now [N].
+    commanded : float
+        When it took effect [ticks since tick 0].
+    pending : deque of tuple of float
+        Commanded forces that have not taken effect: when, and what [ticks since tick 0, N].
+    delay, hold : float
+        From a force's arrival to its effect [ticks], and the device's own deadline [s].
     """
 
     def __init__(
         self, model: DeviceModel, setup: Setup, hold: float | None = None, dragged: DraggedHand | None = None
     ) -> None:
         self._hand = model.hand
-        self._dragged = dragged
+        self.dragged = dragged
         self.target: Vector = ZERO
-        self._hold = math.inf if hold is None else hold
-        self._axis = AXIS_INDEX[setup.axes[0]]
+        self.hold = math.inf if hold is None else hold
+        self.axis = AXIS_INDEX[setup.axes[0]]
         self._period = setup.period
         self._lockstep = setup.pace == "lockstep"
-        self._delay = model.delay
-        self._device = VirtualDevice(model, setup.period, self._lockstep and setup.apply == "next_tick")
-        self._tick = -1
-        self._acting = 0.0
-        self._commanded = 0.0
-        # Commanded forces that have not taken effect: when, in ticks since tick 0, and what.
-        self._pending: deque[tuple[float, float]] = deque()
+        self.delay = model.delay
+        self.device = VirtualDevice(model, setup.period, self._lockstep and setup.apply == "next_tick")
+        self.tick = -1
+        self.acting = 0.0
+        self.commanded = 0.0
+        self.pending: deque[tuple[float, float]] = deque()
 
     @property
     def limits(self) -> DeviceLimits:
         """A virtual device bears everything; what its motor cannot give, the model saturates. Its delay is its latency."""
-        return DeviceLimits(hold=self._hold, latency=self._delay * self._period)
+        return DeviceLimits(hold=self.hold, latency=self.delay * self._period)
 
     def open(self) -> None:
         """Nothing to connect."""
@@ -154,40 +173,40 @@ class TimedDevice:
             Measured position [m].
         """
         if not self._lockstep:
-            if self._tick < 0:
+            if self.tick < 0:
                 # Respawned, or started late: the device is put there now, it was not falling all the time.
-                self._tick = self._device.ticks = seq
-            while self._tick < seq:
+                self.tick = self.device.ticks = seq
+            while self.tick < seq:
                 self._pass_tick()
         if self._hand is not None:
             self._move_hand(seq, self._hand)
-        return self._on_axis(self._device.measured())
+        return self._on_axis(self.device.measured())
 
     def _on_axis(self, value: float) -> Vector:
         vector = [0.0, 0.0, 0.0]
-        vector[self._axis] = value
+        vector[self.axis] = value
         return vector[0], vector[1], vector[2]
 
     def _move_hand(self, seq: int, hand: Hand) -> None:
-        if self._dragged is None:
+        if self.dragged is None:
             target = hand.point(seq * self._period)
         else:
-            target = self._device.target = self._dragged.target(seq)
+            target = self.device.target = self.dragged.target(seq)
         self.target = self._on_axis(target)
 
     def _pass_tick(self) -> None:
-        start, now = float(self._tick), 0.0
-        if (start - self._commanded) * self._period >= self._hold:
-            self._acting = 0.0
-        while self._pending and self._pending[0][0] < start + 1.0:
-            when, force = self._pending.popleft()
-            self._commanded = when
+        start, now = float(self.tick), 0.0
+        if (start - self.commanded) * self._period >= self.hold:
+            self.acting = 0.0
+        while self.pending and self.pending[0][0] < start + 1.0:
+            when, force = self.pending.popleft()
+            self.commanded = when
             offset = max(when - start, now)
-            self._device.pass_time(self._acting, (offset - now) * self._period)
-            self._acting, now = force, offset
-        self._device.pass_time(self._acting, (1.0 - now) * self._period)
-        self._device.end_tick()
-        self._tick += 1
+            self.device.pass_time(self.acting, (offset - now) * self._period)
+            self.acting, now = force, offset
+        self.device.pass_time(self.acting, (1.0 - now) * self._period)
+        self.device.end_tick()
+        self.tick += 1
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
         """Hand over a force.
@@ -201,12 +220,12 @@ class TimedDevice:
         offset : float
             Where in that tick [ticks].
         """
-        value = force[self._axis]
+        value = force[self.axis]
         if self._lockstep:
             # The model itself knows about ``next_tick``: the whole tick passes here, on exactly the one-process path.
-            self._device.tick(value)
+            self.device.tick(value)
         else:
-            self._pending.append((seq + offset + self._delay, value))
+            self.pending.append((seq + offset + self.delay, value))
 
     def close(self) -> None:
         """Nothing to disconnect."""
@@ -217,6 +236,24 @@ class SimDriver(Driver):
 
     Parameters: ClassVar[type[msgspec.Struct]] = SimDriverParameters
     virtual: ClassVar[bool] = True
+    kernel_module: ClassVar[str] = "sim.device.tick.kernel"
+
+    def compiled_ticks(self, kernel: Kernel) -> DriverTicks:
+        """Make the compiled ticks.
+
+        Parameters
+        ----------
+        kernel : callable
+            What does them.
+
+        Returns
+        -------
+        DriverTicks
+            Of this node.
+        """
+        from sim.device.tick.ticks import DriverTicks
+
+        return DriverTicks(self, kernel)
 
     @classmethod
     def check(cls, setup: Setup) -> None:

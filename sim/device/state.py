@@ -34,6 +34,12 @@ class VirtualDevice:
         Ticks done so far.
     target : float or None
         Where a hand pulls to instead of along its path [m].
+    commands : deque of float
+        Forces under way in lockstep, newest first [N].
+    early, late : float
+        For how long of a tick the older and the newer force under way acts [s].
+    early_map, late_map : tuple of float, shape (6,)
+        `coefficients` of these times.
     """
 
     def __init__(self, model: DeviceModel, period: float, next_tick: bool = False) -> None:
@@ -50,11 +56,11 @@ class VirtualDevice:
         self._weight = model.load(0, period) if model.hand is None else None
         whole, part = split_delay(model.delay + (1.0 if next_tick else 0.0))
         # Newest command first; before tick 0 nothing was commanded.
-        self._commands: deque[float] = deque([0.0] * (whole + 2), maxlen=whole + 2)
-        self._early = part * period
-        self._late = period - self._early
-        self._early_map = coefficients(self._mass, self._damping, self._grip, self._early)
-        self._late_map = coefficients(self._mass, self._damping, self._grip, self._late)
+        self.commands: deque[float] = deque([0.0] * (whole + 2), maxlen=whole + 2)
+        self.early = part * period
+        self.late = period - self.early
+        self.early_map = coefficients(self._mass, self._damping, self._grip, self.early)
+        self.late_map = coefficients(self._mass, self._damping, self._grip, self.late)
 
     def measured(self) -> float:
         """Read the encoder.
@@ -66,7 +72,14 @@ class VirtualDevice:
         """
         return quantise(self.position, self.model.resolution)
 
-    def _load(self) -> float:
+    def load(self) -> float:
+        """Give the force on the device that is not the motor's, during the present tick.
+
+        Returns
+        -------
+        float
+            Force [N].
+        """
         return self.model.load(self.ticks, self.period, self.target) if self._weight is None else self._weight
 
     def tick(self, force: float) -> None:
@@ -79,18 +92,16 @@ class VirtualDevice:
         force : float
             Force commanded in answer to this tick's sample [N].
         """
-        self._commands.appendleft(force)
+        self.commands.appendleft(force)
         peak = self.model.peak_force
-        load = self._load()
+        load = self.load()
         x, v = self.position, self.velocity
-        if self._early > 0.0:
-            u = saturate(self._commands[-1], peak) + load
-            x, v = move(
-                x, v, u, self._early, self._early_map, self._mass, self._damping, self._grip, self.model.friction
-            )
-        u = saturate(self._commands[-2], peak) + load
+        if self.early > 0.0:
+            u = saturate(self.commands[-1], peak) + load
+            x, v = move(x, v, u, self.early, self.early_map, self._mass, self._damping, self._grip, self.model.friction)
+        u = saturate(self.commands[-2], peak) + load
         self.position, self.velocity = move(
-            x, v, u, self._late, self._late_map, self._mass, self._damping, self._grip, self.model.friction
+            x, v, u, self.late, self.late_map, self._mass, self._damping, self._grip, self.model.friction
         )
         self.ticks += 1
 
@@ -108,7 +119,7 @@ class VirtualDevice:
         """
         if duration <= 0.0:
             return
-        u = saturate(force, self.model.peak_force) + self._load()
+        u = saturate(force, self.model.peak_force) + self.load()
         step = coefficients(self._mass, self._damping, self._grip, duration)
         self.position, self.velocity = move(
             self.position,

@@ -3,7 +3,9 @@
 Three processes pass the same maps (same fields, same sizes) around the same sockets, unchecked, uncounted and unrecorded, with
 a spring in place of a law. What haptic-nodes adds to this, it has to be worth. One process per role::
 
-    python -m sim.measure.bare_loop ROLE FOLDER TICKS CORE FIFO RATE
+    python -m sim.measure.bare_loop ROLE FOLDER TICKS CORE FIFO RATE LISTENERS
+
+A logger, which only receives, may be a fourth. The same loop in C is bare_loop.c.
 """
 
 from __future__ import annotations
@@ -19,25 +21,32 @@ from typing import Any
 import msgpack
 import zmq
 
+from messages.transport.sockets import SEND_QUEUE
+
 ROLES = ("environment", "coupling", "driver")
 
 
-def _sockets(folder: str, own: str, other: str) -> tuple[Any, Any]:
+def _sockets(folder: str, own: str, other: str, listeners: int) -> tuple[Any, Any]:
     context = zmq.Context()
     context.linger = 0
     publisher = context.socket(zmq.XPUB)
+    publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
+    publisher.sndhwm = SEND_QUEUE
     publisher.bind(f"ipc://{folder}/{own}")
     inbox = context.socket(zmq.SUB)
     inbox.setsockopt(zmq.RECONNECT_IVL, 10)
     inbox.connect(f"ipc://{folder}/{other}")
     inbox.subscribe(b"")
-    # The subscription of the one who listens: from here on nothing is lost.
-    publisher.recv()
+    # The subscriptions of those who listen: from here on nothing is lost.
+    for _ in range(1 + listeners):
+        publisher.recv()
     return publisher, inbox
 
 
-def _relay(folder: str, own: str, other: str, answer: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
-    publisher, inbox = _sockets(folder, own, other)
+def _relay(
+    folder: str, own: str, other: str, answer: Callable[[dict[str, Any]], dict[str, Any]], listeners: int
+) -> None:
+    publisher, inbox = _sockets(folder, own, other, listeners)
     topic = f"/{own}/answer".encode()
     pack = msgpack.Packer().pack
     unpack = msgpack.unpackb
@@ -91,8 +100,26 @@ def _state(seq: int, position: float, force: list[float]) -> dict[str, Any]:
     }
 
 
-def _drive(folder: str, ticks: int, rate: float) -> dict[str, Any]:
-    publisher, inbox = _sockets(folder, "driver", "coupling")
+def _log(folder: str) -> None:
+    """Receive all that the three publish, until each has said its last, or a second of silence: a last word may be dropped."""
+    context = zmq.Context()
+    inbox = context.socket(zmq.SUB)
+    inbox.setsockopt(zmq.RECONNECT_IVL, 10)
+    for role in ROLES:
+        inbox.connect(f"ipc://{folder}/{role}")
+    inbox.subscribe(b"")
+    inbox.recv()
+    inbox.rcvtimeo = 1000
+    ends = int(msgpack.unpackb(inbox.recv())["seq"] < 0)
+    with contextlib.suppress(zmq.Again):
+        while ends < len(ROLES):
+            inbox.recv()
+            ends += msgpack.unpackb(inbox.recv())["seq"] < 0
+    inbox.close(linger=0)
+
+
+def _drive(folder: str, ticks: int, rate: float, listeners: int) -> dict[str, Any]:
+    publisher, inbox = _sockets(folder, "driver", "coupling", listeners)
     pack = msgpack.Packer().pack
     unpack = msgpack.unpackb
     # The inbox's own subscription has to reach the coupling too: the first tick is asked until it is answered.
@@ -137,6 +164,7 @@ def _drive(folder: str, ticks: int, rate: float) -> dict[str, Any]:
     publisher.send(b"/driver/state", zmq.SNDMORE)
     publisher.send(pack(_state(-1, position, force)))
     inbox.recv()
+    publisher.close(linger=1000)
     responses.sort()
     return {
         "ticks": ticks,
@@ -155,14 +183,15 @@ def main(arguments: list[str]) -> int:
     Parameters
     ----------
     arguments : list of str
-        Role, folder of the sockets, ticks, core (or ``any``), SCHED_FIFO priority (0 for none), rate [Hz] (0 for lockstep).
+        Role, folder of the sockets, ticks, core (or ``any``), SCHED_FIFO priority (0 for none), rate [Hz] (0 for lockstep),
+        how many loggers listen.
 
     Returns
     -------
     int
         0.
     """
-    role, folder, ticks, core, fifo, rate = arguments
+    role, folder, ticks, core, fifo, rate, listeners = arguments
     if core != "any":
         os.sched_setaffinity(0, [int(core)])
     if int(fifo):
@@ -170,11 +199,13 @@ def main(arguments: list[str]) -> int:
     with open("/proc/self/timerslack_ns", "w", encoding="ascii") as slack:
         slack.write("1")
     if role == "environment":
-        _relay(folder, "environment", "driver", _proxy)
+        _relay(folder, "environment", "driver", _proxy, int(listeners))
     elif role == "coupling":
-        _relay(folder, "coupling", "environment", _force)
+        _relay(folder, "coupling", "environment", _force, int(listeners))
+    elif role == "logger":
+        _log(folder)
     else:
-        print(json.dumps(_drive(folder, int(ticks), float(rate))), flush=True)
+        print(json.dumps(_drive(folder, int(ticks), float(rate), int(listeners))), flush=True)
     return 0
 
 

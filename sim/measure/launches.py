@@ -201,47 +201,6 @@ class Running:
         return figures
 
 
-def bare_loop(ticks: int, core: str, fifo: int = 0, rate: float = 0.0) -> dict[str, Any]:
-    """Run the yardstick.
-
-    Parameters
-    ----------
-    ticks : int
-        How many ticks.
-    core : str
-        Core of all three processes, or ``any``.
-    fifo : int
-        SCHED_FIFO priority, 0 for none.
-    rate : float
-        Ticks per second; 0 for lockstep.
-
-    Returns
-    -------
-    dict
-        ``ticks_per_s``, ``missed``, ``response_us``.
-    """
-    from sim.measure.bare_loop import ROLES
-
-    with tempfile.TemporaryDirectory(prefix="haptic-bare-") as folder:
-        words = [folder, str(ticks), core, str(fifo), str(rate)]
-        started = [
-            subprocess.Popen([*PYTHON, "-m", "sim.measure.bare_loop", role, *words], stdout=subprocess.PIPE, text=True)
-            for role in ROLES
-        ]
-        try:
-            out, _ = started[-1].communicate(timeout=60.0 + 4.0 * ticks / (rate or 1000.0))
-            codes = [process.wait(timeout=10.0) for process in started]
-        finally:
-            for process in started:
-                process.kill()
-                if process.stdout is not None:
-                    process.stdout.close()
-        if any(codes):
-            raise MeasurementError(f"the bare loop failed with exit codes {codes}")
-        figures: dict[str, Any] = json.loads(out)
-        return figures
-
-
 def machine() -> str:
     """Name the machine that a figure was measured on.
 

@@ -1,0 +1,55 @@
+"""Compiled ticks of a driver, as its loop sees them: they go ahead of the plain tick until something is unusual."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from messages.types import Vector
+
+
+class Stop(NamedTuple):
+    """Where compiled ticks stopped.
+
+    Attributes
+    ----------
+    seq : int
+        The tick that is next, or under way.
+    sent : float or None
+        When its sample was published [s], where the tick is under way and waits for its answer; None before it begins.
+    following : tuple of float, shape (3,), or None
+        Force to be written at the start of the tick (``next_tick``) [N].
+    done : int
+        Ticks done.
+    """
+
+    seq: int
+    sent: float | None
+    following: Vector | None
+    done: int
+
+
+class Ahead(Protocol):
+    """What a kind of driver may offer beside the plain tick."""
+
+    def run(self, seq: int, end: int, epoch: float, following: Vector | None) -> Stop:
+        """Do ticks until something is unusual.
+
+        Parameters
+        ----------
+        seq, end : int
+            The tick that is next, and the one before which to stop.
+        epoch : float
+            When tick 0 was, in real time [s].
+        following : tuple of float, shape (3,), or None
+            As in `Stop`.
+
+        Returns
+        -------
+        Stop
+            Where they stopped; the driver's own state is up to date.
+        """
+        ...
+
+    def wake(self) -> None:
+        """Ask them to stop after the present tick; from any thread."""
+        ...

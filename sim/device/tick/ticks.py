@@ -1,0 +1,296 @@
+"""The sim driver's compiled ticks: what crosses the border between its plain side and the kernel."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from messages import topics
+from messages.types import Vector
+from nodes.base.setup import Setup
+from nodes.driver.ahead import Stop
+from nodes.driver.mean_force import Latency
+from nodes.driver.motion import Motion
+from nodes.driver.passivity import PassivityGuard
+from nodes.driver.response_times import ResponseTimes
+from nodes.driver.safety import REACH, Safety
+from nodes.tick.answering import WAIT_MS, CompiledTicks, Node
+from nodes.tick.library import Kernel
+from sim.device.tick.layout import PENDING, WAITING, DriverState
+
+AHEAD = 4
+"""Pulls of a hand that are computed beyond the ticks to do: a lost tick lets several pass at once."""
+
+
+class _Timed(Protocol):
+    """`sim.device.driver.TimedDevice`, as far as it is shared."""
+
+    device: Any
+    dragged: Any
+    axis: int
+    tick: int
+    acting: float
+    commanded: float
+    pending: Any
+    delay: float
+    hold: float
+
+
+class _Driver(Node, Protocol):
+    """`nodes.driver.node.Driver`, as far as it is shared."""
+
+    setup: Setup
+    called: bool
+    stopping: bool
+    sent: int
+    received: int
+    _axes: list[int]
+    _device: Any
+    _safety: Safety
+    _motion: Motion
+    _guard: PassivityGuard | None
+    _latency: Latency | None
+    _responses: ResponseTimes
+    _handed: Vector
+    _written: int
+    _response: float
+    _lateness: float
+    _delay: float
+    _age: int
+    _missed: int
+    _overruns: int
+    _unlistened: bytes
+
+
+def _vector(numbers: Sequence[float]) -> Vector:
+    return numbers[0], numbers[1], numbers[2]
+
+
+class DriverTicks(CompiledTicks):
+    """The compiled ticks of a sim driver.
+
+    Parameters
+    ----------
+    node : SimDriver
+        The node; its device is made.
+    kernel : callable
+        sim/device/tick/kernel.py, compiled.
+    """
+
+    def __init__(self, node: _Driver, kernel: Kernel) -> None:
+        setup = node.setup
+        realtime = setup.pace == "realtime"
+        state: Any = DriverState()
+        super().__init__(node, kernel, state, topics.FORCE, topics.DEVICE_STATE, setup.period, realtime)
+        self._driver = node
+        self.say_text("active")
+        state.axes, state.axis[:] = len(node._axes), (*node._axes, 0, 0)[:3]
+        state.next_tick = setup.apply == "next_tick"
+        self._set_waiting()
+        self._set_limits(node._safety)
+        self._set_device(node._device)
+        self.keep("recent", node._responses.recent)
+        self.keep("bins", node._responses.bins)
+        state.places_count = self._kept_places = node._motion.recent.maxlen or 1
+        self._places = array("d", [0.0]) * (3 * self._kept_places)
+        self.keep("places", self._places)
+        lines = [] if node._latency is None else node._latency.lines
+        self._lines = array("d", [0.0]) * sum(map(len, lines))
+        self.keep("lines", self._lines)
+        state.line_length = len(lines[0]) if lines else 0
+        state.line_part = 0.0 if node._latency is None else node._latency.part
+
+    def _set_waiting(self) -> None:
+        self._poll = array(
+            "i", [self._inbox.fd, 1]
+        )  # struct pollfd: descriptor, then two shorts: POLLIN, and the answer
+        self._events, self._events_size = array("q", [0]), array("q", [4])
+        for name, numbers in (("poll", self._poll), ("events", self._events), ("events_size", self._events_size)):
+            self.keep(name, numbers)
+
+    def _set_limits(self, safety: Safety) -> None:
+        state: Any = self.state
+        limits = safety.limits
+        state.peak = math.inf if limits.peak is None else limits.peak
+        state.slew = math.inf if limits.slew is None else limits.slew
+        state.workspace[:] = [bound for bounds in limits.workspace for bound in bounds]
+        state.reach = REACH
+
+    def _set_device(self, timed: _Timed) -> None:
+        state: Any = self.state
+        device = timed.device
+        model = device.model
+        state.mass, state.damping, state.grip = model.moving_mass, model.moving_damping, model.grip
+        for name, value in (
+            ("friction", model.friction),
+            ("resolution", model.resolution),
+            ("motor", model.peak_force),
+        ):
+            setattr(state, f"has_{name}", value is not None)
+            setattr(state, name, 0.0 if value is None else value)
+        state.device_axis = timed.axis
+        state.early, state.late = device.early, device.late
+        state.early_map[:], state.late_map[:] = device.early_map, device.late_map
+        self._commands = array("d", device.commands)
+        self.keep("commands", self._commands)
+        state.commands_count = len(self._commands)
+        state.device_delay, state.device_hold = timed.delay, timed.hold
+        self._pending = array("d", [0.0]) * (2 * PENDING)
+        self.keep("pending", self._pending)
+        hand = model.hand is not None
+        self._loads = array("d", [device.load()]) * (self._most + AHEAD if hand else 1)
+        self._targets = array("d", [0.0]) * (self._most + 1 if hand else 0)
+        self.keep("loads", self._loads)
+        self.keep("targets", self._targets)
+        state.targets_count = len(self._targets)
+        state.loads_count = len(self._loads)
+
+    def wake(self) -> None:
+        """Ask the kernel to stop after the present tick; from any thread."""
+        self.state.attention = 1
+
+    def _usual(self) -> bool:
+        """Whether the next tick is one for the kernel."""
+        node = self._driver
+        safety, motion = node._safety, node._motion
+        return (
+            safety.state == "active"
+            and safety.motor is None
+            and node._guard is None
+            and node._device.dragged is None
+            and motion.covered == 1
+            and (self.state.realtime == 0 or node._device.tick >= 0)
+            and len(node._device.pending) < PENDING // 2
+            and not (node.called or node.stopping)
+        )
+
+    def run(self, seq: int, end: int, epoch: float, following: Vector | None) -> Stop:
+        """Do ticks until something is unusual.
+
+        Parameters
+        ----------
+        seq, end : int
+            The tick that is next, and the one before which to stop.
+        epoch : float
+            When tick 0 was, in real time [s].
+        following : tuple of float, shape (3,), or None
+            Force to be written at the start of the tick [N].
+
+        Returns
+        -------
+        Stop
+            Where they stopped.
+        """
+        state: Any = self.state
+        # Before looking: what comes in between stops it.
+        state.attention = 0
+        if not self._usual():
+            return Stop(seq, None, following, 0)
+        node = self._driver
+        node.publisher.flush()
+        if not state.realtime:
+            self._inbox.set_timeout(WAIT_MS)
+        state.seq, state.until, state.epoch = seq, end, epoch
+        state.has_following = following is not None
+        if following is not None:
+            state.following[:] = following
+        self._take_over(seq)
+        done = self._kernel(self._at)
+        self._give_back(done)
+        if state.frames:
+            self._inbox.put_back(self._frames())
+        waits = state.phase == WAITING
+        return Stop(
+            state.seq,
+            state.sampled if waits else None,
+            _vector(state.following) if state.has_following else None,
+            done,
+        )
+
+    def _take_over(self, seq: int) -> None:
+        """Bring the kernel's side up to date."""
+        node = self._driver
+        safety, motion, responses = node._safety, node._motion, node._responses
+        state: Any = self.state
+        state.most = self._most
+        state.ticks, state.clock_offset = node.ticks, node.clock_offset
+        state.lateness, state.response, state.delay = node._lateness, node._response, node._delay
+        state.age, state.missed, state.overruns = node._age, node._missed, node._overruns
+        state.handed[:], state.written = node._handed, node._written
+        state.force[:], state.force_seq, state.slewed[:] = safety.force, safety.force_seq, safety.slewed
+        state.position[:], state.before[:] = motion.position, motion.before
+        state.acting[:], state.acted[:] = motion.acting, motion.acted
+        state.energy, state.highest = motion.energy, motion.highest
+        state.at, state.at_before = motion.at, motion.at_before
+        state.places_at = 0
+        state.recent_at, state.counted, state.longest = responses.at, responses.counted, responses.longest_counted
+        if node._latency is not None:
+            for i, line in enumerate(node._latency.lines):
+                self._lines[i * len(line) : (i + 1) * len(line)] = array("d", line)
+        self._device_over(seq)
+
+    def _device_over(self, seq: int) -> None:
+        state: Any = self.state
+        timed: _Timed = self._driver._device
+        device = timed.device
+        state.x, state.v, state.device_ticks = device.position, device.velocity, device.ticks
+        state.loads_from = device.ticks
+        if device.model.hand is not None:
+            state.targets_from = seq
+            for n in range(len(self._targets)):
+                self._targets[n] = device.model.hand.point((seq + n) * device.period)
+            for n in range(len(self._loads)):
+                self._loads[n] = device.model.load(device.ticks + n, device.period)
+        # The oldest first: the next one overwrites it.
+        self._commands[:] = array("d", reversed(device.commands))
+        state.slot = 0
+        state.device_tick, state.device_acting, state.commanded = timed.tick, timed.acting, timed.commanded
+        state.pending_first, state.pending_count = 0, len(timed.pending)
+        for n, (when, force) in enumerate(timed.pending):
+            self._pending[2 * n], self._pending[2 * n + 1] = when, force
+
+    def _give_back(self, done: int) -> None:
+        """Bring the node's side up to date."""
+        node = self._driver
+        state: Any = self.state
+        safety, motion, responses = node._safety, node._motion, node._responses
+        sampled = done + (state.phase == WAITING)
+        node.ticks, node.ticks_compiled = state.ticks, node.ticks_compiled + done
+        node.sent += sampled
+        node.received += done
+        node._lateness, node._response, node._delay, node._age = state.lateness, state.response, state.delay, state.age
+        node._handed, node._written = _vector(state.handed), state.written
+        if done:
+            safety.answered(_vector(state.force), state.force_seq, list(state.slewed))
+            responses.at, responses.counted, responses.longest_counted = state.recent_at, state.counted, state.longest
+        if sampled:
+            node.seq = state.seq if state.phase == WAITING else state.seq - 1
+            node._unlistened = self.last_sent()
+            motion.position, motion.before = _vector(state.position), _vector(state.before)
+            motion.acting, motion.acted = list(state.acting), list(state.acted)
+            motion.energy, motion.highest = state.energy, state.highest
+            motion.at, motion.at_before = state.at, state.at_before
+            motion.elapsed = 1
+            motion.covered = 0 if state.phase == WAITING else 1
+            for n in range(max(0, sampled - self._kept_places), sampled):
+                at = 3 * (n % self._kept_places)
+                motion.recent.append(_vector(self._places[at : at + 3]))
+        if node._latency is not None:
+            for i, line in enumerate(node._latency.lines):
+                line[:] = self._lines[i * len(line) : (i + 1) * len(line)].tolist()
+        self._device_back()
+
+    def _device_back(self) -> None:
+        state: Any = self.state
+        timed: _Timed = self._driver._device
+        device = timed.device
+        device.position, device.velocity, device.ticks = state.x, state.v, state.device_ticks
+        commands = [*self._commands[state.slot :], *self._commands[: state.slot]]
+        device.commands.extendleft(commands)
+        timed.tick, timed.acting, timed.commanded = state.device_tick, state.device_acting, state.commanded
+        timed.pending.clear()
+        for n in range(state.pending_first, state.pending_first + state.pending_count):
+            at = 2 * (n % PENDING)
+            timed.pending.append((self._pending[at], self._pending[at + 1]))
