@@ -19,6 +19,9 @@ from sim.measure.stopwatch import Progress
 
 RATES = (500, 4000, 8000)
 
+KERNELS = ("nodes.tick.kernels.environment", "nodes.tick.kernels.coupling", "sim.device.tick.kernel")
+"""The compiled ticks of the loop."""
+
 NAMES = {"compiled": "compiled", "plain": "plain", "bare": "bare pyzmq + msgpack", "c": "bare C"}
 """The loops compared; a bare one carries a logger when ours does."""
 
@@ -210,8 +213,7 @@ def run(arguments: argparse.Namespace) -> int:
         0.
     """
     rounds = arguments.rounds
-    kernels = ("nodes.tick.kernels.environment", "nodes.tick.kernels.coupling", "sim.device.tick.kernel")
-    tick = choose("compiled", kernels, lambda text: print(text, file=sys.stderr))
+    tick = choose("compiled", KERNELS, lambda text: print(text, file=sys.stderr))
     loops = 2 + (tick == "compiled") + (c_loop() is not None)
     progress = Progress(loops * rounds * (2 + len(RATES)))
     figures = lockstep(rounds, arguments.ticks, tick, progress)

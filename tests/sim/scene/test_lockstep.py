@@ -18,6 +18,8 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.launcher import launch_file
 from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
+from nodes.tick.choose import choose
+from sim.bench.loop import KERNELS
 from sim.scene.from_launch import from_launch
 from tests.support.launching import haptic, launch_json, running, wait_for
 
@@ -37,6 +39,13 @@ VARIANTS = (
 
 PLAYED = [name for name in launch_file.scenarios() if name != "identify"]
 """All scenarios but the one whose law has code of its own, which one process does not play (and refuses: test_needs)."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_before() -> None:
+    """Compile the ticks before the clock of a launch runs."""
+    told: list[str] = []
+    assert choose("compiled", KERNELS, told.append) == "compiled", told
 
 
 def bits(values: list[float]) -> list[int]:
