@@ -123,13 +123,12 @@ class Publisher:
         return socket
 
     def lend(self) -> tuple[int, int, int]:
-        """Let compiled code of the same thread send on the sockets, as `send` does.
+        """Let compiled code of the same thread do what `send` does.
 
         Returns
         -------
         tuple of int
-            ZeroMQ's own addresses of the sockets for the hop and for listeners, 0 when these have none of their own, and how
-            many messages are collected for listeners.
+            ZeroMQ's addresses of the sockets for hop and listeners (0 for none of their own), and messages in a batch.
         """
         return self._sockets[0].underlying, self._sockets[1].underlying if self.apart else 0, self._batch
 
@@ -262,7 +261,7 @@ class Subscription:
     Attributes
     ----------
     fd : int
-        Descriptor that says when there may be something to receive; edge-triggered, see `receive_until`.
+        Descriptor to wait on: see `receive_until`.
     next_frame : callable
         Waits for the next frame for as long as `set_timeout` says, then raises `TimedOut`. For the loop, where each call
         costs a tick: it compares the first frame with the topic that it expects, and takes the second.
@@ -303,24 +302,12 @@ class Subscription:
             self._socket.subscribe(topic)
 
     def lend(self) -> int:
-        """Let compiled code of the same thread receive from the socket; what it has no use for comes back by `put_back`.
-
-        Returns
-        -------
-        int
-            ZeroMQ's own address of the socket.
-        """
+        """Let compiled code of this thread receive. Returns ZeroMQ's address of the socket; what is not for it is put back."""
         self.next_frame = self._next_frame
         return self._socket.underlying
 
     def put_back(self, frames: Iterable[bytes]) -> None:
-        """Let the next frames be these, taken off the socket before.
-
-        Parameters
-        ----------
-        frames : iterable of bytes
-            In their order.
-        """
+        """Let the next ones be these frames, which were taken off the socket before."""
         self._returned.extend(frames)
 
     def _next_frame(self, flags: int = 0) -> bytes:

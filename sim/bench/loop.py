@@ -14,7 +14,8 @@ from nodes.base.setup import Tick
 from nodes.cli.main import answer
 from nodes.launcher.launch_spec import AWAKE_RATE
 from nodes.tick.choose import choose
-from sim.measure.launches import BARE, bare_loop, c_loop, fifo_granted, launch, machine
+from sim.measure.bare import BARE, bare_loop, c_loop
+from sim.measure.launches import fifo_granted, launch, machine
 from sim.measure.stopwatch import Progress
 
 RATES = (500, 4000, 8000)
@@ -124,7 +125,7 @@ def realtime(rounds: int, seconds: float, tick: Tick, progress: Progress) -> dic
     core = str(quietest_processor())
     fifo = 50 if fifo_granted() else 0
     in_c = c_loop()
-    programs = {"bare": BARE} if in_c is None else {"bare": BARE, "c": tuple(in_c)}
+    programs = {"bare": BARE} if in_c is None else {"bare": BARE, "c": in_c}
     ours = dict.fromkeys(("plain", tick))
     found: dict[tuple[str, int], list[dict[str, Any]]] = {
         (name, rate): [] for rate in RATES for name in (*ours, *programs)
