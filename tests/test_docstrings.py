@@ -13,7 +13,7 @@ import messages
 import nodes
 import sim
 
-INTERNAL = "nodes.tick.kernels."
+INTERNAL = ("nodes.tick.kernels.", "sim.device.tick.device.", "sim.device.tick.kernel.")
 """What is called by its own room only gets a sentence: nobody else can call a compiled kernel."""
 
 

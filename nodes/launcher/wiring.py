@@ -18,7 +18,7 @@ from nodes.base.setup import Scheduling, Setup
 from nodes.launcher.external_child import LEASE, PATIENCE
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError, convert
-from nodes.tick.choose import choose
+from nodes.tick.choose import SCARCE, choose
 
 FIFO = 50
 """Priority of the chain in real time: above what a desktop runs, below the kernel's own threads."""
@@ -147,7 +147,8 @@ def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
     """
     factories = node_kinds()
     modules = {load(factories[spec.kind]).kernel_module for spec in launch.nodes.values() if not spec.host} - {""}
-    tick = choose(launch.run.tick, sorted(modules), say)
+    scarce = launch.run.pace == "realtime" and launch.run.rate >= SCARCE
+    tick = choose(launch.run.tick, sorted(modules), say, scarce)
     return msgspec.structs.replace(launch, run=msgspec.structs.replace(launch.run, tick=tick))
 
 

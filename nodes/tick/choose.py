@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 from nodes.tick.build import build, find
 from nodes.tick.fields import NotCompilableError
@@ -11,8 +11,17 @@ from nodes.tick.fields import NotCompilableError
 Wanted: TypeAlias = Literal["auto", "compiled", "plain"]
 
 
-def choose(wanted: Wanted, modules: Collection[str], say: Callable[[str], None]) -> Literal["compiled", "plain"]:
+SCARCE: Final = 1000.0
+"""From this rate on ``auto`` has the tick compiled, should it not be: a tick by the interpreter fills a fifth of the period [Hz]."""
+
+
+def choose(
+    wanted: Wanted, modules: Collection[str], say: Callable[[str], None], scarce: bool = True
+) -> Literal["compiled", "plain"]:
     """Settle which tick the nodes of a launch take.
+
+    ``auto`` takes the compiled one wherever it is there already, for it costs nothing then; where it would have to be compiled
+    first, which takes some ten seconds, only where time is scarce.
 
     Parameters
     ----------
@@ -22,15 +31,19 @@ def choose(wanted: Wanted, modules: Collection[str], say: Callable[[str], None])
         Modules of the kernels of its nodes.
     say : callable
         Called with a line when something is compiled, which takes its time, or cannot be.
+    scarce : bool
+        Whether the run is paced at `SCARCE` or faster.
 
     Returns
     -------
     str
         ``compiled`` when all of them are there now.
     """
-    if wanted == "plain" or wanted == "auto" or not modules:
+    if wanted == "plain" or not modules:
         return "plain"
     missing = [module for module in modules if find(module) is None]
+    if missing and wanted == "auto" and not scarce:
+        return "plain"
     if missing:
         say(f"compiling the tick, once for this version: {len(missing)} kernels, some ten seconds")
         try:
