@@ -12,7 +12,7 @@ Wanted: TypeAlias = Literal["auto", "compiled", "plain"]
 
 
 SCARCE: Final = 1000.0
-"""From this rate on ``auto`` has the tick compiled, should it not be: a tick by the interpreter fills a fifth of the period [Hz]."""
+"""From this rate on ``auto`` has the tick compiled, should it not be: the interpreter's fills a fifth of the period [Hz]."""
 
 
 def choose(
