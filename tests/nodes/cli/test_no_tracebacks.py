@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.launching import DEADLINE, haptic, private_runtime_dir
+from tests.support.launching import DEADLINE, haptic, private_runtime_dir, wait_for
 
 COMMAND = Path(sys.executable).parent / "haptic"
 
@@ -90,8 +90,15 @@ def test_a_place_that_cannot_be_written_to_is_told_before_the_work(tmp_path: Pat
         assert told.stdout == ""
 
 
-@pytest.mark.parametrize("delay", [0.02, 0.06, 0.12, 0.2])
-def test_an_interrupt_while_the_command_starts_is_quiet(delay: float, tmp_path: Path) -> None:
+def catches_interrupts(pid: int) -> bool:
+    """Whether a process has a handler of its own for SIGINT, as an interpreter has from its start on."""
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    caught = next(line for line in status.splitlines() if line.startswith("SigCgt:"))
+    return bool(int(caught.split()[1], 16) & 1 << (signal.SIGINT - 1))
+
+
+@pytest.mark.parametrize("later", [0.0, 0.05, 0.1, 0.2])
+def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: Path) -> None:
     with private_runtime_dir() as runtime_dir:
         process = subprocess.Popen(
             [COMMAND, "launch", "floor_drop", "duration:=600"],
@@ -101,13 +108,16 @@ def test_an_interrupt_while_the_command_starts_is_quiet(delay: float, tmp_path: 
             stderr=subprocess.PIPE,
             text=True,
         )
+        # The interpreter's own start is not ours to quieten; the command begins by giving up its handler.
+        wait_for(lambda: catches_interrupts(process.pid), "the interpreter starts")
+        until = time.monotonic() + DEADLINE
+        while catches_interrupts(process.pid):
+            assert time.monotonic() < until
         # Not a wait for anything: where in its start the signal meets the command is what differs.
-        until = time.monotonic() + delay
+        until = time.monotonic() + later
         while time.monotonic() < until:
             pass
         process.send_signal(signal.SIGINT)
         _, told = process.communicate(timeout=DEADLINE)
     assert process.returncode in (130, -signal.SIGINT)
-    # Before its first own line runs, it is Python's own start that is interrupted, and says so as it likes.
-    assert "nodes/cli/main.py" not in told
-    assert "nodes/launcher" not in told
+    assert "Traceback" not in told
