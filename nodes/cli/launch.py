@@ -240,6 +240,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.scenario is None:
         raise UsageError("name a scenario; haptic launch --list shows them")
+    launch: Launch | None = None
     try:
         if arguments.show_args:
             answer(arguments.json, *_show_args(arguments.scenario))
@@ -251,7 +252,9 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.out_dir:
             launch = _into(launch, arguments.out_dir)
         return _launch(with_view(launch) if arguments.view else launch, arguments)
-    except (ParameterError, RunError) as error:
+    except ParameterError as error:
+        raise UsageError(launch.origins.located(str(error)) if launch is not None else str(error)) from error
+    except RunError as error:
         raise UsageError(str(error)) from error
 
 

@@ -8,7 +8,8 @@ from nodes.coupling.parameters import CouplingParameters
 from nodes.laws import CompiledLaw, law_names, load_law
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.laws.presets import PRESETS, expand, preset_names
-from nodes.parameters.store import ParameterError, choices, describe
+from nodes.parameters.refusals import choices
+from nodes.parameters.store import ParameterError, describe
 
 FIXED = ("memory", "schedule")
 """Parameters that cannot change while the node runs."""

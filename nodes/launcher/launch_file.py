@@ -18,6 +18,8 @@ import msgspec
 
 from nodes.base.kinds import load, node_kinds
 from nodes.launcher.launch_spec import Argument, Launch, LaunchText, NodeSpec, RunSpec
+from nodes.launcher.origins import Origins
+from nodes.parameters.refusals import choices
 from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
 from nodes.parameters.yaml_io import parse_yaml, read_yaml
@@ -25,6 +27,7 @@ from nodes.parameters.yaml_io import parse_yaml, read_yaml
 COLLECTIONS = Registry("haptic.launch", "collection of scenarios")
 """What adds scenarios: each names a package with launch files in it, which is not imported."""
 
+_KINDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false", list: "a list"}
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
 _NAME = re.compile(r"^[a-z][a-z0-9_]{0,31}$")
@@ -81,8 +84,8 @@ def find(name: str) -> Path:
     if path.suffix in (".yaml", ".yml") or os.sep in name:
         if path.is_file():
             return path
-        raise ParameterError(f"{name}: no such file")
-    raise ParameterError(f"no launch file is named {name!r}; there is: {', '.join(known)}")
+        raise ParameterError(f"{name}: {'is a directory, expected a launch file' if path.is_dir() else 'no such file'}")
+    raise ParameterError(f"no launch file is named {name!r}; {choices(name, known)}")
 
 
 def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
@@ -134,7 +137,7 @@ def _fill_in(path: Path, arguments: Mapping[str, Argument], given: Mapping[str, 
     for name in given:
         if name not in arguments:
             raise ParameterError(
-                f"{path.name}: no argument {name!r}; there is: {', '.join(arguments)} (haptic launch --show-args {path.stem})"
+                f"{path.name}: no argument {name!r}; {choices(name, arguments)} (haptic launch --show-args {path.stem})"
             )
     for name, argument in arguments.items():
         value = given.get(name, argument.default)
@@ -145,7 +148,7 @@ def _fill_in(path: Path, arguments: Mapping[str, Argument], given: Mapping[str, 
         if kind is str and isinstance(value, (int, float)):
             value = str(value)
         if type(value) is not kind:
-            raise ParameterError(f"{where}: expected {kind.__name__}, got {value!r}")
+            raise ParameterError(f"{where}: expected {_KINDS.get(kind, kind.__name__)}, got {value!r}")
         unit = f" {argument.unit}" if argument.unit else ""
         if argument.min is not None and isinstance(value, (int, float)) and not value >= argument.min:
             raise ParameterError(f"{where}: {value!r}{unit}, limit: at least {argument.min:g}{unit}")
@@ -157,15 +160,16 @@ def _fill_in(path: Path, arguments: Mapping[str, Argument], given: Mapping[str, 
     return values
 
 
-def _substitute(data: Any, values: Mapping[str, Any], where: str) -> Any:
+def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origins) -> Any:
     if isinstance(data, dict):
-        return {key: _substitute(inner, values, f"{where}.{key}") for key, inner in data.items()}
+        return {key: _substitute(inner, values, f"{where}.{key}", origins) for key, inner in data.items()}
     if isinstance(data, list):
-        return [_substitute(inner, values, f"{where}[{i}]") for i, inner in enumerate(data)]
+        return [_substitute(inner, values, f"{where}[{i}]", origins) for i, inner in enumerate(data)]
     if isinstance(data, str):
         for name in _WITHIN.findall(data):
             if name not in values:
-                raise ParameterError(f"{where}: $(var {name}) is not an argument; there is: {', '.join(values)}")
+                raise ParameterError(f"{where}: $(var {name}) is not an argument; {choices(name, values)}")
+            origins.filled_in(where, name)
         whole = _WHOLE.match(data)
         if whole:
             return values[whole.group(1)]
@@ -198,20 +202,30 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) ->
     """
     path = find(name)
     data = read_yaml(path)
+    origins = Origins(path, given, data.get("nodes") or {} if isinstance(data, dict) else {})
+    try:
+        return _read(path, data, given, laid_over, origins)
+    except ParameterError as error:
+        raise ParameterError(origins.located(str(error))) from error
+
+
+def _read(path: Path, data: Any, given: Mapping[str, Any], laid_over: Sequence[Path], origins: Origins) -> Launch:
     file = convert(data, LaunchText, path.name)
     tick = {} if "tick" in file.arguments else {"tick": given["tick"]} if "tick" in given else {}
     values = _fill_in(path, file.arguments, {name: value for name, value in given.items() if name not in tick})
     over = [_by_node(written, file.nodes, path.name) for written in laid_over]
-    run = convert({**_substitute(file.run, values, f"{path.name}.run"), **tick}, RunSpec, f"{path.name}.run")
+    for written in laid_over:
+        origins.laid_over(written)
+    run = convert({**_substitute(file.run, values, f"{path.name}.run", origins), **tick}, RunSpec, f"{path.name}.run")
     nodes = {}
     kinds = node_kinds()
     for node, spec in file.nodes.items():
         where = f"{path.name}.nodes.{node}"
         if not _NAME.match(node):
             raise ParameterError(f"{where}: a node's name is lower-case letters, digits and _, at most 32")
-        made: NodeSpec = convert(_substitute(spec, values, where), NodeSpec, where)
+        made: NodeSpec = convert(_substitute(spec, values, where, origins), NodeSpec, where)
         if made.kind not in kinds:
-            raise ParameterError(f"{where}.kind: {made.kind!r} is not installed; there is: {', '.join(sorted(kinds))}")
+            raise ParameterError(f"{where}.kind: {made.kind!r} is not installed; {choices(made.kind, sorted(kinds))}")
         for tree in over:
             made = msgspec.structs.replace(made, parameters=merge(made.parameters, tree.get(node, {})))
         if made.watch:
@@ -233,6 +247,7 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) ->
         run=run,
         nodes=nodes,
         model=file.model,
+        origins=origins,
     )
 
 
@@ -258,7 +273,7 @@ def without(launch: Launch, left_out: list[str]) -> Launch:
     """
     for name in left_out:
         if name not in launch.nodes:
-            raise ParameterError(f"{launch.scenario}.nodes: no node {name!r}; there is: {', '.join(launch.nodes)}")
+            raise ParameterError(f"{launch.scenario}.nodes: no node {name!r}; {choices(name, launch.nodes)}")
     return msgspec.structs.replace(
         launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out}
     )
@@ -270,7 +285,7 @@ def _by_node(written: Path, nodes: Mapping[str, Any], where: str) -> dict[str, A
         raise ParameterError(f"{written}: expected a mapping from node to parameters, got {str(tree)[:100]!r}")
     for node, parameters in tree.items():
         if node not in nodes:
-            raise ParameterError(f"{written}: {where} has no node {node!r}; there is: {', '.join(nodes)}")
+            raise ParameterError(f"{written}: {where} has no node {node!r}; {choices(node, nodes)}")
         if not isinstance(parameters, dict):
             raise ParameterError(f"{written}.{node}: expected a mapping of parameters, got {str(parameters)[:100]!r}")
     return tree

@@ -226,6 +226,8 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
         The nodes by name.
     model : Model
         What the scene is for.
+    origins : Origins or None
+        Where its values were written; see nodes/launcher/origins.py.
     """
 
     scenario: str
@@ -236,3 +238,4 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
     run: RunSpec
     nodes: dict[str, NodeSpec]
     model: Model = Model()
+    origins: Any = None

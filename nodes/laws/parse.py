@@ -15,8 +15,9 @@ import msgspec
 
 from nodes.laws import CompiledLaw, Law, law_names, load_law
 from nodes.laws.presets import PRESETS, expand, preset_names
+from nodes.parameters.refusals import choices, worded
 from nodes.parameters.registry import NotInstalledError
-from nodes.parameters.store import ParameterError, choices
+from nodes.parameters.store import ParameterError
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<where>.*)`)?$", re.DOTALL)
 
@@ -177,6 +178,9 @@ def _refuse_non_finite(data: object, path: str) -> None:
 
 def _located(text: str, data: Mapping[str, Any], path: str, kind: str) -> str:
     """Rewrite msgspec's ``... - at `$.terms[0].order``` as path, limit and the value found there."""
+    inner, said = worded(text, data, load_law(kind))
+    if said.startswith("expected "):
+        return f"{path}{inner}: {said} (law kind {kind})"
     match = _AT.match(text)
     what, where = (match["what"], match["where"] or "") if match else (text, "")
     value: Any = data

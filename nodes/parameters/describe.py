@@ -11,7 +11,8 @@ import msgspec
 from msgspec import inspect
 
 from messages.schema import attributes
-from nodes.parameters.store import ParameterError, choices
+from nodes.parameters.refusals import choices
+from nodes.parameters.store import ParameterError
 
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 _UNIT = re.compile(r"\[([^\]]+)\]")

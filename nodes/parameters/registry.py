@@ -10,7 +10,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from nodes.parameters.store import ParameterError, choices
+from nodes.parameters.refusals import choices
+from nodes.parameters.store import ParameterError
 
 
 class NotInstalledError(ParameterError):

@@ -6,43 +6,22 @@ command line and the control requests all go through it, so an error always carr
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
 
 from messages.errors import HapticError
+from nodes.parameters.refusals import choices, worded
 
 _PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d+\])*")
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
-_AT = re.compile(r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<path>.*)`)?$", re.DOTALL)
 
 
 class ParameterError(HapticError, ValueError):
     """A parameter that cannot be taken; the text names node, path, value, limit and remedy."""
-
-
-def choices(given: object, known: Iterable[str]) -> str:
-    """Say what there is in place of a name that is not, and which was probably meant.
-
-    Parameters
-    ----------
-    given : object
-        What was written.
-    known : iterable of str
-        What could have been.
-
-    Returns
-    -------
-    str
-        ``there is: fir, pd; did you mean pd?``
-    """
-    names = list(known)
-    close = difflib.get_close_matches(given, names, 1) if isinstance(given, str) else []
-    return f"there is: {', '.join(names) or 'nothing yet'}" + "".join(f"; did you mean {name}?" for name in close)
 
 
 def convert(data: Any, target: Any, where: str) -> Any:
@@ -71,20 +50,8 @@ def convert(data: Any, target: Any, where: str) -> Any:
     try:
         return msgspec.convert(data, target)
     except (msgspec.ValidationError, OverflowError) as error:
-        match = _AT.match(str(error))
-        reason, path = (match["reason"], match["path"] or "") if match else (str(error), "")
-        value = _look_up(data, path)
-        shown = "" if value is None else f", got {value!r}"
-        raise ParameterError(f"{where}{path}: {reason.replace('`', '')}{shown}") from error
-
-
-def _look_up(data: Any, path: str) -> Any:
-    for name, index in _STEP.findall(path):
-        try:
-            data = data[name] if name else data[int(index)]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return data if isinstance(data, str | int | float | bool) else None
+        path, text = worded(str(error), data, target)
+        raise ParameterError(f"{where}{path}: {text}") from error
 
 
 def _refuse_non_finite(data: Any, where: str) -> None:
@@ -300,12 +267,12 @@ class ParameterStore:
             return value[step]
         if isinstance(step, int) and isinstance(value, list) and step < len(value):
             return value[step]
-        there = "nothing below it; set it as a whole" if value is None else "no further names"
+        there = f"there is: {'nothing below it; set it as a whole' if value is None else 'no further names'}"
         if isinstance(value, dict):
-            there = ", ".join(value) or "nothing yet"
+            there = choices(step, value)
         elif isinstance(value, list):
-            there = f"{len(value)} entries from [0]"
-        raise ParameterError(f"{self._node}.{done}{self._shown(step, done)}: no such parameter; there is: {there}")
+            there = f"there is: {len(value)} entries from [0]"
+        raise ParameterError(f"{self._node}.{done}{self._shown(step, done)}: no such parameter; {there}")
 
     def changed(self, values: Mapping[str, Any]) -> Any:
         """Make the parameters that result from setting some of them.

@@ -6,6 +6,7 @@ aliases are refused because a kilobyte of them expands to gigabytes. What `write
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import re
@@ -137,6 +138,38 @@ def parse_yaml(text: str, source: str) -> Any:
         return yaml.load(text, Loader=_Loader)  # noqa: S506
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise ParameterError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
+
+
+def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:
+    """Tell on which line of a YAML file each value stands.
+
+    Parameters
+    ----------
+    path : path-like
+        A file that `read_yaml` has read.
+
+    Returns
+    -------
+    dict of str to int
+        Path, e.g. ``nodes.driver.parameters`` or ``terms[0]``, to line from 1; empty when the file has changed since and
+        cannot be read any more.
+    """
+    found: dict[str, int] = {}
+
+    def walk(node: Any, place: str) -> None:
+        if isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                below = f"{place}.{key.value}" if place else str(key.value)
+                found[below] = key.start_mark.line + 1
+                walk(value, below)
+        elif isinstance(node, yaml.SequenceNode):
+            for i, value in enumerate(node.value):
+                found[f"{place}[{i}]"] = value.start_mark.line + 1
+                walk(value, f"{place}[{i}]")
+
+    with contextlib.suppress(yaml.YAMLError, OSError, ValueError), open(path, encoding="utf-8") as file:
+        walk(yaml.compose(file.read(4 * MAX_CHARACTERS), Loader=_Loader), "")
+    return found
 
 
 def write_yaml(data: Any, width: int = 120) -> str:

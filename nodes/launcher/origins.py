@@ -1,0 +1,93 @@
+"""Where a parameter of a launch was written: file and line, and the argument that filled it in; so that an error can say so."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from nodes.parameters.yaml_io import lines_of
+
+_PATH = re.compile(r"^(?P<path>[^\s:\[\]]+(?:\[\d+\][^\s:\[\]]*)*): ")
+_LAST = re.compile(r"(?:^|\.)[^.\[\]]+$|\[\d+\]$")
+
+
+class Origins:
+    """Origins of one launch file's values.
+
+    Parameters
+    ----------
+    path : Path
+        The launch file.
+    given : mapping of str to object
+        Arguments as the user gave them.
+    nodes : mapping
+        Its nodes by name.
+    """
+
+    def __init__(self, path: Path, given: Mapping[str, Any], nodes: Mapping[str, Any]) -> None:
+        self._name = path.name
+        self._given = given
+        self._nodes = set(nodes)
+        self._lines = {place: (path.name, line) for place, line in lines_of(path).items()}
+        self._arguments: dict[str, str] = {}
+
+    def laid_over(self, path: Path) -> None:
+        """Note a file of parameters, by node, that goes before the launch file.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        """
+        for place, line in lines_of(path).items():
+            node, _, rest = place.partition(".")
+            self._lines[f"nodes.{node}.parameters.{rest}"] = (str(path), line)
+            self._arguments.pop(f"nodes.{node}.parameters.{rest}", None)
+
+    def filled_in(self, place: str, argument: str) -> None:
+        """Note that an argument stands at a place.
+
+        Parameters
+        ----------
+        place : str
+            Path in the file.
+        argument : str
+            Its name.
+        """
+        self._arguments[place.removeprefix(f"{self._name}.")] = argument
+
+    def located(self, text: str) -> str:
+        """Say where what an error complains about was written.
+
+        Parameters
+        ----------
+        text : str
+            The error; it begins with a path.
+
+        Returns
+        -------
+        str
+            With file and line before it, and the argument behind it where one was filled in there.
+        """
+        match = _PATH.match(text)
+        if match is None:
+            return text
+        place = match["path"].removeprefix(f"{self._name}.")
+        node, dot, rest = place.partition(".")
+        if node in self._nodes:
+            place = f"nodes.{node}.parameters{dot}{rest}"
+        argument = self._arguments.get(place)
+        if argument is None and place.startswith("arguments."):
+            argument = place.removeprefix("arguments.")
+        behind = ""
+        if argument is not None:
+            given = argument in self._given
+            behind = f" (given as {argument}:={self._given[argument]})" if given else f" (the default of {argument})"
+        while place and place not in self._lines:
+            place = _LAST.sub("", place, count=1)
+        if not place:
+            return text
+        file, line = self._lines[place]
+        return f"{file}:{line}: {text.removeprefix(f'{self._name}.')}{behind}"

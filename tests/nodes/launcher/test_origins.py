@@ -1,0 +1,79 @@
+"""An error names file, line, choices and what was probably meant, and the argument that the user really wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from nodes.launcher import launch_file
+from tests.support.launching import haptic
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        (
+            "gravity: 9.81",
+            "gravty: 9.81",
+            "driver.device.gravty: no such parameter; there is: mass, damping, gravity, ",
+        ),
+        ("gravity: 9.81", "gravity: soft", "driver.device.gravity: expected a number or nothing, got 'soft'"),
+        ("axis: z", "axis: w", "environment.surface.axis: expected one of x, y, z, got 'w'"),
+        ("apply: $(var apply)", "apply: later", "run.apply: expected one of next_tick, on_arrival, got 'later'"),
+        ("    kind: sim_driver", "    kind: sim_drive", "nodes.driver.kind: 'sim_drive' is not installed; there is: "),
+        (
+            "position: $(var height)",
+            "position: $(var hight)",
+            "nodes.driver.parameters.device.position: $(var hight) is",
+        ),
+    ],
+)
+def test_a_mistake_in_a_launch_file_is_told_with_its_line(before: str, after: str, told: str, tmp_path: Path) -> None:
+    text = launch_file.find("floor_drop").read_text(encoding="utf-8").replace(before, after, 1)
+    (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
+    line = next(i for i, words in enumerate(text.splitlines(), 1) if after in words)
+    assert f"haptic: mine.yaml:{line}: {told}" in haptic(tmp_path, "launch", "./mine.yaml", code=2).stderr
+
+
+def test_what_was_probably_meant(tmp_path: Path) -> None:
+    text = launch_file.find("floor_drop").read_text(encoding="utf-8").replace("gravity:", "gravty:")
+    (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
+    for words, meant in (
+        (("launch", "./mine.yaml"), "gravity"),
+        (("launch", "flor_drop"), "floor_drop"),
+        (("launch", "floor_drop", "stifness:=3"), "stiffness"),
+        (("launch", "floor_drop", "law:=pd_alfa"), "pd_alpha"),
+        (("launch", "floor_drop", "--without", "loger"), "logger"),
+        (("lanch",), "launch"),
+        (("launch", "floor_drop", "--param", "x.yaml"), "--params"),
+        (("study", "kmx"), "kmax"),
+        (("study", "kmax", "--gan", "3"), "--gain"),
+        (("param", "gett", "coupling", "law"), "get"),
+    ):
+        assert f"did you mean {meant}?" in haptic(tmp_path, *words, code=2).stderr, words
+
+
+def test_an_argument_is_blamed_as_it_was_written(tmp_path: Path) -> None:
+    text = launch_file.find("floor_drop").read_text(encoding="utf-8").splitlines()
+    line = 1 + next(i for i, words in enumerate(text) if words.strip().startswith("pd: {kind"))
+    told = haptic(tmp_path, "launch", "floor_drop", "stiffness:=-1500", code=2).stderr
+    assert told.startswith(f"haptic: floor_drop.yaml:{line}: coupling.laws.pd.stiffness: ")
+    assert told.rstrip().endswith("(given as stiffness:=-1500)")
+
+
+def test_a_file_of_parameters_is_blamed_by_its_own_line(tmp_path: Path) -> None:
+    (tmp_path / "over.yaml").write_text("coupling:\n  laws:\n    pd:\n      stiffness: -5.0\n", encoding="utf-8")
+    told = haptic(tmp_path, "launch", "floor_drop", "--params", "over.yaml", code=2).stderr
+    assert told.startswith("haptic: over.yaml:4: coupling.laws.pd.stiffness: ")
+    assert "given as" not in told
+
+
+def test_a_directory_is_no_launch_file(tmp_path: Path) -> None:
+    assert "/etc: is a directory, expected a launch file" in haptic(tmp_path, "launch", "/etc", code=2).stderr
+
+
+def test_an_unknown_option_shows_the_usage_of_its_own_verb(tmp_path: Path) -> None:
+    assert haptic(tmp_path, "param", "set", "--jsn", "coupling", "a", "1", code=2).stderr.startswith(
+        "usage: haptic param set"
+    )
