@@ -100,7 +100,10 @@ def test_interrupt_before_the_time_ends_cleanly(tmp_path: Path) -> None:
     [
         (("flor_drop",), "no launch file is named 'flor_drop'; there is: floor"),
         (("floor_drop", "stifness:=3"), "no argument 'stifness'; there is: rate"),
-        (("floor_drop", "stiffness:=soft"), "arguments.stiffness: expected a number, got 'soft' (given as stiffness:=soft)"),
+        (
+            ("floor_drop", "stiffness:=soft"),
+            "arguments.stiffness: expected a number, got 'soft' (given as stiffness:=soft)",
+        ),
         (("floor_drop", "rate:=1"), "floor_drop.yaml:3: arguments.rate: 1.0 Hz, limit: at least 50 Hz"),
         (("floor_drop", "pace:=slow"), "arguments.pace: 'slow', expected one of realtime, lockstep"),
         (("floor_drop", "mass:=-1"), "driver.device.mass: Expected float > 0.0, got -1.0"),
