@@ -32,7 +32,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         # haptic study design --delay 1 --land: the same for apply: next_tick. H(1) is 2195 N/m; the best PD there has 1762 N/m.
         "designed_d1": {
             "kind": "fir",
-            "taps": [7870.35, -5864.47, -1772.65, 1962.18],
+            "taps": [7870.36, -5864.45, -1772.65, 1962.16],
             "period": 0.002,
         },
     }

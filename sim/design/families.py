@@ -17,6 +17,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from nodes.parameters.yaml_io import write_yaml
+from nodes.stability.every_delay import every_delay
 from nodes.stability.k_max import Device, tolerance
 from sim.design.robust import Demand, Robust, stiffest
 from sim.device.model import DeviceModel
@@ -66,7 +67,11 @@ def designed(demand: Demand, taps: int, effort: int = 1) -> Tuned:
     Tuned
         With a law of kind ``fir``, tied to its sampling period.
     """
-    found = stiffest(demand, np.eye(taps), effort=effort)
+    # A shorter law with zeros behind it is a longer one: more taps are never worse.
+    found: Robust | None = None
+    for length in range(min(taps, 2), taps + 1):
+        shorter: list[Vector] = [] if found is None else [np.append(found.taps, 0.0)]
+        found = stiffest(demand, np.eye(length), effort=effort, known=shorter)
     law = None if found is None else fir(found.taps, demand.period)
     return Tuned("designed", law, found)
 
@@ -281,6 +286,67 @@ def landing(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
         if tuned.found is None or all(drops(tuned.found.taps, demand).values()):
             return tuned
         lightest *= 0.9
+    return Tuned(tuned.family, None, None)
+
+
+def certificate(taps: Vector, demand: Demand) -> bool | str | None:
+    """Certify a law for every sequence of the demanded delays, at five masses, both ends of hand and damping (THEORY.md §10).
+
+    Parameters
+    ----------
+    taps : ndarray, shape (n + 1,)
+        The law [N/m].
+    demand : Demand
+        With the range of delay.
+
+    Returns
+    -------
+    bool, str or None
+        True with a certificate everywhere; False where a sequence grows; None where it is not decided; ``too wide`` for
+        a range above a tick.
+    """
+    if demand.delay[1] > demand.delay[0] + 1.0:
+        return "too wide"
+    law = CompiledLaw(tuple(taps.tolist()))
+    worst: bool | None = True
+    for mass in np.unique(np.geomspace(*demand.mass, 5)).tolist():
+        for damping in sorted(set(demand.dampings)):
+            for hand in sorted(set(demand.stiffness)):
+                found = every_delay(law, demand.period, mass, damping, demand.delay, hand).stable
+                if found is False:
+                    return False
+                worst = worst if found else None
+    return worst
+
+
+def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
+    """Tune to smaller pole radii until every sequence of the demanded delays is certified.
+
+    Parameters
+    ----------
+    tune : callable
+        From a demand to a law.
+    demand : Demand
+        What to keep.
+
+    Returns
+    -------
+    Tuned
+        The first with a certificate: at the demanded radius, then 10 % further from 1 each; without a law after ten.
+
+    Raises
+    ------
+    ValueError
+        When the range of delay is wider than a tick.
+    """
+    margin = 1.0 - demand.radius
+    if demand.delay[1] > demand.delay[0] + 1.0:
+        raise ValueError(f"delay {demand.delay[0]:g}..{demand.delay[1]:g} ticks: a certificate takes at most one tick")
+    for _ in range(10):
+        tuned = tune(replace(demand, radius=1.0 - margin))
+        if tuned.found is None or certificate(tuned.found.taps, demand) is True:
+            return tuned
+        margin = max(1.1 * margin, 1e-3)
     return Tuned(tuned.family, None, None)
 
 

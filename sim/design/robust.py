@@ -9,6 +9,7 @@ between those of the search are checked afterwards, and the worst one joins it u
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,7 +34,7 @@ class Demand:
     mass : tuple of float, shape (2,)
         Lightest and heaviest device, a hand's share included [kg].
     damping : float
-        Viscous damping b of the device [N s/m].
+        Viscous damping b of the device, the least of it where it is a range [N s/m].
     delay : tuple of float, shape (2,)
         Shortest and longest delay of the loop, fractions allowed [ticks].
     period : float
@@ -44,6 +45,8 @@ class Demand:
         Largest |H(−1)| allowed [N/m].
     stiffness : tuple of float, shape (2,)
         Softest and stiffest hand [N/m].
+    damping_max : float or None
+        Most damping of the device; None where it is known [N s/m].
     """
 
     mass: tuple[float, float]
@@ -53,6 +56,12 @@ class Demand:
     radius: float
     nyquist: float
     stiffness: tuple[float, float] = (0.0, 0.0)
+    damping_max: float | None = None
+
+    @property
+    def dampings(self) -> tuple[float, float]:
+        """Least and most damping of the device [N s/m]."""
+        return self.damping, self.damping if self.damping_max is None else self.damping_max
 
 
 @dataclass(frozen=True)
@@ -71,8 +80,8 @@ class Robust:
         H(−1) [N/m].
     radius : float
         Largest pole radius over all verified cases.
-    worst : tuple of float, shape (3,)
-        The case where that is: mass [kg], delay [ticks], stiffness of the hand [N/m].
+    worst : tuple of float, shape (4,)
+        The case where that is: mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m].
     """
 
     taps: Vector
@@ -80,14 +89,14 @@ class Robust:
     h1_n_per_m: float
     h_nyquist_n_per_m: float
     radius: float
-    worst: tuple[float, float, float]
+    worst: tuple[float, float, float, float]
 
 
 class _Loop:
     """Closed-loop polynomials at given cases (mass, delay, hand), linear in the taps."""
 
     def __init__(self, demand: Demand, cases: Vector, taps: int) -> None:
-        plants = [held_plant(mass, demand.damping, demand.period, delay, hand) for mass, delay, hand in cases.tolist()]
+        plants = [held_plant(mass, b, demand.period, delay, hand) for mass, delay, hand, b in cases.tolist()]
         # A shorter delay is the same polynomial times a power of z: roots at zero that nobody minds.
         size = max(plant.whole for plant in plants) + 3 + taps
         self.taps = taps
@@ -121,7 +130,14 @@ class _Loop:
         return poles, slopes
 
 
-def stiffest(demand: Demand, basis: Vector, free: bool = True, seed: int = 1, effort: int = 1) -> Robust | None:
+def stiffest(
+    demand: Demand,
+    basis: Vector,
+    free: bool = True,
+    seed: int = 1,
+    effort: int = 1,
+    known: Sequence[Vector] = (),
+) -> Robust | None:
     """Find the law of a family with the largest H(1) that keeps the demand.
 
     Parameters
@@ -136,6 +152,8 @@ def stiffest(demand: Demand, basis: Vector, free: bool = True, seed: int = 1, ef
         Of the global search.
     effort : int
         Multiplies the generations of the global search.
+    known : sequence of ndarray, shape (p,)
+        Parameters of members that keep the demand, e.g. of a shorter law: the search climbs from them too.
 
     Returns
     -------
@@ -150,8 +168,13 @@ def stiffest(demand: Demand, basis: Vector, free: bool = True, seed: int = 1, ef
     fine = _Loop(demand, everywhere, basis.shape[1])
     # A hair inside, so that rounding of the printed taps cannot cross the bound.
     target = demand.radius - 1e-9
-    best: Vector | None = None
-    for start in _global(demand, basis, cases, free, seed, effort):
+    starts = [np.asarray(start, dtype=np.float64) / scale for start in known]
+    best = max(
+        (start for start in starts if _keeps(demand, basis, fine, start)),
+        key=lambda start: float(start @ basis.sum(axis=1)),
+        default=None,
+    )
+    for start in [*starts, *_global(demand, basis, cases, free, seed, effort)]:
         found = _settle(demand, basis, fine, everywhere, cases, start, target, free)
         if found is not None and (best is None or found @ basis.sum(axis=1) > best @ basis.sum(axis=1)):
             best = found
@@ -180,12 +203,12 @@ def verified_cases(demand: Demand) -> Vector:
 
     Returns
     -------
-    ndarray, shape (c, 3)
-        Mass [kg], delay [ticks], stiffness of the hand [N/m]: 801 masses evenly spaced in the logarithm, or 101 masses with
-        11 delays and hands where those are ranges too; all ends are among them.
+    ndarray, shape (c, 4)
+        Mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m]: 801 masses evenly spaced in the
+        logarithm, or 101 masses with 11 delays and hands and 5 dampings where those are ranges too; all ends are among them.
     """
-    wide = demand.delay[0] < demand.delay[1] or demand.stiffness[0] < demand.stiffness[1]
-    return _cases(demand, 101 if wide else _VERIFIED, 11)
+    ranges = (demand.delay, demand.stiffness, demand.dampings)
+    return _cases(demand, 101 if any(low < high for low, high in ranges) else _VERIFIED, 11)
 
 
 def _cases(demand: Demand, masses: int, others: int) -> Vector:
@@ -195,6 +218,7 @@ def _cases(demand: Demand, masses: int, others: int) -> Vector:
         np.linspace(*demand.stiffness, others)
         if demand.stiffness[0] < demand.stiffness[1]
         else np.array(demand.stiffness[:1]),
+        np.linspace(*demand.dampings, min(others, 5)) if demand.damping_max is not None else np.array([demand.damping]),
     ]
     return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
@@ -220,6 +244,10 @@ def _settle(
         cases = np.vstack([cases, everywhere[worst]])
         here = _retreat(demand, basis, _Loop(demand, cases, fine.taps), here, target, free)
     return None
+
+
+def _keeps(demand: Demand, basis: Vector, fine: _Loop, parameters: Vector) -> bool:
+    return _quiet(demand, basis, parameters) and float(fine.radii(parameters @ basis).max()) <= demand.radius
 
 
 def _quiet(demand: Demand, basis: Vector, parameters: Vector) -> bool:

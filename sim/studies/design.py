@@ -15,7 +15,19 @@ from nodes.laws import CompiledLaw
 from nodes.recording.writer import RecordError
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import Device
-from sim.design.families import Tuned, best_pd, compare, designed, drops, fir, landing, latest_delay, to_yaml
+from sim.design.families import (
+    Tuned,
+    best_pd,
+    certificate,
+    certified,
+    compare,
+    designed,
+    drops,
+    fir,
+    landing,
+    latest_delay,
+    to_yaml,
+)
 from sim.design.passive import Passive, stiffest_passive
 from sim.design.recorded_loop import Measured, measure
 from sim.design.replay import replayed_radius
@@ -36,7 +48,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         Parser of the study.
     """
     parser.add_argument("--mass", type=shared.interval, default=(0.05, 0.2), help="LOW..HIGH [kg] (default: 0.05..0.2)")
-    parser.add_argument("--damping", type=shared.not_negative, default=1.0, help="of the device [N s/m] (default: 1)")
+    parser.add_argument(
+        "--damping",
+        type=shared.interval,
+        default=(1.0, 1.0),
+        help="of the device, one or LOW..HIGH [N s/m] (default: 1)",
+    )
     parser.add_argument("--delay", type=shared.interval, help="of the loop, one or LOW..HIGH [ticks] (default: 1)")
     parser.add_argument("--hand", type=shared.interval, default=(0.0, 0.0), help="stiffness of a hand, LOW..HIGH [N/m]")
     parser.add_argument("--rate", type=shared.positive, help="of the loop [Hz] (default: 500)")
@@ -51,6 +68,17 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--effort", type=int, default=1, help="multiplies the search (default: %(default)s)")
     parser.add_argument(
         "--land", action="store_true", help="tune for lighter devices until every drop of the demanded ones settles"
+    )
+    parser.add_argument(
+        "--every-delay",
+        action="store_true",
+        help="demand a certificate for every sequence of delays of the range, at most a tick wide; not only for constant ones",
+    )
+    parser.add_argument("--resolution", type=shared.positive, help="of the device's encoder, with --friction [m]")
+    parser.add_argument(
+        "--friction",
+        type=shared.positive,
+        help="of the device: |H(-1)| <= 2 friction/resolution, no chatter at rest [N]",
     )
     parser.add_argument("--compare", action="store_true", help="against best PD, every PDα and the paper's optimum")
     parser.add_argument(
@@ -85,6 +113,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
     if arguments.compare and arguments.taps < 2:
         raise UsageError(f"--taps {arguments.taps} --compare: PD and PDα have at least 2 taps")
+    if arguments.every_delay and arguments.compare:
+        raise UsageError("--every-delay: of one design, not of --compare")
     if arguments.radius > 1.0:
         raise UsageError(f"--radius {arguments.radius:g}: above 1 is unstable")
     if not arguments.mass[0] > 0.0:
@@ -102,13 +132,20 @@ def _demand(arguments: argparse.Namespace) -> tuple[Demand, Measured | None]:
         except (RecordError, ValueError, OSError) as error:
             raise UsageError(str(error)) from error
         rate, delay = arguments.rate or 1.0 / run.period, arguments.delay or run.delay
+    nyquist = arguments.nyquist
+    if (arguments.friction is None) != (arguments.resolution is None):
+        raise UsageError("--friction, --resolution: rest takes both, or neither")
+    if arguments.friction is not None:
+        nyquist = min(nyquist, 2.0 * arguments.friction / arguments.resolution)
+    least, most = arguments.damping
     demand = Demand(
         mass=arguments.mass,
-        damping=arguments.damping,
+        damping=least,
+        damping_max=most if most > least else None,
         delay=delay,
         period=1.0 / rate,
         radius=arguments.radius,
-        nyquist=arguments.nyquist,
+        nyquist=nyquist,
         stiffness=arguments.hand,
     )
     return demand, run
@@ -123,6 +160,7 @@ def _wanted(demand: Demand) -> dict[str, Any]:
     return {
         "mass_kg": list(demand.mass),
         "damping_n_s_per_m": demand.damping,
+        "damping_max_n_s_per_m": demand.damping_max,
         "delay_ticks": list(demand.delay),
         "rate_hz": 1.0 / demand.period,
         "radius_limit": demand.radius,
@@ -137,7 +175,13 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
     def free(wanted: Demand) -> Tuned:
         return designed(wanted, arguments.taps, arguments.effort)
 
-    law = landing(free, demand) if arguments.land else free(demand)
+    def tune(wanted: Demand) -> Tuned:
+        return landing(free, wanted) if arguments.land else free(wanted)
+
+    try:
+        law = certified(tune, demand) if arguments.every_delay else tune(demand)
+    except ValueError as error:
+        raise UsageError(f"--every-delay: {error}") from error
     _say("PD, to compare")
     pd = landing(best_pd, demand) if arguments.land else best_pd(demand)
     passive = None
@@ -161,8 +205,18 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
     if law.found is not None and law.law is not None:
         path = fresh(arguments.out / "designed.yaml")
         path.write_text(to_yaml(law.law, comment=_describe(demand)), encoding="utf-8")
-        figures["designed"] = _row(law, demand) | {"yaml": str(path)}
-        lines += [_line(figures["designed"]), _line(figures["best_pd"]), f"haptic param load coupling {path}"]
+        figures["designed"] = _row(law, demand) | {
+            "yaml": str(path),
+            "every_delay": certificate(law.found.taps, demand),
+        }
+        proof = figures["designed"]["every_delay"]
+        told = {True: "certified", False: "NOT stable", None: "not decided"}.get(proof, "the range is wider than a tick")
+        lines += [
+            _line(figures["designed"]),
+            f"{'':13}  every sequence of these delays, five masses: {told} (THEORY.md §10)",
+            _line(figures["best_pd"]),
+            f"haptic param load coupling {path}",
+        ]
         plot = fresh(arguments.out / "design.png")
         _draw(plot, demand, law, pd, passive)
         figures["plot"] = str(plot)
@@ -207,10 +261,14 @@ def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dic
 def _describe(demand: Demand) -> str:
     mass, delay = demand.mass, demand.delay
     return (
-        f"m {mass[0]:g}..{mass[1]:g} kg, b {demand.damping:g} N s/m, delay {delay[0]:.4g}..{delay[1]:.4g} ticks at "
+        f"m {mass[0]:g}..{mass[1]:g} kg, b {_span(demand.dampings)} N s/m, delay {delay[0]:.4g}..{delay[1]:.4g} ticks at "
         f"{1.0 / demand.period:g} Hz, pole radius <= {demand.radius:g}, |H(-1)| <= {demand.nyquist:g} N/m, "
         f"hand {demand.stiffness[0]:g}..{demand.stiffness[1]:g} N/m"
     )
+
+
+def _span(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:g}" if ends[0] == ends[1] else f"{ends[0]:g}..{ends[1]:g}"
 
 
 def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,17 @@ from nodes.recording.writer import RecordWriter
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.k_max import Device
-from sim.design.families import best_paper_optimum, best_pd, best_pd_alpha, designed, drops, landing, to_yaml
+from sim.design.families import (
+    best_paper_optimum,
+    best_pd,
+    best_pd_alpha,
+    certificate,
+    certified,
+    designed,
+    drops,
+    landing,
+    to_yaml,
+)
 from sim.design.passive import certain_damping, stiffest_passive
 from sim.design.recorded_loop import measure
 from sim.design.replay import replayed_radius
@@ -333,3 +344,41 @@ def test_landing_is_not_covered_by_poles_and_can_be_asked_for() -> None:
 
 def test_landing_gives_up_where_nothing_keeps_the_demand() -> None:
     assert landing(pd, demand(2.0, mass=(0.01, 5.0), radius=0.9)).found is None
+
+
+def test_more_taps_are_never_worse() -> None:
+    """A shorter law with a zero behind it is a longer one; the search starts from there too."""
+    wanted = Demand((0.1, 0.1), 1.0, (1.0, 1.0), 0.002, 0.97, 4e3)
+    found = [designed(wanted, taps).found for taps in (2, 3, 4)]
+    felt = [law.h1_n_per_m for law in found if law is not None]
+    assert len(felt) == 3
+    assert felt == sorted(felt)
+    # Even where its own search finds nothing better, what is known is kept.
+    assert found[0] is not None
+    kept = stiffest(wanted, np.eye(3), known=[np.append(found[0].taps, 0.0)])
+    assert kept is not None
+    assert kept.h1_n_per_m >= found[0].h1_n_per_m
+
+
+def test_a_range_of_damping_is_kept_at_both_ends() -> None:
+    wanted = Demand((0.1, 0.1), 0.5, (1.0, 1.0), 0.002, 0.98, 1e4, damping_max=2.0)
+    law = designed(wanted, 2)
+    assert law.found is not None
+    compiled = CompiledLaw(tuple(law.found.taps.tolist()))
+    radii = [pole_radius(compiled, 0.002, 0.1, b, 1.0) for b in (0.5, 1.0, 2.0)]
+    assert max(radii) <= 0.98
+    # It costs what the least damping lacks: known to be 2 N s/m, the device bears more.
+    known = designed(replace(wanted, damping=2.0, damping_max=None), 2)
+    assert known.found is not None
+    assert known.found.h1_n_per_m > 1.05 * law.found.h1_n_per_m
+
+
+def test_design_can_demand_a_certificate_and_rest() -> None:
+    wanted = Demand((0.1, 0.1), 1.0, (1.0, 1.4), 0.002, 0.99, 5e3)
+    law = certified(best_pd, wanted)
+    assert law.found is not None
+    assert certificate(law.found.taps, wanted) is True
+    assert certificate(3.0 * law.found.taps, wanted) is False
+    assert certificate(law.found.taps, replace(wanted, delay=(0.0, 1.5))) == "too wide"
+    with pytest.raises(ValueError, match="a certificate takes at most one tick"):
+        certified(best_pd, replace(wanted, delay=(0.0, 1.5)))
