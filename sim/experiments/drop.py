@@ -22,7 +22,7 @@ import numpy as np
 from nodes.laws import CompiledLaw
 from sim.device.model import DeviceModel, Hand
 from sim.scene.compiled import compiled, kernel
-from sim.scene.loop import Array, Scene, Surface, contact_of, motion_of
+from sim.scene.loop import Array, Scene, Surface, contact_of, motion_of, run
 from sim.scene.tick_loop import Contact, Laws, Motion, Records, play_compiled
 
 
@@ -236,15 +236,13 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     Raises
     ------
     ValueError
-        When a law has code of its own, or the scene a passivity guard: `sim.scene.loop.run` and the nodes play those.
+        When the scene has a passivity guard: `sim.scene.loop.run` and the nodes play those.
     """
-    for i, law in enumerate(laws):
-        if law.evaluate is not None:
-            raise ValueError(
-                f"laws[{i}] has code of its own, which cannot be compiled: play it with the nodes, in lockstep"
-            )
     if scene.passivity is not None and scene.passivity.guard == "on":
         raise ValueError("scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out")
+    if any(law.evaluate is not None for law in laws):
+        # Code of its own is not compiled: such a law is played by the interpreter, one run after the other.
+        return [_played(scene, law, criterion) if law.evaluate else settles(scene, [law], criterion)[0] for law in laws]
     ticks = criterion.ticks
     taps = np.zeros((len(laws), max(len(law.taps) for law in laws)))
     most = max(len(law.sections) for law in laws)
@@ -268,6 +266,12 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     with ThreadPoolExecutor(cores) as threads:
         list(threads.map(play, range(cores)))
     return [_verdict(scene, law, told, criterion) for law, told in zip(laws, results.tolist(), strict=True)]
+
+
+def _played(scene: Scene, law: CompiledLaw, criterion: Criterion) -> bool:
+    with np.errstate(all="ignore"):
+        trace = run(scene, law, criterion.ticks)
+    return settled(scene, law, trace.position, trace.force, criterion)
 
 
 def settled(scene: Scene, law: CompiledLaw, position: Array, force: Array, criterion: Criterion) -> bool:

@@ -182,7 +182,7 @@ def run(
         How many deflections the ring remembers; it is made long enough for all laws anyway. It only matters to
         recursive laws that are swapped in: they are warmed up over it.
     interpreted : bool, optional
-        Run the same function interpreted, thousands of times slower.
+        Run the same function interpreted, thousands of times slower; a law with code of its own always is.
 
     Returns
     -------
@@ -192,7 +192,7 @@ def run(
     Raises
     ------
     ValueError
-        When ticks or swaps are out of range, or a law is not finite or has code of its own.
+        When ticks or swaps are out of range, a law is not finite, or one with code of its own is swapped.
     """
     if ticks < 1:
         raise ValueError(f"ticks is {ticks}, expected at least 1")
@@ -206,10 +206,12 @@ def run(
     for i, candidate in enumerate(laws):
         if not candidate.finite:
             raise ValueError(f"law {i} of the run has a coefficient that is not finite: taps {candidate.taps}")
-        if candidate.evaluate is not None:
+        if candidate.evaluate is not None and swaps:
             raise ValueError(
-                f"law {i} of the run has code of its own, which cannot be compiled: play it with the nodes"
+                f"law {i} of the run has code of its own, which one process swaps for no other: use the nodes"
             )
+    # Code of its own is not compiled.
+    interpreted = interpreted or law.evaluate is not None
     recursive = any(candidate.sections for candidate in laws)
     ring = max(2, memory, *(len(candidate.taps) for candidate in laws))
     taps_from = [0]
@@ -240,6 +242,7 @@ def run(
         numbers([0.0] * motion.waiting),
         records,
         _guard_of(scene, numbers),
+        law.evaluate,
     )
     position, velocity, measured, deflections, force = (np.asarray(row, dtype=np.float64) for row in records)
     return Trace(scene.period, position, velocity, measured, deflections, force, final)

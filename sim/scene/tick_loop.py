@@ -5,6 +5,7 @@ It is written as a plain function and compiled as it stands. What it needs comes
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 from nodes.driver.passivity import backlog, control, forget, observe, through
@@ -232,6 +233,7 @@ def play(
     commands: Numbers,
     records: Records,
     guard: Guard | None = None,
+    own: Callable[[Sequence[float], int], float] | None = None,
 ) -> tuple[float, float]:
     """Play a scene from rest; `sim.scene.loop.run` prepares it and reads what was written down.
 
@@ -255,6 +257,8 @@ def play(
         What is written down.
     guard : Guard, optional
         The passivity guard.
+    own : callable, optional
+        Code of its own that the law has; only interpreted.
 
     Returns
     -------
@@ -301,6 +305,8 @@ def play(
                 measured, contact.kind, contact.surface, contact.normal, contact.raw, history, head, length
             )
             force = evaluate(now_taps, now_recursive, now_state, history, head)
+            if own is not None:
+                force = force + own(history, head)
             if done < ramp:
                 force = cross_fade(evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp)
                 done += 1

@@ -210,7 +210,9 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
             "every_delay": certificate(law.found.taps, demand),
         }
         proof = figures["designed"]["every_delay"]
-        told = {True: "certified", False: "NOT stable", None: "not decided"}.get(proof, "the range is wider than a tick")
+        told = {True: "certified", False: "NOT stable", None: "not decided"}.get(
+            proof, "the range is wider than a tick"
+        )
         lines += [
             _line(figures["designed"]),
             f"{'':13}  every sequence of these delays, five masses: {told} (THEORY.md §10)",

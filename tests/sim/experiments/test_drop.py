@@ -7,6 +7,7 @@ import dataclasses
 import itertools
 import json
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -184,10 +185,18 @@ def test_an_interruption_keeps_what_is_done() -> None:
     assert found == simulated_boundary(laws[:done], scene, Criterion(500))
 
 
-def test_what_cannot_be_compiled_is_refused() -> None:
-    law = CompiledLaw((500.0,), evaluate=lambda ring, head: ring[head])
-    with pytest.raises(ValueError, match=r"laws\[0\] has code of its own"):
-        settles(free_scene(DeviceModel(mass=0.1), PERIOD), [law], Criterion())
+def test_a_law_with_code_of_its_own_is_judged_by_the_same_rule() -> None:
+    scene = drop_scene(DeviceModel(mass=0.1, damping=1.0), PERIOD, False, True)
+
+    def nothing(ring: Sequence[float], head: int) -> float:
+        return 0.0 * ring[head]
+
+    # The same law compiled and interpreted: inside its limit and beyond.
+    for stiffness in (600.0, 6000.0):
+        law = PD(stiffness=stiffness, damping=3.0).compile(PERIOD)
+        own = dataclasses.replace(law, evaluate=nothing)
+        first, second = settles(scene, [law, own], Criterion(1500))
+        assert first == second == (stiffness < 1000.0)
 
 
 def test_frequency_of_a_sine() -> None:

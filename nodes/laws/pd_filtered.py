@@ -1,0 +1,47 @@
+"""PD with a filtered velocity: what most haptic software renders, a backward difference behind a first-order low-pass."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, ClassVar
+
+import msgspec
+
+from nodes.laws.base import CompiledLaw, Law
+from nodes.laws.fields import Damping, Stiffness
+
+
+class PDFiltered(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """F = K x + B v, v[k] = a v[k−1] + (1−a)(x[k] − x[k−1])/T with a = exp(−2π·cutoff·T) (THEORY.md §14).
+
+    Attributes
+    ----------
+    stiffness : float
+        K, felt at rest as it is [N/m].
+    damping : float
+        B [N s/m].
+    cutoff : float
+        Of the low-pass [Hz]; far above the loop's rate it is plain PD.
+    """
+
+    kind: ClassVar[str] = "pd_filtered"
+    stiffness: Stiffness
+    damping: Damping
+    cutoff: Annotated[float, msgspec.Meta(gt=0.0)]
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Turn the parameters into a tap and a section.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            The spring as a tap, the filtered damper as a section.
+        """
+        pole = math.exp(-2.0 * math.pi * self.cutoff * period)
+        gain = self.damping * (1.0 - pole) / period
+        return CompiledLaw((self.stiffness,), ((gain, -gain, -pole, 0.0),))

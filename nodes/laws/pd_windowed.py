@@ -1,0 +1,94 @@
+"""PD with a velocity by adaptive windowing (Janabi-Sharifi, Hayward & Chen 2000): long windows at rest, short ones in motion.
+
+The velocity is the slope of the longest line from the newest sample back that passes within an encoder step of every sample
+between: both ends and the sample are wrong by half a step at most. That is no sum of taps: the law has code of its own, a pure
+function of the deflection history. Its stability is known by simulation and launches, not by poles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, ClassVar
+
+import msgspec
+
+from nodes.laws.base import CompiledLaw, Law
+from nodes.laws.fields import Damping, Stiffness
+
+
+class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """F = K x + B v, v the slope of the longest straight window.
+
+    Attributes
+    ----------
+    stiffness : float
+        K [N/m].
+    damping : float
+        B [N s/m].
+    resolution : float
+        Step of the encoder: samples within it of the line count as on it [m].
+    window : int
+        Longest window [ticks].
+    """
+
+    kind: ClassVar[str] = "pd_windowed"
+    stiffness: Stiffness
+    damping: Damping
+    resolution: Annotated[float, msgspec.Meta(gt=0.0)]
+    window: Annotated[int, msgspec.Meta(ge=1, le=64)] = 15
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Turn the spring into a tap; the damper is the law's own code.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        CompiledLaw
+            K, zeros as far as the window reaches back, and the evaluator.
+        """
+        taps = (self.stiffness, *(0.0,) * self.window)
+        return CompiledLaw(taps, evaluate=_damper(self.damping / period, self.resolution, self.window))
+
+
+def windowed_slope(ring: Sequence[float], head: int, error: float, window: int) -> float:
+    """Slope of the longest line from the newest sample back that passes within the error of all samples between.
+
+    Parameters
+    ----------
+    ring : sequence of float
+        ``ring[head + m]`` is the sample m ticks ago [m].
+    head : int
+        Index of the newest.
+    error : float
+        How far a sample may be from the line [m].
+    window : int
+        Longest line [ticks].
+
+    Returns
+    -------
+    float
+        Slope [m/tick].
+    """
+    newest = ring[head]
+    # A shade over the error: samples of an encoder lie exactly on it.
+    error *= 1.0 + 1e-9
+    slope = newest - ring[head + 1]
+    for n in range(2, window + 1):
+        wider = (newest - ring[head + n]) / n
+        for i in range(1, n):
+            off = newest - wider * i - ring[head + i]
+            if off > error or off < -error:
+                return slope
+        slope = wider
+    return slope
+
+
+def _damper(gain: float, error: float, window: int) -> Callable[[Sequence[float], int], float]:
+    def damp(ring: Sequence[float], head: int) -> float:
+        return gain * windowed_slope(ring, head, error, window)
+
+    return damp
