@@ -70,6 +70,16 @@ def expected(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.f
     return np.asarray(total)
 
 
+def size(law: CompiledLaw) -> float:
+    """Largest sum that rounding can be measured by: taps, and sections over what they remember."""
+    return sum(map(abs, law.taps)) + 50.0 * sum(abs(b0) + abs(b1) for b0, b1, _, _ in law.sections)
+
+
+def settling(law: CompiledLaw) -> int:
+    """Ticks after which a law has forgotten its start: its memory, or some decays of its sections."""
+    return 2 * len(law.taps) + (400 if law.sections else 4)
+
+
 def test_every_registered_law_has_an_example_here() -> None:
     assert {kind for kind, law in law_kinds().items() if law.__module__.startswith("nodes.")} == set(EXAMPLES)
 
@@ -81,7 +91,7 @@ every_law = pytest.mark.parametrize("case", CASES)
 def test_force_is_the_convolution_of_its_taps(case: dict[str, Any]) -> None:
     law = compile_law(parse_law(case), T)
     x = np.random.default_rng(1).normal(size=60) * 1e-3
-    scale = 1e-3 * sum(map(abs, law.taps))
+    scale = 1e-3 * size(law)
     # Sums of a few dozen products in another order: some roundings of the largest sum.
     assert np.abs(forces(law, x) - expected(law, x)).max() <= 64 * 2.0**-52 * scale
 
@@ -93,7 +103,7 @@ def test_is_linear_in_the_deflection(case: dict[str, Any]) -> None:
     a, b = rng.normal(size=(2, 40)) * 1e-3
     together = forces(law, 3.0 * a - 0.5 * b)
     apart = 3.0 * forces(law, a) - 0.5 * forces(law, b)
-    assert np.abs(together - apart).max() <= 256 * 2.0**-52 * 4e-3 * sum(map(abs, law.taps))
+    assert np.abs(together - apart).max() <= 256 * 2.0**-52 * 4e-3 * size(law)
 
 
 @every_law
@@ -111,15 +121,15 @@ def test_no_deflection_for_as_long_as_its_memory_gives_exactly_no_force(case: di
 @every_law
 def test_held_deflection_gives_h1(case: dict[str, Any]) -> None:
     law = compile_law(parse_law(case), T)
-    held = forces(law, np.full(len(law.taps) + 5, 1e-3))[-1]
-    assert held == pytest.approx(1e-3 * law.h1, abs=64 * 2.0**-52 * 1e-3 * sum(map(abs, law.taps)))
+    held = forces(law, np.full(settling(law), 1e-3))[-1]
+    assert held == pytest.approx(1e-3 * law.h1, abs=64 * 2.0**-52 * 1e-3 * size(law))
     assert law.h1 > 0.0
 
 
 @every_law
 def test_alternating_deflection_gives_the_nyquist_gain(case: dict[str, Any]) -> None:
     law = compile_law(parse_law(case), T)
-    ticks = 2 * len(law.taps) + 4
+    ticks = settling(law)
     x = np.array([1e-3 * (-1.0) ** k for k in range(ticks)])
     assert forces(law, x)[-1] == pytest.approx(x[-1] * law.h_nyquist, rel=1e-12)
 
@@ -143,7 +153,7 @@ def test_swap_at_rest_between_equal_h1_steps_by_rounding_only(case: dict[str, An
     length = max(len(law.taps), 1)
     history, head = [1e-3] * (2 * length), 0
     step = kernels.fir(law.taps, history, head) - kernels.fir(spring.taps, history, head)
-    assert abs(step) <= 64 * 2.0**-52 * 1e-3 * sum(map(abs, law.taps))
+    assert abs(step) <= 64 * 2.0**-52 * 1e-3 * size(law)
 
 
 @every_law
