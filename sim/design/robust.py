@@ -89,7 +89,7 @@ class Robust:
     h1_n_per_m: float
     h_nyquist_n_per_m: float
     radius: float
-    worst: tuple[float, float, float, float]
+    worst: tuple[float, ...]
 
 
 class _Loop:
