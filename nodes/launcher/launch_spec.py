@@ -60,7 +60,7 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         SCHED_FIFO priority of the chain; ``auto`` takes 50 in real time, 0 none.
     tick : str
         How environment, coupling and virtual driver take their ticks (nodes/tick): ``compiled``, ``plain`` (by the interpreter)
-        or ``auto``: compiled where that is there already, and from 1 kHz up in real time, where it is compiled first.
+        or ``auto``: compiled where that is there already, for it was asked for before.
     awake : bool or str
         Whether idle processors are kept from going to sleep (`nodes.base.realtime.awake`); ``auto``: in real
         time from 1 kHz up.

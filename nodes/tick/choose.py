@@ -12,7 +12,7 @@ Wanted: TypeAlias = Literal["auto", "compiled", "plain"]
 
 
 SCARCE: Final = 1000.0
-"""From this rate on ``auto`` has the tick compiled, should it not be: the interpreter's fills a fifth of the period [Hz]."""
+"""From this rate on a tick by the interpreter fills a good part of the period [Hz]."""
 
 
 def choose(
@@ -20,8 +20,8 @@ def choose(
 ) -> Literal["compiled", "plain"]:
     """Settle which tick the nodes of a launch take.
 
-    ``auto`` takes the compiled one wherever it is there already, for it costs nothing then; where it would have to be compiled
-    first, which takes some ten seconds, only where time is scarce.
+    ``auto`` takes the compiled one wherever it is there already, for it costs nothing then. It does not make a launch wait for the
+    compiler; where time is scarce it says what would.
 
     Parameters
     ----------
@@ -42,7 +42,9 @@ def choose(
     if wanted == "plain" or not modules:
         return "plain"
     missing = [module for module in modules if find(module) is None]
-    if missing and wanted == "auto" and not scarce:
+    if missing and wanted == "auto":
+        if scarce:
+            say("the plain tick runs, for the compiled one is not there yet; --tick compiled has it compiled, once")
         return "plain"
     if missing:
         say(f"compiling the tick, once for this version: {len(missing)} kernels, some ten seconds")
