@@ -20,8 +20,8 @@ def choose(
 ) -> Literal["compiled", "plain"]:
     """Settle which tick the nodes of a launch take.
 
-    ``auto`` takes the compiled one wherever it is there already, for it costs nothing then. It does not make a launch wait for the
-    compiler; where time is scarce it says what would.
+    ``auto`` takes the compiled one wherever it is there already, for it costs nothing then. It does not make a launch wait for
+    the compiler; where time is scarce it says what would.
 
     Parameters
     ----------
