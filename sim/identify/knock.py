@@ -33,7 +33,7 @@ LEFT = 0.5
 """Part of the knock that may be left, peak to peak, in the last third of the window."""
 FAR = 4.0
 """A motion of so many knocks ends the window at once."""
-AGAIN = 10
+AGAIN = 6
 """How often one stiffness is tried when the machine stalls."""
 LAW = "tuned"
 """Name of the law that is tried."""
