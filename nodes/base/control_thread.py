@@ -21,6 +21,7 @@ from messages.codec import MessageRefusedError
 from messages.transport.endpoints import bind, remove_ipc
 from messages.transport.requests import Reply, Request, decode_request
 from nodes.base import realtime
+from nodes.base.kept import keep
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import WatchedFile
 
@@ -189,12 +190,20 @@ class ControlServer(threading.Thread):
         self._asked = time.monotonic()
         node.serving += 1
         reply = self._answer(frames)
+        # Before the answer: what was granted outlives this process.
+        self._keep()
         try:
             encoded = msgspec.msgpack.encode(reply)
         except (TypeError, OverflowError, RecursionError) as error:
             encoded = msgspec.msgpack.encode(Reply(False, error=f"{node.setup.name}: unsendable result: {error}"))
         self._socket.send(encoded)
         node.serving += 1
+
+    def _keep(self) -> None:
+        try:
+            keep(self._node)
+        except OSError as error:
+            self._node.tell("kept", f"the parameters would not outlive this process: {error}")
 
     def run(self) -> None:
         """Serve until stopped."""
@@ -205,6 +214,7 @@ class ControlServer(threading.Thread):
             except zmq.ZMQError as error:
                 self._node.tell("control", f"a request could not be served: {error}")
             self._node.look_after()
+            self._keep()
             self._watch_lease(time.monotonic())
             try:
                 self._look_around(time.monotonic())

@@ -64,6 +64,10 @@ class Node(Telling):
         How many of the ticks they did.
     serving : int
         Counts each beginning and each end of the control thread's work: odd while it works.
+    kept : msgspec.Struct
+        The parameters that a successor of this process would go on with.
+    resumed_at : int
+        Tick from which this process goes on with what a predecessor had; -1 for the first one.
     """
 
     Parameters: ClassVar[type[msgspec.Struct]] = msgspec.Struct
@@ -89,6 +93,8 @@ class Node(Telling):
         self.followed = self.answered = -1
         self.answer = b""
         self.serving = 0
+        self.kept = self.store.current
+        self.resumed_at = -1
         self.kernel: Kernel | None = None
         self.ticks_compiled = 0
 

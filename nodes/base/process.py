@@ -22,6 +22,7 @@ from messages.transport.sockets import Publisher, Subscription, move_aside, new_
 from messages.transport.waker import Waker
 from nodes.base import realtime
 from nodes.base.control_thread import ControlServer
+from nodes.base.kept import resume
 from nodes.base.kinds import load
 from nodes.base.node import Node
 from nodes.base.report import write_report
@@ -125,6 +126,7 @@ def live(node: Node) -> int:
     refused = realtime.apply(node.setup.scheduling)
     instead_of_stderr(realtime.step_aside, stdout_too=True)
     node.load_kernel()
+    resume(node)
     try:
         node.configure()
     except (ParameterError, ValueError, OSError) as error:

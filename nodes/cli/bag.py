@@ -203,6 +203,7 @@ def _info(arguments: argparse.Namespace) -> int:
     remote = {node: clock for node, clock in times.items() if clock.error}
     figures = {
         "file": str(recording.path),
+        "parts": [str(path) for path in recording.parts],
         "duration_s": recording.duration,
         "wall_duration_s": recording.wall_duration,
         "topics": {

@@ -59,6 +59,17 @@ class History:
         self.head = push(self.values, self.head, self.length, value)
         self.pushes += 1
 
+    def fill(self, value: float) -> None:
+        """Take it that the deflection has always been the same.
+
+        Parameters
+        ----------
+        value : float
+            Deflection [m].
+        """
+        for i in range(len(self.values)):
+            self.values[i] = value
+
     def bridge(self, value: float, missing: int) -> None:
         """Fill ticks that were lost by a straight line up to the newest deflection, which is not yet pushed.
 

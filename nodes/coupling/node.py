@@ -103,6 +103,8 @@ class Coupling(Node):
             [
                 (round(swap.at / self.setup.period), self._prepare_law(parameters, swap.law), swap.ramp)
                 for swap in sorted(parameters.schedule, key=lambda swap: swap.at)
+                # What a predecessor has done already is in the parameters that it had.
+                if round(swap.at / self.setup.period) > self.resumed_at
             ]
         )
         if parameters.figures or parameters.plant is not None:
@@ -404,6 +406,8 @@ class Coupling(Node):
                 else:
                     if 0 <= last < seq - 1:
                         renderer.bridge(proxy, seq - last - 1)
+                    elif last < 0 < seq:
+                        renderer.begin(proxy)
                     if self._schedule:
                         self._follow_schedule(seq)
                     self.answered = seq

@@ -182,6 +182,21 @@ class Renderer:
         self._fades = []
         self.guarded = self._law.guarded
 
+    def begin(self, proxy: Proxy) -> None:
+        """Take it that the device was at rest before the first tick that is seen, when the run is under way already.
+
+        Nobody knows better in place of a node that was killed; from a history of zeros the first tick would be a jump.
+
+        Parameters
+        ----------
+        proxy : Proxy
+            Of the present tick, which is not yet rendered.
+        """
+        for n, i in enumerate(self.axes):
+            self.histories[n].fill(self._deflection(proxy, i))
+        for law in (self.law, *self.standby):
+            law.warm_up(self.histories)
+
     def bridge(self, proxy: Proxy, missing: int) -> None:
         """Fill lost ticks by a straight line up to the present one, which is not yet rendered.
 

@@ -27,6 +27,7 @@ from nodes.base.setup import Setup
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.paths import LocalChoice, LocalPath
 from nodes.parameters.store import ParameterError
+from nodes.recording.parts import next_part
 from nodes.recording.writer import RecordError, RecordWriter
 
 FLUSH_PERIOD = 0.5
@@ -228,8 +229,12 @@ class Logger(Node):
         """Create the file, so that a bad path fails the start and not the run."""
         parameters: LoggerParameters = self.store.current
         self._path = parameters.path.replace("{run}", self.setup.run)
+        diary = Path(self.setup.run_dir) / f"{self.setup.name}.parts"
+        path, first = next_part(Path(self._path), diary)
+        if not first:
+            self.announce("recording", f"goes on in {path}; {self._path} is left as its predecessor left it")
         try:
-            self._writer = open_writer(self._path, self.setup.manifest, parameters.overwrite)
+            self._writer = open_writer(str(path), self.setup.manifest, parameters.overwrite)
         except RecordError as error:
             raise OSError(str(error)) from error
         self._recorder: Recorder | None = None

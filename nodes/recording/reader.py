@@ -6,7 +6,6 @@ needs no more memory than a minute. A file whose writer was killed opens like an
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -18,6 +17,7 @@ from messages.topics import LOOP, message_type
 from messages.types import Message
 from nodes.recording import mcap_walk
 from nodes.recording.mcap_walk import Channel, CutError, RawMessage, Record, Schema
+from nodes.recording.parts import parts_of
 from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import MANIFEST, RecordError
 
@@ -29,6 +29,8 @@ RECOVERY = "recovery"
 
 _NANO = 1e9
 
+_OWN_NUMBERS = 1 << 16
+"""MCAP's numbers of channels and schemas are smaller; each part of a recording has its own."""
 
 M = TypeVar("M", bound=Message)
 
@@ -95,6 +97,8 @@ class Recording:
     ----------
     path : Path
         The file.
+    parts : list of Path
+        It, and those in which a logger that was started again went on (nodes/recording/parts.py).
     topics : dict of str to TopicFigures
         Figures per topic, in the order of their first message.
     metadata : dict of str to dict of str to str
@@ -116,6 +120,7 @@ class Recording:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self.parts = parts_of(self.path)
         self.topics: dict[str, TopicFigures] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.complete = False
@@ -156,42 +161,52 @@ class Recording:
             raise RecordError(f"{self.path}: damaged at byte {offset}: channel {channel.number} changes its topic")
         return channel
 
-    def _records(self) -> Iterator[Record]:
-        """Walk all records with chunks unpacked, the summary left out."""
-        for record in mcap_walk.walk(self.path):
-            if record.opcode == mcap_walk.CHUNK:
-                yield from mcap_walk.unpack_chunk(self.path, record)
-            elif record.opcode == mcap_walk.DATA_END:
-                # What follows repeats schemas and channels; the walk must still see the end.
-                continue
-            else:
-                yield record
+    def _records(self) -> Iterator[tuple[int, Record]]:
+        """Walk all records with chunks unpacked, the summaries left out; with what to add to their part's numbers."""
+        for n, path in enumerate(self.parts):
+            try:
+                for record in mcap_walk.walk(path):
+                    if record.opcode == mcap_walk.CHUNK:
+                        for inner in mcap_walk.unpack_chunk(path, record):
+                            yield n * _OWN_NUMBERS, inner
+                    elif record.opcode != mcap_walk.DATA_END:
+                        # What follows the end of the data repeats schemas and channels; the walk must still see the end.
+                        yield n * _OWN_NUMBERS, record
+            except CutError as error:
+                self.cut = self.cut or str(error)
 
     def _scan(self) -> None:
-        first_log, last_log = 1 << 64, 0
-        try:
-            for record in self._records():
-                if record.opcode == mcap_walk.MESSAGE:
-                    raw = mcap_walk.parse_message(self.path, record)
-                    self._count(raw, record.offset)
-                    first_log, last_log = min(first_log, raw.log_time), max(last_log, raw.log_time)
-                elif record.opcode == mcap_walk.SCHEMA:
-                    schema = mcap_walk.parse_schema(self.path, record)
-                    self._schemas[schema.number] = schema
-                elif record.opcode == mcap_walk.CHANNEL:
-                    self._channel(mcap_walk.parse_channel(self.path, record), record.offset)
-                elif record.opcode == mcap_walk.METADATA:
-                    name, values = mcap_walk.parse_metadata(self.path, record)
-                    self.metadata[name] = values
-                    if name == CLOCK:
-                        self._set_clock(values, record.offset)
-                elif record.opcode == mcap_walk.FOOTER:
-                    self.complete = True
-        except CutError as error:
-            self.cut = str(error)
+        first_log, last_log, finished = 1 << 64, 0, 0
+        for shift, record in self._records():
+            if record.opcode == mcap_walk.MESSAGE:
+                raw = self._message(shift, record)
+                self._count(raw, record.offset)
+                first_log, last_log = min(first_log, raw.log_time), max(last_log, raw.log_time)
+            elif record.opcode == mcap_walk.SCHEMA:
+                schema = mcap_walk.parse_schema(self.path, record)
+                self._schemas[schema.number + shift] = schema
+            elif record.opcode == mcap_walk.CHANNEL:
+                channel = mcap_walk.parse_channel(self.path, record)
+                if shift:
+                    # 0 stands for no schema.
+                    schema_number = channel.schema + shift if channel.schema else 0
+                    channel = channel._replace(number=channel.number + shift, schema=schema_number)
+                self._channel(channel, record.offset)
+            elif record.opcode == mcap_walk.METADATA:
+                name, values = mcap_walk.parse_metadata(self.path, record)
+                self.metadata[name] = values
+                if name == CLOCK:
+                    self._set_clock(values, record.offset)
+            elif record.opcode == mcap_walk.FOOTER:
+                finished += 1
+        self.complete = finished == len(self.parts)
         if self.topics:
             self.first_log = (first_log - self._log_offset) / _NANO
             self.wall_duration = (last_log - first_log) / _NANO
+
+    def _message(self, shift: int, record: Record) -> RawMessage:
+        raw = mcap_walk.parse_message(self.path, record)
+        return raw._replace(channel=raw.channel + shift) if shift else raw
 
     def _set_clock(self, values: dict[str, str], offset: int) -> None:
         try:
@@ -251,15 +266,13 @@ class Recording:
         RecordError
             When the file has changed since it was opened.
         """
-        # A cut was told about when the file was opened.
-        with contextlib.suppress(CutError):
-            for record in self._records():
-                if record.opcode == mcap_walk.MESSAGE:
-                    raw = mcap_walk.parse_message(self.path, record)
-                    channel = self._channels.get(raw.channel)
-                    if channel is None:
-                        raise RecordError(f"{self.path}: has changed while it was read")
-                    yield channel.topic, raw, record.offset
+        for shift, record in self._records():
+            if record.opcode == mcap_walk.MESSAGE:
+                raw = self._message(shift, record)
+                channel = self._channels.get(raw.channel)
+                if channel is None:
+                    raise RecordError(f"{self.path}: has changed while it was read")
+                yield channel.topic, raw, record.offset
 
     def decode(self, decoder: msgspec.json.Decoder[M], raw: RawMessage, offset: int) -> M:
         """Decode a message of `raw`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -13,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from messages.transport.requests import ControlError
 from nodes.recording.reader import Recording
 from sim.measure.rig import full_pipe
 from tests.support import FIXTURES
@@ -20,6 +22,7 @@ from tests.support.launching import RunningLaunch, running, wait_for
 
 INSTALLED = {"PYTHONPATH": f"{FIXTURES / 'installed'}:{os.environ.get('PYTHONPATH', '')}"}
 STIFFNESS, DAMPING = 1000.0, 0.5
+LAW_DAMPING = 3.0
 PERIOD = 0.002
 
 
@@ -38,10 +41,18 @@ def scene(folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any]
             "environment": {"kind": "environment", "parameters": {"surface": {"kind": "plane", "axis": "z"}}, **more},
             "coupling": {
                 "kind": "coupling",
-                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": STIFFNESS, "damping": 0.0}}},
+                "parameters": {
+                    "law": "pd",
+                    "laws": {"pd": {"kind": "pd", "stiffness": STIFFNESS, "damping": LAW_DAMPING}},
+                },
                 **more,
             },
-            "logger": {"kind": "logger", "required": False, "parameters": {"path": "run.mcap", "overwrite": True}},
+            "logger": {
+                "kind": "logger",
+                "required": False,
+                "parameters": {"path": "run.mcap", "overwrite": True},
+                **more,
+            },
         },
     }
     path = folder / "enemy.yaml"
@@ -144,6 +155,59 @@ def test_the_soft_stop_begins_at_the_force_that_is_on_the_device(tmp_path: Path)
     steps = [abs(later - earlier) for earlier, later in pairwise(forces(tmp_path))]
     assert max(steps) <= slew * (1.0 + 1e-9)  # sums of a handful of steps
     assert forces(tmp_path)[-1] == 0.0
+
+
+AGAIN = {"respawn": True, "respawn_delay": 0.05}
+
+
+def killed(launch: RunningLaunch, node: str) -> None:
+    """Kill a node, and wait until another answers in its place."""
+    before = pid(launch, node)
+    os.kill(before, signal.SIGKILL)
+
+    def back() -> bool:
+        with contextlib.suppress(ControlError):
+            return bool(launch.call(node, "status", timeout=0.3)["pid"] != before)
+        return False
+
+    wait_for(back, f"{node} is back")
+
+
+def test_a_coupling_started_again_has_its_parameters_and_no_jump(tmp_path: Path) -> None:
+    with running(tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED) as launch:
+        wait_for(lambda: forces(tmp_path)[-1:] == [1.0], "the arm is pressed")
+        launch.call("coupling", "param.set", values={"laws.pd.stiffness": 700.0})
+        launch.call("environment", "param.set", values={"surface": {"kind": "plane", "axis": "z", "position": 0.001}})
+        wait_for(lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)], "they are in place")
+        for _ in range(2):
+            for node in ("environment", "coupling"):
+                killed(launch, node)
+            assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 700.0
+            wait_for(lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)], "forces flow again")
+        launch.finish(signal.SIGINT)
+    # Held still, the arm is felt as a spring: from a history of zeros the damper alone would give 3 N.
+    assert max(forces(tmp_path)[len(forces(tmp_path)) // 2 :]) <= 1.4 + 1e-9
+    told = Recording(tmp_path / "run.mcap").messages("/coupling/event")
+    assert [event.kind for event in told].count("resumed") == 2
+
+
+def test_a_logger_started_again_leaves_alone_what_was_recorded(tmp_path: Path) -> None:
+    with running(tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED) as launch:
+        for _ in range(2):
+            # What its predecessors have, the last half second excepted, must stay.
+            launch.wait_ticks(400)
+            killed(launch, "logger")
+        launch.wait_ticks(50)
+        figures = launch.finish(signal.SIGINT)
+        told = json.loads(launch.haptic("bag", "info", "run.mcap", "--json").stdout.splitlines()[-1])
+    assert [Path(path).name for path in told["parts"]] == ["run.mcap", "run.2.mcap", "run.3.mcap"]
+    assert told["recovered"] is True
+    whole = Recording(tmp_path / "run.mcap")
+    seen = [state.seq for state in whole.messages("/device/state")]
+    assert seen == sorted(seen)
+    assert (seen[0] <= 100, seen[-1]) == (True, figures["nodes"]["driver"]["seq"])
+    alone = [Recording(tmp_path / name).topics["/device/state"].messages for name in ("run.2.mcap", "run.3.mcap")]
+    assert len(seen) > sum(alone) + 100
 
 
 # -- positions that are none ---------------------------------------------------------------------------------------------

@@ -1,0 +1,73 @@
+"""Parameters outlive their process: a node that is started again goes on with those that it had, not the launch file's.
+
+They are written off the hot path, before a change is answered, into the directory of the run, with which they end.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from nodes.parameters.store import ParameterError, convert
+
+if TYPE_CHECKING:
+    from nodes.base.node import Node
+
+
+class Kept(msgspec.Struct, frozen=True, kw_only=True):
+    """What the file holds.
+
+    Attributes
+    ----------
+    seq : int
+        Tick up to which they are true.
+    parameters : dict
+        All of the node's.
+    """
+
+    seq: int
+    parameters: dict[str, Any]
+
+
+def _path(node: Node) -> Path:
+    return Path(node.setup.run_dir) / f"{node.setup.name}.kept"
+
+
+def keep(node: Node) -> None:
+    """Write the node's parameters down, if they are no longer those that were written last (control thread).
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    """
+    current = node.store.current
+    if current is node.kept or not node.setup.run_dir:
+        return
+    node.kept = current
+    draft = _path(node).with_suffix(".keeping")
+    draft.write_bytes(msgspec.json.encode(Kept(seq=node.seq, parameters=msgspec.to_builtins(current))))
+    draft.replace(_path(node))
+
+
+def resume(node: Node) -> None:
+    """Go on with what a predecessor of this node had, if there was one and it was changed.
+
+    Parameters
+    ----------
+    node : Node
+        The node, not yet configured.
+    """
+    path = _path(node)
+    if not node.setup.run_dir or not path.exists():
+        return
+    try:
+        kept = msgspec.json.decode(path.read_bytes(), type=Kept)
+        node.store.accept(convert(kept.parameters, node.Parameters, node.setup.name))
+    except (msgspec.DecodeError, ParameterError) as error:
+        node.say(f"what it had before it was started again cannot be used: {error}; the launch file's parameters hold")
+        return
+    node.kept, node.resumed_at = node.store.current, kept.seq
+    node.announce("resumed", f"goes on with the parameters that it had at tick {kept.seq}")
