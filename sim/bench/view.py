@@ -75,7 +75,7 @@ def _with_page(launch: Running, browser: Any, seconds: float, delays: dict[str, 
         page = browser.new_page(viewport={"width": 1280, "height": 900})
         began = time.monotonic()
         page.goto(url)
-        page.wait_for_function("document.body.dataset.bins > 0 && document.querySelector('#laws input')")
+        page.wait_for_function("document.body?.dataset.bins > 0 && document.querySelector('#laws input')")
         delays["first_picture_s"].append(time.monotonic() - began)
         began = time.monotonic()
         _drag(page, seconds)
