@@ -15,6 +15,7 @@ import numpy as np
 from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
+from nodes.stability.k_max import Device, k_max, without_spring
 from sim.chart.derivatives import largest_stable
 from sim.chart.points import Group, Point
 from sim.device.model import DeviceModel
@@ -51,6 +52,25 @@ def poles(delay: float, precision: float) -> float:
         1e5,
         precision,
     )
+
+
+def solved(delay: float, method: str) -> float:
+    """Find K_max without a search: Jury's conditions, linear in K, or the crossings of the boundary curve (THEORY.md §3).
+
+    Parameters
+    ----------
+    delay : float
+        Loop delay [ticks].
+    method : {"closed_form", "pole_radius"}
+        The conditions, or the curve.
+
+    Returns
+    -------
+    float
+        K_max [N/m].
+    """
+    derivative = without_spring(PD(stiffness=1.0, damping=GAIN), PERIOD)
+    return k_max(derivative, PERIOD, Device(MASS, DAMPING, delay), method).k_max_n_per_m or 0.0
 
 
 def light(_delay: float) -> float:
@@ -162,6 +182,8 @@ def ways(delay: float) -> dict[str, Way]:
     found: dict[str, Way] = {"closed form, heavy device": lambda: heavy(delay), "passivity": lambda: passive(delay)}
     if delay == 0.0:
         found["closed form, undamped device"] = lambda: light(delay)
+        found["Jury conditions"] = lambda: solved(0.0, "closed_form")
+    found["boundary curve"] = lambda: solved(delay, "pole_radius")
     for precision in (1e-1, 1e-3, 1e-6, 1e-9):
         found[f"pole radius {precision:g}"] = lambda precision=precision: poles(delay, precision)  # type: ignore[misc]
     for horizon in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0):

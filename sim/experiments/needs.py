@@ -76,6 +76,8 @@ class Finding:
         Which outcome that was.
     changes : dict of str to float
         Relative movement of each outcome that counts [1].
+    cost_spread_us : float or None
+        How far that cost may be off by the spread of the rounds that were timed [µs]; None with one round.
     cost_us : float
         What the term costs per tick in plain Python [µs].
     """
@@ -87,6 +89,7 @@ class Finding:
     most: str
     changes: dict[str, float]
     cost_us: float
+    cost_spread_us: float | None = None
 
 
 @dataclass(frozen=True)
@@ -240,7 +243,9 @@ def needs(scene: LaunchedScene, model: Model, rounds: int = 5, step: Callable[[s
     costed = []
     for label, finding in zip(variants, findings, strict=True):
         sign = 1.0 if finding.switched == "off" else -1.0
-        costed.append(replace(finding, cost_us=1e6 * sign * (whole - timings[label].median)))
+        mine = timings[label]
+        spread = 0.5e6 * ((mine.high - mine.low) + (timings[""].high - timings[""].low)) if rounds > 1 else None
+        costed.append(replace(finding, cost_us=1e6 * sign * (whole - mine.median), cost_spread_us=spread))
     return Needs(before, tuple(costed), 1e6 * whole)
 
 

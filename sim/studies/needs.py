@@ -80,12 +80,14 @@ def _text(name: str, model: Any, found: Needs) -> str:
         f"settles in {now.settling_s:.3g} s, peak {now.peak_force_n:.3g} N, at rest {now.rest_force_n:.3g} N, swing at rest "
         f"{1e6 * now.limit_cycle_m:.3g} µm{stiffest}; {found.tick_us:.3g} µs per tick in plain Python",
         "",
-        f"{'term':24} {'switched':34} {'moves':>9}  {'of which most':14} {'costs':>9}  verdict",
+        f"{'term':24} {'switched':34} {'moves':>9}  {'of which most':14} {'costs µs':>14}  verdict",
     ]
     for f in found.findings:
         moved = "∞" if f.moved == float("inf") else f"{100 * f.moved:.3g} %"
-        cost = "" if f.switched == "other" else f"{f.cost_us:+.2f} µs"
-        lines.append(f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>9}  {f.verdict}")
+        # What is smaller than the spread of the rounds is not known: left blank.
+        known = f.switched != "other" and f.cost_spread_us is not None and abs(f.cost_us) > f.cost_spread_us
+        cost = f"{f.cost_us:+.2f} ± {f.cost_spread_us:.2f}" if known else ""
+        lines.append(f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>14}  {f.verdict}")
     lines += [
         "",
         f"superfluous: {', '.join(found.superfluous) or 'nothing'}",
