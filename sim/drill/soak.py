@@ -20,6 +20,7 @@ from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from sim.drill.drill import RATE, in_order, scene
+from sim.drill.witness import UNEXPLAINED, Witness
 from sim.measure.rig import Rig
 
 GROWTH = 4e6
@@ -31,6 +32,8 @@ INDEX = 5.0
 MISS_LIMIT = 1e-3
 """Largest share of missed ticks outside respawns."""
 
+
+CHAIN = ("driver", "environment", "coupling")
 
 LATE = 0.25
 """From this share of a period on a driver that is woken late was held up by the machine."""
@@ -54,6 +57,9 @@ class Soak(msgspec.Struct, kw_only=True):
         The missed ones with which even the driver, the most urgent of all, was woken late or not at all: the machine stood.
     missed_after : dict of str to int
         The missed ones, by what was last done to the launch within `BLAME` before; ``nothing`` for those left to the machine.
+    causes : dict of str to int
+        The missed ones, by the cause that was measured (sim/drill/witness.py): the driver itself woken late, a node that waited
+        for its processor or computed, stolen time; ``unexplained`` for the rest.
     growth_bytes : dict of str to float
         Growth of each node's memory within one process of it, the largest [bytes].
     accounts : dict of str to dict of str to int
@@ -76,6 +82,7 @@ class Soak(msgspec.Struct, kw_only=True):
     excused: int = 0
     held_up: int = 0
     missed_after: dict[str, int] = {}
+    causes: dict[str, int] = {}
     growth_bytes: dict[str, float] = {}
     accounts: dict[str, dict[str, int]] = {}
     shared: int = 0
@@ -86,8 +93,9 @@ class Soak(msgspec.Struct, kw_only=True):
 class _Memory:
     """Resident memory of each process of each node, over its life."""
 
-    def __init__(self, settle: float) -> None:
+    def __init__(self, settle: float, witness: Witness) -> None:
         self._settle = settle
+        self._witness = witness
         self._born: dict[int, float] = {}
         self._first: dict[int, float] = {}
         self.growth: dict[str, float] = {}
@@ -99,6 +107,8 @@ class _Memory:
             except ControlError:
                 continue
             pid, now = status["pid"], time.monotonic()
+            if name in CHAIN:
+                self._witness.pids[name] = pid
             # Start-up fills caches and queues; what grows afterwards grows for ever.
             if now - self._born.setdefault(pid, now) < self._settle:
                 continue
@@ -134,7 +144,8 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
     content["nodes"]["logger"]["respawn"] = False
     content["nodes"]["coupling"]["parameters"]["laws"]["soft"] = {"kind": "pd", "stiffness": 500.0, "damping": 2.0}
     found = Soak()
-    memory = _Memory(min(seconds / 10.0, 20.0))
+    witness = Witness(1.0 / RATE)
+    memory = _Memory(min(seconds / 10.0, 20.0), witness)
     stiffness = cycle((800.0, 1200.0, 1000.0))
     law = cycle(("soft", "pd"))
     victims = cycle(("coupling", "environment", "driver"))
@@ -179,7 +190,9 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
         found.duration_s = time.monotonic() - begun
         errors = rig.errors
         rig.end(lambda: _account(rig, found, complete))
+    witness.close()
     _count(rig, found, excused, done)
+    _explain(rig, found, excused, witness)
     found.growth_bytes = memory.growth
     index = INDEX * sum(account["recorded"] for account in found.accounts.values())
     limits = {node: GROWTH + (index if node == "logger" else 0.0) for node in memory.growth}
@@ -192,6 +205,8 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
         found.reasons.append(
             f"missed {found.missed} of {found.ticks} ticks outside respawns, limit {miss_limit:g} of them"
         )
+    if miss_limit < 1.0 and found.causes.get(UNEXPLAINED):
+        found.reasons.append(f"{found.causes[UNEXPLAINED]} missed ticks have no cause that was measured")
     if rig.exit_code != 0:
         found.reasons.append(f"the launch ended with exit code {rig.exit_code}: {errors}")
     found.reasons += [f"left behind: {what}" for what in rig.left]
@@ -254,6 +269,29 @@ def _count(rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tup
                 found.missed_after[blamed] = found.missed_after.get(blamed, 0) + 1
 
 
+def _explain(rig: Rig, found: Soak, excused: list[tuple[int, int]], witness: Witness) -> None:
+    """Find the cause of each missed tick: those in a row are one stall."""
+    states = rig.states
+    stamps = {state.seq: state.stamp for state in states}
+    answered = {state.seq - 1 for state in states if state.response > 0.0}
+    late = {state.seq for state in states if state.lateness >= LATE / RATE}
+    missed = [
+        seq
+        for seq in range(states[0].seq, states[-1].seq)
+        if seq not in answered and not any(low <= seq <= high for low, high in excused)
+    ]
+    while missed:
+        stall = [missed.pop(0)]
+        while missed and missed[0] == stall[-1] + 1:
+            stall.append(missed.pop(0))
+        around = range(stall[0], stall[-1] + 2)
+        if any(seq in late or seq not in stamps for seq in around):
+            cause = "the driver itself woken late"
+        else:
+            cause = witness.cause(stamps[stall[0]], stamps[stall[-1]] + 2.0 / RATE)
+        found.causes[cause] = found.causes.get(cause, 0) + len(stall)
+
+
 def text(found: Soak) -> str:
     """Write what came of a long run for people.
 
@@ -275,6 +313,8 @@ def text(found: Soak) -> str:
         f"  missed {found.missed} ticks outside the respawns ({found.held_up} while even the driver was held up), "
         f"{found.excused} within them"
         + "".join(f"; {count} within {BLAME:g} s of: {what}" for what, count in found.missed_after.items()),
+        "  causes measured: "
+        + (", ".join(f"{count} {cause}" for cause, count in found.causes.items()) or "none needed"),
         f"  memory growth [MB]: {growth}",
         f"  {sent} messages sent by the nodes' own count, "
         f"{sum(one['lost'] for one in found.accounts.values())} of them not in the launch's recording; "

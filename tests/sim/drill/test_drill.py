@@ -23,6 +23,7 @@ from sim.device.driver import SimDriverParameters, TimedDevice
 from sim.drill import drill
 from sim.drill.faults import faults
 from sim.drill.soak import soak
+from sim.drill.witness import UNEXPLAINED, largest
 from sim.measure.rig import Rig
 from tests.support.launching import HAPTIC, haptic, wait_for
 
@@ -86,6 +87,18 @@ def test_damping_may_not_be_stronger_than_a_damper() -> None:
         assert drill.overdamped(run) == pytest.approx(excess, abs=1e-9)  # the factor on the allowed force
     # A larger force on its way down is none of damping's.
     assert drill.overdamped([moved(5, 0.0, 3.0), moved(6, 0.0, 2.0), moved(7, 0.0, 1.0)]) == 0.0
+
+
+def test_a_cause_is_what_was_counted_for_long_enough() -> None:
+    def look(waited: float, ran: float, stolen: float) -> dict[tuple[str, int, str], float]:
+        return {("coupling", 7, "waited"): waited, ("driver", 6, "computed"): ran, ("the machine", 0, "stolen"): stolen}
+
+    # A quarter of 2 ms is enough, a little less is not; computing counts beyond half of the time.
+    assert largest(look(0.0, 0.0, 0.0), look(0.0005, 0.0, 0.0), 0.01, 0.002) == "coupling waited"
+    assert largest(look(0.0, 0.0, 0.0), look(0.00049, 0.0049, 0.0), 0.01, 0.002) == UNEXPLAINED
+    assert largest(look(0.0, 0.0, 0.0), look(0.0005, 0.008, 0.0), 0.01, 0.002) == "driver computed"
+    # A respawned node's counts begin anew: another process.
+    assert largest({}, look(1.0, 1.0, 1.0), 0.01, 0.002) == UNEXPLAINED
 
 
 def test_recovery_needs_calm() -> None:
@@ -198,7 +211,7 @@ def test_soak_accounts_for_every_message_and_keeps_its_memory() -> None:
     assert all(one["lost"] == 0 for one in found.accounts.values())
     assert found.accounts["driver"]["sent"] > 1000
     assert found.shared > 1000
-    assert sum(found.missed_after.values()) == found.missed >= found.held_up
+    assert sum(found.missed_after.values()) == sum(found.causes.values()) == found.missed >= found.held_up
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
