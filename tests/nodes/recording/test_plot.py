@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import colors, image
 
@@ -51,6 +51,7 @@ def texts(figure: Any) -> str:
 # -- lines in bounded memory -----------------------------------------------------------------------------------------
 
 
+@settings(deadline=None, max_examples=20)
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50), st.integers(POINTS, 3 * POINTS))
 def test_a_long_line_keeps_every_extreme_where_it_was(spikes: list[float], count: int) -> None:
     rng = np.random.default_rng(1)
