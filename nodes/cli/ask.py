@@ -9,7 +9,7 @@ from typing import Any
 
 from messages.transport.requests import ControlError, call
 from messages.transport.sockets import new_context
-from nodes.cli.main import RefusedError, UsageError
+from nodes.cli.main import RefusedError, UsageError, add_json
 from nodes.launcher.runs import RunError, RunInfo, find_run
 
 TIMEOUT = 10.0
@@ -27,7 +27,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--run", metavar="NAME", dest="run_name", help="which launch, when several are running (default: $HAPTIC_RUN)"
     )
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
 
 
 def chosen_run(arguments: argparse.Namespace) -> RunInfo:

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nodes.cli.main import UsageError, answer, complain
+from nodes.cli.main import UsageError, add_json, answer, complain
 from nodes.parameters.registry import Registry
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
         own.set_defaults(run=lambda arguments: _told(run, arguments))
-        own.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+        add_json(own)
         return own
 
     record = declare("record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C.")
@@ -102,7 +102,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         module = VERBS.load(name)
         text = (module.__doc__ or "").strip().partition("\n")[0]
         own = sub.add_parser(name, help=text, description=text)
-        own.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+        add_json(own)
         module.add(own)
 
     plot = declare("plot", _plot, "Draw recordings: position, force, energy, response time; several as an overlay.")

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from nodes.base import realtime
 from nodes.base.setup import Scheduling
-from nodes.cli.main import answer
+from nodes.cli.main import add_json, answer
 from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
 from nodes.launcher.wiring import FIFO
 
@@ -68,7 +68,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of this verb.
     """
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

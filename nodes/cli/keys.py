@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 
 from messages.transport import keys
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     text = "Print this machine's public key and the machines that are let in."
     listing = sub.add_parser("list", help=text, description=text)
     for verb, function in ((new, _new), (allow, _allow), (revoke, _revoke), (listing, _list)):
-        verb.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+        add_json(verb)
         verb.set_defaults(run=_telling(function))
 
 

@@ -18,7 +18,7 @@ from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
 from nodes.base.words import instead_of_stderr, last_words
 from nodes.cli.colour import coloured
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.status_line import StatusLine
 from nodes.launcher import launch_file
@@ -65,7 +65,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--view", action="store_true", help="serve a page to see and touch it; its URL is printed first"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

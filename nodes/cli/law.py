@@ -237,7 +237,7 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
     import msgspec
 
     from nodes.coupling.law_book import LawBook
-    from nodes.coupling.parameters import CouplingParameters, Plant
+    from nodes.coupling.parameters import CouplingParameters, PlantParameters
     from nodes.launcher import launch_file
     from nodes.parameters.store import convert
 
@@ -254,7 +254,7 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
         given["stiffness"] = arguments.hand
     if given:
         plant = msgspec.to_builtins(parameters.plant) if parameters.plant is not None else {"mass": DEFAULTS["mass"]}
-        parameters = msgspec.structs.replace(parameters, plant=convert({**plant, **given}, Plant, "plant"))
+        parameters = msgspec.structs.replace(parameters, plant=convert({**plant, **given}, PlantParameters, "plant"))
     book = LawBook(arguments.node, 1.0 / arguments.rate if arguments.rate is not None else launch.run.period)
     name = arguments.law or parameters.law
     delay = 1.0 if launch.run.apply == "next_tick" else 0.0

@@ -74,6 +74,17 @@ def _probably(given: str, known: Iterable[str]) -> str:
     return "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(given, list(known), 1))
 
 
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Offer --json.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        Parser of a verb or sub-verb.
+    """
+    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+
+
 def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> None:
     """Print a verb's answer: for people, or with --json one JSON object as the last line.
 

@@ -21,7 +21,7 @@ from messages.transport.sockets import Publisher, Subscription, new_context
 from nodes.base import realtime
 from nodes.cli.ask import chosen_run, known_topic
 from nodes.cli.listen import QUEUE, QUIET_MS
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 from nodes.launcher.runs import RunInfo, alive, runs
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--run", metavar="NAME", dest="run_name", help="which launch or scenario (default: $HAPTIC_RUN)"
     )
     parser.add_argument("--once", action="store_true", help="end with the launch instead of waiting for the next one")
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -9,7 +9,7 @@ import signal
 import time
 
 from nodes.cli.ask import chosen_run
-from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.cli.main import RefusedError, UsageError, add_json, answer
 from nodes.launcher.runs import RunInfo, alive, runs
 
 TIMEOUT = 60.0
@@ -28,7 +28,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "run_name", nargs="?", metavar="RUN", help="run or scenario (default: $HAPTIC_RUN, or the only one)"
     )
     parser.add_argument("--all", "-a", action="store_true", help="end all launches of this user")
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -18,7 +18,7 @@ from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
     from nodes.stability.judge import Verdict
-    from nodes.stability.k_max import Device
+    from nodes.stability.k_max import Plant
 
 _SOFTEST = 1e-12
 """A stiffness is looked for from this part of what was asked."""
@@ -86,12 +86,12 @@ class Judgement:
         return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
 
     @staticmethod
-    def _device(parameters: CouplingParameters, measured_delay: float) -> Device:
-        from nodes.stability.k_max import Device
+    def _device(parameters: CouplingParameters, measured_delay: float) -> Plant:
+        from nodes.stability.k_max import Plant
 
         plant = parameters.plant
         assert plant is not None  # noqa: S101  # asked before
-        return Device(plant.mass, plant.damping, plant.loop_delay(measured_delay), plant.stiffness)
+        return Plant(plant.mass, plant.damping, plant.loop_delay(measured_delay), plant.stiffness)
 
     def at_start(self, parameters: CouplingParameters, delay: float) -> list[str]:
         """Judge the law of tick 0, those that are scheduled, and the fallback.

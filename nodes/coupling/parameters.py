@@ -59,7 +59,7 @@ class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return CompiledLaw((self.damping / period, -self.damping / period))
 
 
-class Plant(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The device that a law's pole radius is computed for.
 
     Attributes
@@ -127,7 +127,7 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     stability : str
         What to do about a pole radius ≥ 1 with `plant`: ``refuse`` it; refuse ``changes`` that lead there, but start with a
         warning; ``warn``; or ``off``.
-    plant : Plant or None
+    plant : PlantParameters or None
         The device; None when it is not known.
     figures : bool
         Whether a switch is answered with the figures of both laws.
@@ -144,5 +144,5 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     fallback: Fallback = Fallback()
     budget: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.5
     stability: Literal["refuse", "changes", "warn", "off"] = "changes"
-    plant: Plant | None = None
+    plant: PlantParameters | None = None
     figures: bool = True

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device
+from nodes.stability.k_max import Plant
 
 MARGINAL = 1e-6
 """How far outside the unit circle rounding may put the pole that a loop without any spring has at z = 1."""
@@ -33,18 +33,18 @@ class Verdict:
     ----------
     pole_radius : float
         Largest pole of the closed loop: it decays, or grows, by this factor per tick.
-    device : Device
+    device : Plant
         What it was computed for, the delay included.
     stable : bool
         Whether the loop is stable; without any spring, whether its motion decays.
     """
 
     pole_radius: float
-    device: Device
+    device: Plant
     stable: bool
 
 
-def judge(law: CompiledLaw, period: float, device: Device) -> Verdict | None:
+def judge(law: CompiledLaw, period: float, device: Plant) -> Verdict | None:
     """Judge a law on a device.
 
     Parameters
@@ -53,7 +53,7 @@ def judge(law: CompiledLaw, period: float, device: Device) -> Verdict | None:
         Taps and sections.
     period : float
         Sampling period T [s].
-    device : Device
+    device : Plant
         Mass, damping, hand and the loop's delay, all in their limits.
 
     Returns
@@ -72,7 +72,7 @@ def judge(law: CompiledLaw, period: float, device: Device) -> Verdict | None:
     return Verdict(radius, device, radius < 1.0 or (free and radius < 1.0 + MARGINAL))
 
 
-def furthest_stable(way: Callable[[float], CompiledLaw], period: float, device: Device) -> float | None:
+def furthest_stable(way: Callable[[float], CompiledLaw], period: float, device: Plant) -> float | None:
     """Find how far one can go on a way that ends in an unstable law.
 
     Parameters
@@ -81,7 +81,7 @@ def furthest_stable(way: Callable[[float], CompiledLaw], period: float, device: 
         From a share of the way, 0 to 1, to the law there; a `ValueError` says that there is no law at this point.
     period : float
         Sampling period T [s].
-    device : Device
+    device : Plant
         Mass, damping, hand and the loop's delay.
 
     Returns

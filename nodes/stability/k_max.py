@@ -22,7 +22,7 @@ from nodes.stability.occurring import Edge, edge_at
 
 
 @dataclass(frozen=True)
-class Device:
+class Plant:
     """What the law is coupled to: the device, a hand's share included, and the loop's delay.
 
     Attributes
@@ -103,7 +103,7 @@ def with_spring(derivative: CompiledLaw, stiffness: float) -> CompiledLaw:
     return replace(derivative, taps=(derivative.taps[0] + stiffness, *derivative.taps[1:]))
 
 
-def k_max(derivative: CompiledLaw, period: float, device: Device, method: str | None = None) -> KMax:
+def k_max(derivative: CompiledLaw, period: float, device: Plant, method: str | None = None) -> KMax:
     """Find the largest stable nominal stiffness, everything else fixed.
 
     Parameters
@@ -112,7 +112,7 @@ def k_max(derivative: CompiledLaw, period: float, device: Device, method: str | 
         Derivative part of the law, e.g. from `without_spring`.
     period : float
         Sampling period T [s].
-    device : Device
+    device : Plant
         Mass, damping, delay and hand.
     method : {"closed_form", "pole_radius"} or None
         None takes the closed form where there is one.
@@ -145,11 +145,11 @@ def k_max(derivative: CompiledLaw, period: float, device: Device, method: str | 
     return KMax(top, top + leak, name, tuple(stable))
 
 
-def _plant(period: float, device: Device) -> HeldPlant:
+def _plant(period: float, device: Plant) -> HeldPlant:
     return held_plant(device.mass, device.damping, period, device.delay, device.stiffness)
 
 
-def _jury(derivative: CompiledLaw, period: float, device: Device, floor: float) -> list[tuple[float, float]]:
+def _jury(derivative: CompiledLaw, period: float, device: Plant, floor: float) -> list[tuple[float, float]]:
     """Stable interval of z³ + a₂z² + a₁z + a₀ with a₂, a₁ linear in K and a₀ free of it."""
     plant = _plant(period, device)
     n1, n0, _ = plant.numerator
@@ -177,7 +177,7 @@ def _jury(derivative: CompiledLaw, period: float, device: Device, floor: float) 
 
 
 def _between_boundaries(
-    derivative: CompiledLaw, period: float, device: Device, floor: float
+    derivative: CompiledLaw, period: float, device: Plant, floor: float
 ) -> list[tuple[float, float]]:
     """Cut the K axis at all boundaries, keep the cells whose middle is stable; above the last one K is taken as open."""
     cuts = [floor, *(k for k in boundaries(derivative, period, device) if k > floor * (1.0 + 1e-12) + 1e-12)]
@@ -191,11 +191,11 @@ def _between_boundaries(
     return stable
 
 
-def _stable(law: CompiledLaw, period: float, device: Device) -> bool:
+def _stable(law: CompiledLaw, period: float, device: Plant) -> bool:
     return pole_radius(law, period, device.mass, device.damping, device.delay, device.stiffness) < 1.0
 
 
-def boundaries(derivative: CompiledLaw, period: float, device: Device) -> list[float]:
+def boundaries(derivative: CompiledLaw, period: float, device: Plant) -> list[float]:
     """All nominal stiffnesses at which a pole is on the unit circle.
 
     Parameters
@@ -204,7 +204,7 @@ def boundaries(derivative: CompiledLaw, period: float, device: Device) -> list[f
         Derivative part of the law.
     period : float
         Sampling period T [s].
-    device : Device
+    device : Plant
         Mass, damping, delay and hand.
 
     Returns
@@ -215,7 +215,7 @@ def boundaries(derivative: CompiledLaw, period: float, device: Device) -> list[f
     return [stiffness for stiffness, _ in crossings(derivative, period, device)]
 
 
-def edge_of(derivative: CompiledLaw, period: float, device: Device) -> Edge | None:
+def edge_of(derivative: CompiledLaw, period: float, device: Plant) -> Edge | None:
     """Tell which frequency occurs at K_max, and what Colgate's condition says there (THEORY.md §9).
 
     Parameters
@@ -224,7 +224,7 @@ def edge_of(derivative: CompiledLaw, period: float, device: Device) -> Edge | No
         Derivative part of the law.
     period : float
         Sampling period T [s].
-    device : Device
+    device : Plant
         Mass, damping, delay and hand.
 
     Returns
@@ -241,7 +241,7 @@ def edge_of(derivative: CompiledLaw, period: float, device: Device) -> Edge | No
     return edge_at(derivative, period, theta / period, device.damping, device.mass, device.delay, device.stiffness)
 
 
-def crossings(derivative: CompiledLaw, period: float, device: Device) -> list[tuple[float, float]]:
+def crossings(derivative: CompiledLaw, period: float, device: Plant) -> list[tuple[float, float]]:
     """All nominal stiffnesses at which a pole is on the unit circle, and where on it.
 
     Parameters
@@ -250,7 +250,7 @@ def crossings(derivative: CompiledLaw, period: float, device: Device) -> list[tu
         Derivative part of the law.
     period : float
         Sampling period T [s].
-    device : Device
+    device : Plant
         Mass, damping, delay and hand.
 
     Returns
@@ -310,7 +310,7 @@ class Tolerance:
     delay_max_ticks: float | None
 
 
-def tolerance(law: CompiledLaw, period: float, device: Device, radius: float = 1.0) -> Tolerance | None:
+def tolerance(law: CompiledLaw, period: float, device: Plant, radius: float = 1.0) -> Tolerance | None:
     """Tell how far mass, damping, a hand and delay may be from what is declared.
 
     Parameters
@@ -319,7 +319,7 @@ def tolerance(law: CompiledLaw, period: float, device: Device, radius: float = 1
         The whole law.
     period : float
         Sampling period T [s].
-    device : Device
+    device : Plant
         What is declared.
     radius : float
         Pole radius that counts as the limit.
@@ -330,7 +330,7 @@ def tolerance(law: CompiledLaw, period: float, device: Device, radius: float = 1
         None when the loop is beyond the limit as declared.
     """
 
-    def within(other: Device) -> bool:
+    def within(other: Plant) -> bool:
         return pole_radius(law, period, other.mass, other.damping, other.delay, other.stiffness) < radius
 
     if not within(device):

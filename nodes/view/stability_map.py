@@ -14,11 +14,11 @@ import msgspec
 import numpy as np
 
 from messages.errors import HapticError
-from nodes.coupling.parameters import Plant
+from nodes.coupling.parameters import PlantParameters
 from nodes.laws import Law
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device, KMax, k_max, without_spring
+from nodes.stability.k_max import KMax, Plant, k_max, without_spring
 
 NEAR, FAR = 33, 24
 """Points of the edge: evenly spaced around the present gain, then in equal ratios to where nothing is stable any more."""
@@ -30,7 +30,7 @@ MOST_DELAY = 20.0
 """Longest delay that the margin is looked for [ticks]."""
 
 
-def plant_of(declared: Any, driver: Mapping[str, Any]) -> Plant | None:
+def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None:
     """Find the device that a map is drawn for.
 
     Parameters
@@ -42,21 +42,21 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> Plant | None:
 
     Returns
     -------
-    Plant or None
+    PlantParameters or None
         None when nobody says what it is.
     """
     if declared is not None:
-        return msgspec.convert(declared, Plant)
+        return msgspec.convert(declared, PlantParameters)
     device = driver.get("device")
     if not isinstance(device, Mapping) or "mass" not in device:
         return None
     hand = device.get("hand") or {}
     mass, damping = (float(device.get(part, 0.0)) + float(hand.get(part, 0.0)) for part in ("mass", "damping"))
     stiffness, delay = float(hand.get("stiffness", 0.0)), float(device.get("delay", 0.0))
-    return Plant(mass=mass, damping=damping, stiffness=stiffness, device_delay=delay)
+    return PlantParameters(mass=mass, damping=damping, stiffness=stiffness, device_delay=delay)
 
 
-def _edge(law: Law, period: float, device: Device) -> KMax:
+def _edge(law: Law, period: float, device: Plant) -> KMax:
     return k_max(without_spring(law, period), period, device)
 
 
@@ -64,7 +64,7 @@ def _at(law: Law, damping: float) -> Law:
     return msgspec.structs.replace(law, damping=damping)
 
 
-def _bounds(law: Law, period: float, device: Device, dampings: list[float]) -> list[list[float | None]]:
+def _bounds(law: Law, period: float, device: Plant, dampings: list[float]) -> list[list[float | None]]:
     found: list[list[float | None]] = []
     for damping in dampings:
         edge = _edge(_at(law, damping), period, device)
@@ -73,7 +73,7 @@ def _bounds(law: Law, period: float, device: Device, dampings: list[float]) -> l
     return found
 
 
-def _end(law: Law, period: float, device: Device, near: float) -> float:
+def _end(law: Law, period: float, device: Plant, near: float) -> float:
     """Largest B with any stable K, from `near` on; at most so many times as far."""
     inside = near
     while inside < near * FARTHEST:
@@ -90,7 +90,7 @@ def _end(law: Law, period: float, device: Device, near: float) -> float:
     return inside
 
 
-def delay_margin(law: Law, period: float, device: Device) -> float | None:
+def delay_margin(law: Law, period: float, device: Plant) -> float | None:
     """How much longer the loop's delay may get until a stable loop is no longer stable.
 
     Parameters
@@ -99,7 +99,7 @@ def delay_margin(law: Law, period: float, device: Device) -> float | None:
         The present law.
     period : float
         Sampling period T [s].
-    device : Device
+    device : Plant
         Mass, damping, delay and hand.
 
     Returns
@@ -126,7 +126,7 @@ def delay_margin(law: Law, period: float, device: Device) -> float | None:
     return None
 
 
-def stability_map(law: Law, period: float, plant: Plant, delay: float) -> dict[str, Any]:
+def stability_map(law: Law, period: float, plant: PlantParameters, delay: float) -> dict[str, Any]:
     """Draw the (B, K) plane of a law's kind.
 
     Parameters
@@ -135,7 +135,7 @@ def stability_map(law: Law, period: float, plant: Plant, delay: float) -> dict[s
         The present law; its other parameters (order, terms, taps) are kept.
     period : float
         Sampling period T [s].
-    plant : Plant
+    plant : PlantParameters
         The device as declared.
     delay : float
         Delay of the loop as measured; the plant's own goes before it [ticks].
@@ -155,7 +155,7 @@ def stability_map(law: Law, period: float, plant: Plant, delay: float) -> dict[s
         When the law cannot be realised.
     """
     delay = plant.loop_delay(delay)
-    device = Device(plant.mass, plant.damping, delay, plant.stiffness)
+    device = Plant(plant.mass, plant.damping, delay, plant.stiffness)
     compiled = law.compile(period)
     radius = pole_radius(compiled, period, device.mass, device.damping, device.delay, device.stiffness)
     edge = _edge(law, period, device)

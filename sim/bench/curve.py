@@ -29,7 +29,7 @@ from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import DeviceState, Force
 from nodes.base import realtime
 from nodes.base.setup import Scheduling, Setup
-from nodes.cli.main import RefusedError, answer
+from nodes.cli.main import RefusedError, add_json, answer
 from nodes.launcher.child import PYTHON
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, default=500.0, help="rate of the loop [Hz] (default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=10, help="rounds of each kind (default: %(default)s)")
     parser.add_argument("--ticks", type=int, default=250, help="ticks of a round (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

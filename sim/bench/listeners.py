@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from messages.topics import DEVICE_STATE
-from nodes.cli.main import answer
+from nodes.cli.main import add_json, answer
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
 from sim.measure.launches import HAPTIC, MeasurementError, Running, machine
@@ -31,7 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rounds", type=int, default=5, help="rounds of without and with (default 5)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
     parser.add_argument("--rate", type=float, default=500.0, help="sampling rate [Hz] (default 500)")
-    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from nodes.base.realtime import awake, quietest_processor
 from nodes.base.setup import Tick
-from nodes.cli.main import answer
+from nodes.cli.main import add_json, answer
 from nodes.launcher.launch_spec import AWAKE_RATE
 from nodes.tick.choose import choose
 from sim.measure.bare import BARE, bare_loop, c_loop
@@ -38,7 +38,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rounds", type=int, default=3, help="interleaved rounds of each (default 3)")
     parser.add_argument("--ticks", type=int, default=20000, help="ticks of a lockstep round (default 20000)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of a real-time round (default 4 s)")
-    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -17,7 +17,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """
     parser.add_argument("--rounds", type=int, default=101, help="interleaved rounds (default: %(default)s)")
     parser.add_argument("--ticks", type=int, default=2500, help="length of a run (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, RECEIPT
 from messages.transport.requests import ControlError
 from messages.types import DeviceState, Receipt
-from nodes.cli.main import answer
+from nodes.cli.main import add_json, answer
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
 from sim.measure.launches import Running, machine
@@ -88,7 +88,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--blocks", type=int, default=20, help="busy blocks, each with an idle one (default %(default)s)"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 from sim.results import fresh
 
 
@@ -20,7 +20,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """
     parser.add_argument("--rounds", type=int, default=25, help="interleaved rounds (default: %(default)s)")
     parser.add_argument("--taps", type=_lengths, help="numbers of taps, separated by commas (default: 4 to 2000)")
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.add_argument("--out", type=Path, help="also write bench_taps.json, .png and .svg to this directory")
     parser.set_defaults(run=run)
 

@@ -16,7 +16,7 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
 from nodes.base.realtime import memory_bytes
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
 from sim.measure.launches import HAPTIC, Running, machine
@@ -48,7 +48,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
     parser.add_argument("--rate", type=float, default=500.0, help="sampling rate [Hz] (default 500)")
     parser.add_argument("--minutes", type=float, default=30.0, help="of ticks for the memory (default 30)")
-    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
-from nodes.stability.k_max import Device, k_max, without_spring
+from nodes.stability.k_max import Plant, k_max, without_spring
 from sim.chart.derivatives import largest_stable
 from sim.chart.points import Group, Point
 from sim.device.model import DeviceModel
@@ -70,7 +70,7 @@ def solved(delay: float, method: str) -> float:
         K_max [N/m].
     """
     derivative = without_spring(PD(stiffness=1.0, damping=GAIN), PERIOD)
-    return k_max(derivative, PERIOD, Device(MASS, DAMPING, delay), method).k_max_n_per_m or 0.0
+    return k_max(derivative, PERIOD, Plant(MASS, DAMPING, delay), method).k_max_n_per_m or 0.0
 
 
 def light(_delay: float) -> float:

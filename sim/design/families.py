@@ -18,7 +18,7 @@ from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from nodes.parameters.yaml_io import write_yaml
 from nodes.stability.every_delay import every_delay
-from nodes.stability.k_max import Device, tolerance
+from nodes.stability.k_max import Plant, tolerance
 from sim.design.robust import Demand, Robust, stiffest
 from sim.device.model import DeviceModel
 
@@ -223,7 +223,7 @@ def latest_delay(tuned: Tuned, demand: Demand) -> float | None:
     compiled = CompiledLaw(tuple(tuned.found.taps.tolist()))
     known = []
     for mass in np.geomspace(*demand.mass, 5).tolist():
-        device = Device(mass, demand.damping, demand.delay[1], demand.stiffness[0])
+        device = Plant(mass, demand.damping, demand.delay[1], demand.stiffness[0])
         limits = tolerance(compiled, demand.period, device)
         if limits is not None and limits.delay_max_ticks is not None:
             known.append(limits.delay_max_ticks)

@@ -11,11 +11,11 @@ from collections import deque
 from collections.abc import Sequence
 
 from nodes.laws import CompiledLaw
-from nodes.stability.k_max import Device
+from nodes.stability.k_max import Plant
 from sim.device.model import advance, coefficients
 
 
-def replayed_radius(law: CompiledLaw, period: float, device: Device, delays: Sequence[float]) -> float:
+def replayed_radius(law: CompiledLaw, period: float, device: Plant, delays: Sequence[float]) -> float:
     """Measure by how much a released deflection grows or decays per tick, the delay of each force as given.
 
     Parameters
@@ -24,7 +24,7 @@ def replayed_radius(law: CompiledLaw, period: float, device: Device, delays: Seq
         Taps only.
     period : float
         Sampling period T [s].
-    device : Device
+    device : Plant
         Mass, damping and hand; its own delay is not used.
     delays : sequence of float, length at least 40
         Delay of the force of each tick, from its sample until it takes effect [ticks]; infinite for one that never does.

@@ -9,7 +9,7 @@ import sys
 import msgspec
 
 from nodes.cli.colour import coloured
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 from sim.drill.drill import HOLD, LIMIT, RATE, Outcome, drill
 from sim.drill.faults import faults
 from sim.drill.soak import MISS_LIMIT, soak, text
@@ -37,7 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--list", action="store_true", help="list the faults")
     parser.add_argument("--markdown", action="store_true", help="write the table as Markdown, for a page")
-    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

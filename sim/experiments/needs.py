@@ -15,7 +15,7 @@ import numpy as np
 
 from nodes.launcher.launch_spec import Model
 from nodes.laws import CompiledLaw
-from nodes.stability.k_max import Device, k_max
+from nodes.stability.k_max import Plant, k_max
 from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, Term
 from sim.measure.stopwatch import interleaved
 from sim.scene.from_launch import LaunchedScene
@@ -161,7 +161,7 @@ def _stiffest(scene: LaunchedScene) -> float | None:
     law = scene.swaps[-1].law if scene.swaps else scene.law
     taps = (law.taps[0] - law.h1, *law.taps[1:])
     rest = CompiledLaw(taps, law.sections)
-    body = Device(device.moving_mass, device.moving_damping, delay, device.grip)
+    body = Plant(device.moving_mass, device.moving_damping, delay, device.grip)
     return k_max(rest, scene.scene.period, body).h1_max_n_per_m
 
 

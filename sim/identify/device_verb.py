@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.cli.ask import add_run
-from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.cli.main import RefusedError, UsageError, add_json, answer
 
 if TYPE_CHECKING:
     from sim.identify.identify import Identified
@@ -26,10 +26,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     """
     sub = parser.add_subparsers(dest="chosen", metavar="list|presets|identify", required=True)
     listed = sub.add_parser("list", help="which devices can be driven from here")
-    listed.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(listed)
     listed.set_defaults(run=_list)
     known = sub.add_parser("presets", help="what is known of real devices, and from where: device:=touch_x")
-    known.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(known)
     known.set_defaults(run=_presets)
     text = "Push the device of a running launch (or of a scenario, started for it) and identify it."
     own = sub.add_parser("identify", help=text, description=text)

@@ -14,7 +14,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from nodes.laws.pd_alpha import PDAlpha
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device, k_max, with_spring, without_spring
+from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
 from sim.experiments.drop import Criterion, free_scene, settles
 from sim.paper.claims import Claim, verdict
 from sim.paper.traps import (
@@ -84,17 +84,17 @@ def edges() -> Iterator[Edge]:
     )
     short = without_spring(PDAlpha(stiffness=1.0, damping=2.0, order=1.5, taps=8, gains="paper"), PERIOD)
     cases = [
-        ("spring", spring, Device(0.1, 1.0)),
-        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0)),
-        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0, 1.0)),
-        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Device(0.1, 1.0, 0.4)),
-        ("PD, B 40 N s/m", without_spring(PD(stiffness=1.0, damping=40.0), PERIOD), Device(0.1, 1.0)),
-        ("PDα, α 1.5, 8 taps", short, Device(0.05, 1.0)),
-        ("PDα, α 0.8, Oustaloup", recursive, Device(0.1, 1.0, 1.0)),
-        ("paper's optimum, B 3 N s/m", optimum(3.0), Device(0.1, 1.0)),
-        ("paper's optimum, B 3 N s/m", optimum(3.0), Device(0.1, 1.0, 1.0)),
-        ("paper's optimum, B 30 N s/m", optimum(30.0), Device(0.1, 1.0)),
-        ("paper's optimum, B 3 N s/m, hand 300 N/m", optimum(3.0), Device(0.1, 1.0, 0.0, 300.0)),
+        ("spring", spring, Plant(0.1, 1.0)),
+        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(0.1, 1.0)),
+        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(0.1, 1.0, 1.0)),
+        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(0.1, 1.0, 0.4)),
+        ("PD, B 40 N s/m", without_spring(PD(stiffness=1.0, damping=40.0), PERIOD), Plant(0.1, 1.0)),
+        ("PDα, α 1.5, 8 taps", short, Plant(0.05, 1.0)),
+        ("PDα, α 0.8, Oustaloup", recursive, Plant(0.1, 1.0, 1.0)),
+        ("paper's optimum, B 3 N s/m", optimum(3.0), Plant(0.1, 1.0)),
+        ("paper's optimum, B 3 N s/m", optimum(3.0), Plant(0.1, 1.0, 1.0)),
+        ("paper's optimum, B 30 N s/m", optimum(30.0), Plant(0.1, 1.0)),
+        ("paper's optimum, B 3 N s/m, hand 300 N/m", optimum(3.0), Plant(0.1, 1.0, 0.0, 300.0)),
     ]
     for name, derivative, device in cases:
         limit = k_max(derivative, PERIOD, device).k_max_n_per_m
@@ -128,9 +128,7 @@ def traps() -> list[Claim]:
     fragile = fragility()
     noisy = {name: chatter_bound(name) for name in ("pd", "optimum")}
     passive = 2.0 * (1.0 - 2.0) / PERIOD
-    really = (
-        k_max(without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), PERIOD, Device(0.1, 1.0)).k_max_n_per_m or 0.0
-    )
+    really = k_max(without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), PERIOD, Plant(0.1, 1.0)).k_max_n_per_m or 0.0
     slow, fast = descent_outcomes(0.03), descent_outcomes(3.0)
     return [
         Claim(

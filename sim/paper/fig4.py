@@ -15,7 +15,7 @@ from typing import Any
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
-from nodes.stability.k_max import Device, k_max, with_spring, without_spring
+from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene
 from sim.experiments.k_max_simulated import SearchInterrupted, SimulatedKMax, simulated_boundary
@@ -73,7 +73,7 @@ class Setting:
         resolution, friction = (self.resolution, self.friction) if touch else (None, None)
         return DeviceModel(mass=self.mass, damping=self.damping, delay=delay, resolution=resolution, friction=friction)
 
-    def held(self, delay: float) -> Device:
+    def held(self, delay: float) -> Plant:
         """Describe the same as the linear loop sees it.
 
         Parameters
@@ -83,10 +83,10 @@ class Setting:
 
         Returns
         -------
-        Device
+        Plant
             Mass, damping and delay.
         """
-        return Device(self.mass, self.damping, delay)
+        return Plant(self.mass, self.damping, delay)
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ def _fill(curves: list[Curve], setting: Setting, step: Step) -> None:
     for delay in DELAYS:
         for name, family in families(setting, delay).items():
             derivatives = [family(gain) for gain in setting.gains]
-            device = Device(setting.mass, setting.damping, delay)
+            device = Plant(setting.mass, setting.damping, delay)
             linear = [k_max(d, setting.period, device).k_max_n_per_m for d in derivatives]
             for touch in (False, True):
                 scene = drop_scene(setting.device(delay, touch), setting.period, *CONVENTIONS[0])

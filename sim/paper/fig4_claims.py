@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 
 from nodes.laws.pd import PD
-from nodes.stability.k_max import Device, edge_of, k_max, with_spring, without_spring
+from nodes.stability.k_max import Plant, edge_of, k_max, with_spring, without_spring
 from sim.paper.claims import Claim, verdict
 from sim.paper.fig4 import DELAYS, LAWS, Curve, Setting, best, published
 
@@ -37,7 +37,7 @@ def claims_4(setting: Setting, curves: list[Curve], spreads: list[tuple[float, s
     boundary = k_max(
         without_spring(PD(stiffness=1.0, damping=peak * mass / period), period),
         period,
-        Device(mass, 0.0),
+        Plant(mass, 0.0),
         "pole_radius",
     ).k_max_n_per_m
     kappa = (boundary or 0.0) * period * period / mass

@@ -16,7 +16,7 @@ from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.laws.pd_alpha import PDAlpha, combine
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device, k_max, with_spring, without_spring
+from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
 from sim.device.model import DeviceModel, Hand
 from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
 from sim.paper.descent import paper_targets, survey
@@ -42,14 +42,14 @@ def optimum(damping: float) -> CompiledLaw:
     return without_spring(parse_law({"kind": "paper_optimum", "damping": damping}), PERIOD)
 
 
-def radius(law: CompiledLaw, device: Device) -> float:
+def radius(law: CompiledLaw, device: Plant) -> float:
     """Pole radius of a law on a device.
 
     Parameters
     ----------
     law : CompiledLaw
         The law.
-    device : Device
+    device : Plant
         Device, hand and delay.
 
     Returns
@@ -60,12 +60,12 @@ def radius(law: CompiledLaw, device: Device) -> float:
     return pole_radius(law, PERIOD, device.mass, device.damping, device.delay, device.stiffness)
 
 
-def model(device: Device) -> DeviceModel:
+def model(device: Plant) -> DeviceModel:
     """Virtual device of a linear one, a hand held where it is.
 
     Parameters
     ----------
-    device : Device
+    device : Plant
         Device, hand and delay.
 
     Returns
@@ -131,7 +131,7 @@ def euler_bias(substeps: int) -> tuple[float, float]:
         Found: Euler's K_max over the exact one; predicted: 1/(1 − 1/n_sub) (THEORY.md §3).
     """
     mass, damping = 10.0, 1.0
-    exact = k_max(CompiledLaw((0.0,)), PERIOD, Device(mass, damping)).k_max_n_per_m
+    exact = k_max(CompiledLaw((0.0,)), PERIOD, Plant(mass, damping)).k_max_n_per_m
     assert exact is not None  # noqa: S101 - a spring on a damped mass always has a limit
     return euler_k_max(substeps, mass, damping, PERIOD) / exact, 1.0 / (1.0 - 1.0 / substeps)
 
@@ -273,11 +273,11 @@ def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, 
         Law to loop to pole radius and whether the drop settled.
     """
     loops = {
-        "as tuned": Device(0.1, 1.0),
-        "one tick of delay": Device(0.1, 1.0, 1.0),
-        "half a tick of delay": Device(0.1, 1.0, 0.5),
-        "half the mass": Device(0.05, 1.0),
-        "twice the mass": Device(0.2, 1.0),
+        "as tuned": Plant(0.1, 1.0),
+        "one tick of delay": Plant(0.1, 1.0, 1.0),
+        "half a tick of delay": Plant(0.1, 1.0, 0.5),
+        "half the mass": Plant(0.05, 1.0),
+        "twice the mass": Plant(0.2, 1.0),
     }
     derivatives = {"pd": without_spring(PD(stiffness=1.0, damping=damping), PERIOD), "optimum": optimum(damping)}
     told: dict[str, dict[str, tuple[float, bool]]] = {}

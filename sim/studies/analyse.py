@@ -13,7 +13,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import LawRefusedError, compile_law
 from nodes.stability.closed_loop import law_figures
 from nodes.stability.every_delay import every_delay
-from nodes.stability.k_max import Device, edge_of, k_max, tolerance, without_spring
+from nodes.stability.k_max import Plant, edge_of, k_max, tolerance, without_spring
 from nodes.stability.rest import rest, stiffest_at_rest
 from sim.results import fresh
 from sim.studies import arguments as shared
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _every_delay(
-    arguments: argparse.Namespace, law: CompiledLaw, device: Device, period: float
+    arguments: argparse.Namespace, law: CompiledLaw, device: Plant, period: float
 ) -> dict[str, Any] | None:
     if arguments.every_delay is None:
         return None
@@ -96,7 +96,7 @@ def _every_delay(
 
 
 def _rest(
-    arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Device, period: float
+    arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Plant, period: float
 ) -> dict[str, Any] | None:
     if arguments.resolution is None:
         if arguments.friction is not None:
@@ -174,7 +174,7 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Device, period: float) -> Path:
+def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Plant, period: float) -> Path:
     import numpy as np
     from matplotlib.figure import Figure
 

@@ -7,12 +7,12 @@ import math
 from pathlib import Path
 from typing import Any
 
-from nodes.cli.main import UsageError
+from nodes.cli.main import UsageError, add_json
 from nodes.laws import Law, law_names, load_law
 from nodes.laws.parse import parse_law
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
-from nodes.stability.k_max import Device
+from nodes.stability.k_max import Plant
 
 
 def positive(text: str) -> float:
@@ -140,7 +140,7 @@ def add_answer(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         Parser of the study.
     """
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.add_argument(
         "--out-dir",
         "--out",
@@ -151,7 +151,7 @@ def add_answer(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def device(arguments: argparse.Namespace) -> Device:
+def device(arguments: argparse.Namespace) -> Plant:
     """Collect the device from parsed arguments.
 
     Parameters
@@ -161,10 +161,10 @@ def device(arguments: argparse.Namespace) -> Device:
 
     Returns
     -------
-    Device
+    Plant
         Mass, damping, delay and hand.
     """
-    return Device(arguments.mass, arguments.damping, arguments.delay, arguments.hand)
+    return Plant(arguments.mass, arguments.damping, arguments.delay, arguments.hand)
 
 
 def law(arguments: argparse.Namespace, name: str, gain: float | None = None) -> Law:

@@ -14,7 +14,7 @@ from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
 from nodes.recording.writer import RecordError
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device
+from nodes.stability.k_max import Plant
 from sim.design.families import (
     Tuned,
     best_pd,
@@ -246,7 +246,7 @@ def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dic
         compiled = CompiledLaw(tuple(law.found.taps.tolist()))
         worst = max(
             replayed_radius(
-                compiled, demand.period, Device(mass, demand.damping, 0.0, hand), measured.delays[:_REPLAYED]
+                compiled, demand.period, Plant(mass, demand.damping, 0.0, hand), measured.delays[:_REPLAYED]
             )
             for mass in demand.mass
             for hand in demand.stiffness

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 from nodes.driver.passivity import PassivityParameters
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel
@@ -44,7 +44,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--points", type=int, default=21, help="walls between them (default: %(default)s)")
     parser.add_argument("--duration", type=positive, default=6.0, help="length of a drop [s] (default: %(default)s)")
     parser.add_argument("--out", type=Path, default=Path("studies"), help="folder (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.cli.main import RefusedError, UsageError, add_json, answer
 from nodes.recording.writer import RecordError
 
 
@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand held the device")
     hand.add_argument("--free", dest="held", action="store_false", help="no hand did (default: finds out)")
     parser.add_argument("--window", type=int, default=100, help="length of a window [ticks] (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

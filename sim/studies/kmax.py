@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
-from nodes.stability.k_max import Device, KMax, k_max, with_spring, without_spring
+from nodes.stability.k_max import KMax, Plant, k_max, with_spring, without_spring
 from sim.device.model import DeviceModel, Hand
 from sim.results import fresh
 from sim.studies import arguments as shared
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _k_max(arguments: argparse.Namespace, gain: float | None, device: Device, period: float) -> KMax:
+def _k_max(arguments: argparse.Namespace, gain: float | None, device: Plant, period: float) -> KMax:
     law = shared.law(arguments, arguments.law, gain)
     try:
         derivative = without_spring(law, period)
@@ -111,7 +111,7 @@ def _k_max(arguments: argparse.Namespace, gain: float | None, device: Device, pe
         raise UsageError(str(error)) from error
 
 
-def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Device, period: float) -> int:
+def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant, period: float) -> int:
     """Bisect one grid twice, by launches and in one process; around what the simulation found."""
     import numpy as np
 
@@ -156,7 +156,7 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Device,
     return 0 if same and found.launched_n_per_m is not None else 1
 
 
-def _scene(arguments: argparse.Namespace, device: Device, period: float) -> Scene:
+def _scene(arguments: argparse.Namespace, device: Plant, period: float) -> Scene:
     """Set up the experiment; a grip is held where the floor is, and behind the wall to press."""
     from sim.experiments.drop import drop_scene, free_scene, press_scene
 
@@ -172,7 +172,7 @@ def _scene(arguments: argparse.Namespace, device: Device, period: float) -> Scen
     return drop_scene(model, period, raw=raw, clamp=True)
 
 
-def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Device, period: float) -> KMax:
+def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Plant, period: float) -> KMax:
     """Raise K until the drop no longer settles."""
     from sim.experiments.drop import Criterion
     from sim.experiments.k_max_simulated import simulated_k_max
@@ -193,7 +193,7 @@ def _figures(found: KMax) -> dict[str, Any]:
     }
 
 
-def _boundary(arguments: argparse.Namespace, device: Device, period: float) -> int:
+def _boundary(arguments: argparse.Namespace, device: Plant, period: float) -> int:
     low, high = arguments.gain
     if arguments.points < 2:
         raise UsageError(f"--points {arguments.points}: a range needs at least 2")

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 
 if TYPE_CHECKING:
     from sim.experiments.needs import Needs
@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", help="name of a launch file, or the path of one")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of timing (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from nodes.cli.main import UsageError, answer
+from nodes.cli.main import UsageError, add_json, answer
 from sim.studies import arguments as shared
 
 
@@ -24,7 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ratios", type=int, nargs="+", default=[1, 2, 4, 8], help="servo ticks per tick of the loop")
     parser.add_argument("--delay", type=shared.not_negative, default=1.0, help="of the loop [ticks] (default: 1)")
     parser.add_argument("--rate", type=shared.positive, default=500.0, help="of the loop [Hz] (default: 500)")
-    parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 

@@ -17,7 +17,7 @@ from nodes.coupling.parameters import CouplingParameters
 from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.store import ParameterError, convert
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device
+from nodes.stability.k_max import Plant
 
 T = 0.002
 
@@ -66,7 +66,7 @@ def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
         judgement.at_start(at(0.999 * low, "refuse"), 3.0)
 
 
-DEVICE = Device(0.1, 1.0, 1.0)
+DEVICE = Plant(0.1, 1.0, 1.0)
 
 
 def stable(law: dict[str, Any]) -> bool:
@@ -142,7 +142,7 @@ def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its
 def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
     book = LawBook("coupling", T)
     judgement = Judgement("coupling", T, book)
-    # Without a spring one pole is at z = 1; PD without K is stable up to B = 2m/T − b at no delay (Jury, theory.md §3).
+    # Without a spring one pole is at z = 1; PD without K is stable up to B = 2m/T − b at no delay (Jury, THEORY.md §3).
     soft, hard = (
         parameters(fallback={"damping": damping}, plant={"mass": 0.1, "damping": 1.0}) for damping in (20.0, 1e4)
     )

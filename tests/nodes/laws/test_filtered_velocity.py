@@ -14,7 +14,7 @@ from nodes.laws.pd_filtered import PDFiltered
 from nodes.laws.pd_windowed import PDWindowed, windowed_slope
 from nodes.recording.reader import Recording
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device, k_max, with_spring, without_spring
+from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.scene.loop import run
@@ -35,7 +35,7 @@ def test_filter_is_the_low_pass_of_the_backward_difference() -> None:
 
 
 def test_a_high_cutoff_is_pd_and_a_low_one_costs_stiffness() -> None:
-    device = Device(0.1, 1.0, 1.0)
+    device = Plant(0.1, 1.0, 1.0)
 
     def limit(cutoff: float) -> float:
         derivative = without_spring(PDFiltered(stiffness=1.0, damping=3.0, cutoff=cutoff), T)

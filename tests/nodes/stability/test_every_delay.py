@@ -11,7 +11,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.every_delay import _Ticks, every_delay
-from nodes.stability.k_max import Device, k_max, with_spring, without_spring
+from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
 from sim.design.replay import replayed_radius
 
 T, M, B = 0.002, 0.1, 1.0
@@ -28,7 +28,7 @@ RANGES = [(0.05, 0.3), (0.0, 1.0), (0.6, 1.4), (1.0, 1.5)]
 def law(name: str, share: float, delays: tuple[float, float]) -> CompiledLaw:
     """At a share of the lower K_max of the two constant delays."""
     derivative = without_spring(parse_law(LAWS[name]), T)
-    limits = [k_max(derivative, T, Device(M, B, d)).k_max_n_per_m for d in delays]
+    limits = [k_max(derivative, T, Plant(M, B, d)).k_max_n_per_m for d in delays]
     return with_spring(derivative, share * min(k for k in limits if k is not None))
 
 
@@ -81,12 +81,12 @@ def test_replays_agree_with_the_certificate_and_with_the_counterexample(delays: 
     inside = law("paper_optimum", 0.97, delays)
     for _ in range(3):
         sequence = [source.choice((delays[0], delays[1], source.uniform(*delays))) for _ in range(1500)]
-        assert replayed_radius(inside, T, Device(M, B), sequence) < 1.0
+        assert replayed_radius(inside, T, Plant(M, B), sequence) < 1.0
     outside = law("paper_optimum", 1.02, delays)
     found = every_delay(outside, T, M, B, delays)
     repeated = list(found.growing) * (1500 // len(found.growing))
     # The mean factor between first and last quarter is the growth but for the phase of the swing at either end.
-    assert replayed_radius(outside, T, Device(M, B), repeated) == pytest.approx(found.growth, abs=2e-4)
+    assert replayed_radius(outside, T, Plant(M, B), repeated) == pytest.approx(found.growth, abs=2e-4)
     assert found.growth > 1.0
 
 

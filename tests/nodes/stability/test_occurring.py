@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device, edge_of, k_max, with_spring, without_spring
+from nodes.stability.k_max import Plant, edge_of, k_max, with_spring, without_spring
 from nodes.stability.occurring import damping_shown, edge_at
 
 T = 0.002
@@ -23,7 +23,7 @@ KINDS: dict[str, dict[str, object]] = {
     "three_halves": {"kind": "pd_alpha", "stiffness": 1.0, "order": 1.5, "taps": 4, "gains": "paper"},
     "paper_optimum": {"kind": "paper_optimum"},
 }
-DEVICES = (Device(0.1, 1.0), Device(0.045, 0.3), Device(0.3, 2.0))
+DEVICES = (Plant(0.1, 1.0), Plant(0.045, 0.3), Plant(0.3, 2.0))
 
 
 def derivative(name: str, gain: float) -> CompiledLaw:
@@ -34,8 +34,8 @@ def derivative(name: str, gain: float) -> CompiledLaw:
 @pytest.mark.parametrize("body", DEVICES)
 @pytest.mark.parametrize("gain", [3.0, 8.0, 25.0])
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.0])
-def test_colgate_at_the_frequency_that_occurs_is_k_max(name: str, body: Device, gain: float, delay: float) -> None:
-    device = Device(body.mass, body.damping, delay)
+def test_colgate_at_the_frequency_that_occurs_is_k_max(name: str, body: Plant, gain: float, delay: float) -> None:
+    device = Plant(body.mass, body.damping, delay)
     law = derivative(name, gain)
     limit = k_max(law, T, device).k_max_n_per_m
     edge = edge_of(law, T, device)
@@ -74,7 +74,7 @@ def test_damping_shown_is_the_series_for_light_damping() -> None:
     delay=st.sampled_from([0.0, 0.25, 1.0, 1.5]),
 )
 def test_any_taps(taps: list[float], mass: float, damping: float, delay: float) -> None:
-    device, law = Device(mass, damping, delay), CompiledLaw(tuple(taps))
+    device, law = Plant(mass, damping, delay), CompiledLaw(tuple(taps))
     limit, edge = k_max(law, T, device, "pole_radius").k_max_n_per_m, edge_of(law, T, device)
     if edge is not None and limit is not None and 1e-3 < edge.omega_rad_per_s * T < 3.1:
         assert edge.k_exact_n_per_m == pytest.approx(limit, rel=1e-6)
@@ -82,7 +82,7 @@ def test_any_taps(taps: list[float], mass: float, damping: float, delay: float) 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_just_inside_is_stable_and_just_outside_is_not(name: str) -> None:
-    law, device = derivative(name, 8.0), Device(0.1, 1.0)
+    law, device = derivative(name, 8.0), Plant(0.1, 1.0)
     edge = edge_of(law, T, device)
     assert edge is not None
     for share, stable in ((0.999, True), (1.001, False)):

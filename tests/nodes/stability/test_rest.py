@@ -8,7 +8,7 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
-from nodes.stability.k_max import Device, k_max, with_spring, without_spring
+from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
 from nodes.stability.rest import absolute_sum, rest, stiffest_at_rest
 from sim.device.model import DeviceModel, quantise
 from sim.experiments.drop import drop_scene
@@ -55,7 +55,7 @@ def still(law: CompiledLaw, friction: float, delay: float) -> bool:
 @pytest.mark.parametrize(("name", "gain"), [("pd", 0.0), ("pd", 3.0), ("pd", 12.0), ("paper_optimum", 3.0)])
 def test_with_the_bounds_friction_every_drop_comes_to_a_stop(name: str, gain: float, delay: float) -> None:
     loop = derivative(name, gain)
-    limit = k_max(loop, T, Device(0.1, 1.0, delay)).k_max_n_per_m
+    limit = k_max(loop, T, Plant(0.1, 1.0, delay)).k_max_n_per_m
     assert limit is not None
     for share in (0.3, 0.7):
         law = with_spring(loop, share * limit)

@@ -11,7 +11,7 @@ from nodes.cli.main import main
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device, k_max
+from nodes.stability.k_max import Plant, k_max
 from nodes.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max, two_rate_radius
 from sim.device.model import advance, coefficients
 
@@ -41,7 +41,7 @@ def test_a_servo_as_fast_as_the_loop_is_pd() -> None:
     assert two_rate_radius(spring, T, TwoRate(0.1, 1.0, 3.0, 1)) == pytest.approx(
         pole_radius(law, T, 0.1, 1.0), rel=1e-9
     )
-    closed = k_max(PD(stiffness=1.0, damping=3.0).compile(T), T, Device(0.1, 1.0), "closed_form").k_max_n_per_m
+    closed = k_max(PD(stiffness=1.0, damping=3.0).compile(T), T, Plant(0.1, 1.0), "closed_form").k_max_n_per_m
     assert closed is not None
     # That law already has a spring of 1 N/m in it.
     assert two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, 1)) == pytest.approx(closed + 1.0, rel=1e-9)

@@ -7,13 +7,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from nodes.coupling.parameters import Plant
+from nodes.coupling.parameters import PlantParameters
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.view.stability_map import drawn_map, plant_of, stability_map
 
 T = 0.002
-PLANT = Plant(mass=0.1, damping=1.0)
+PLANT = PlantParameters(mass=0.1, damping=1.0)
 LAWS: list[dict[str, Any]] = [
     {"kind": "pd", "stiffness": 1000.0, "damping": 3.0},
     {"kind": "pd_alpha", "stiffness": 1000.0, "damping": 3.0, "order": 1.2, "taps": 10, "gains": "paper"},
@@ -51,8 +51,8 @@ def test_the_map_follows_law_device_and_delay() -> None:
     # The closed form of the README: 3781.866 N/m without delay.
     assert plain["k_max_n_per_m"] == pytest.approx(3781.866, abs=1e-3)
     assert stability_map(pd, T, PLANT, 1.0)["k_max_n_per_m"] < 1300.0
-    assert stability_map(pd, T, Plant(mass=0.1, damping=1.0, delay=1.0), 0.0)["delay_ticks"] == 1.0
-    assert stability_map(pd, T, Plant(mass=0.2, damping=1.0), 0.0)["k_max_n_per_m"] != plain["k_max_n_per_m"]
+    assert stability_map(pd, T, PlantParameters(mass=0.1, damping=1.0, delay=1.0), 0.0)["delay_ticks"] == 1.0
+    assert stability_map(pd, T, PlantParameters(mass=0.2, damping=1.0), 0.0)["k_max_n_per_m"] != plain["k_max_n_per_m"]
     assert not stability_map(parse_law({**LAWS[0], "stiffness": 3800.0}), T, PLANT, 0.0)["stable"]
     assert stability_map(parse_law({**LAWS[0], "stiffness": 3700.0}), T, PLANT, 0.0)["stable"]
 
@@ -69,8 +69,8 @@ def test_a_law_without_k_and_b_has_margins_only_and_an_unknown_device_has_none()
 def test_a_virtual_device_stands_in_for_what_is_not_declared() -> None:
     device = {"mass": 0.1, "damping": 1.0, "delay": 0.5, "hand": {"mass": 0.05, "damping": 2.0, "stiffness": 150.0}}
     plant = plant_of(None, {"device": device})
-    assert plant == Plant(mass=0.1 + 0.05, damping=3.0, stiffness=150.0, device_delay=0.5)
+    assert plant == PlantParameters(mass=0.1 + 0.05, damping=3.0, stiffness=150.0, device_delay=0.5)
     # The device's own delay comes on top of what the loop measures.
     assert stability_map(parse_law(LAWS[0]), T, plant, 0.25)["delay_ticks"] == 0.75
-    assert plant_of({"mass": 0.2}, {"device": device}) == Plant(mass=0.2)
+    assert plant_of({"mass": 0.2}, {"device": device}) == PlantParameters(mass=0.2)
     assert plant_of(None, {"device": "touch_x"}) is None

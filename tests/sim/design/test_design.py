@@ -21,7 +21,7 @@ from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.writer import RecordWriter
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
-from nodes.stability.k_max import Device
+from nodes.stability.k_max import Plant
 from sim.design.families import (
     best_paper_optimum,
     best_pd,
@@ -192,7 +192,7 @@ def test_nothing_is_passive_without_damping() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 1.7])
 def test_replay_of_a_constant_delay_is_its_pole_radius(delay: float) -> None:
-    law, device = CompiledLaw((2500.0, -1500.0)), Device(0.1, 1.0)
+    law, device = CompiledLaw((2500.0, -1500.0)), Plant(0.1, 1.0)
     # Two maxima of an oscillation 1500 ticks apart: known to a factor of about 2 in all, 5e-4 per tick.
     assert replayed_radius(law, T, device, [delay] * 2000) == pytest.approx(
         pole_radius(law, T, 0.1, 1.0, delay), abs=5e-4
@@ -201,14 +201,14 @@ def test_replay_of_a_constant_delay_is_its_pole_radius(delay: float) -> None:
 
 def test_a_force_that_a_younger_one_overtakes_never_acts() -> None:
     """Every other force 1.5 ticks late, the next one at once: the late ones might as well not exist."""
-    law, device = CompiledLaw((400.0,)), Device(0.1, 1.0)
+    law, device = CompiledLaw((400.0,)), Plant(0.1, 1.0)
     overtaken = replayed_radius(law, T, device, [0.0, 1.5] * 1000)
     slower = replayed_radius(law, T, device, [0.0, math.inf] * 1000)
     assert overtaken == slower
 
 
 def test_replay_tells_growth_from_decay() -> None:
-    device = Device(0.1, 1.0)
+    device = Plant(0.1, 1.0)
     assert replayed_radius(CompiledLaw((900.0,)), T, device, [0.0] * 2000) < 1.0
     assert replayed_radius(CompiledLaw((1100.0,)), T, device, [0.0] * 2000) > 1.0
     assert replayed_radius(CompiledLaw((1e7,)), T, device, [0.0] * 2000) == math.inf
@@ -249,7 +249,7 @@ def test_ticks_without_an_answer_are_counted_and_replayed_as_such(tmp_path: Path
     run = measure(path)
     assert (run.unanswered, len(run.delays)) == (30, 299)
     assert run.delay == pytest.approx((0.2, 0.2))
-    law, device = CompiledLaw((400.0, -100.0)), Device(0.1, 1.0)
+    law, device = CompiledLaw((400.0, -100.0)), Plant(0.1, 1.0)
     assert replayed_radius(law, T, device, run.delays) < 1.0
     assert replayed_radius(law, T, device, run.delays) != replayed_radius(law, T, device, [0.2] * 299)
 

@@ -17,7 +17,7 @@ from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.parameters.yaml_io import read_yaml
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device, k_max, without_spring
+from nodes.stability.k_max import Plant, k_max, without_spring
 from sim.device.model import DeviceModel
 from sim.identify.identify import identify
 from sim.identify.knock import STEP, factors, judge, predicted_edge
@@ -152,6 +152,6 @@ def test_the_linear_edge_is_where_a_pole_reaches_the_circle() -> None:
     law = PD(stiffness=300.0, damping=2.0).compile(T)
     edge = linear_edge(law, found)
     scaled = PD(stiffness=300.0 * edge, damping=2.0 * edge)
-    known = Device(found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
+    known = Plant(found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
     boundary = k_max(without_spring(scaled, T), T, known).k_max_n_per_m
     assert boundary == pytest.approx(300.0 * edge, rel=1e-6)

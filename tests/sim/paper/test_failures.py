@@ -10,7 +10,7 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import realise
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Device, k_max, with_spring
+from nodes.stability.k_max import Plant, k_max, with_spring
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.paper import failures, traps
@@ -33,7 +33,7 @@ def test_euler_overstates_k_max(substeps: int) -> None:
 
 def test_one_euler_step_per_tick_hides_the_limit_of_a_spring() -> None:
     # n_sub = 1: the prediction is infinite; what limits it then is κ < 4 − O(β), sixteen times the damper's 2b/T here.
-    exact = k_max(CompiledLaw((0.0,)), traps.PERIOD, Device(0.1, 1.0)).k_max_n_per_m
+    exact = k_max(CompiledLaw((0.0,)), traps.PERIOD, Plant(0.1, 1.0)).k_max_n_per_m
     assert exact is not None
     assert traps.euler_k_max(1, 0.1, 1.0, traps.PERIOD) > 16.0 * exact
 
