@@ -13,6 +13,14 @@ import msgspec
 from messages.errors import HapticError
 from messages.types import Message
 
+__all__ = [
+    "MAX_PAYLOAD",
+    "Decoder",
+    "M",
+    "MessageRefusedError",
+    "encode",
+]
+
 MAX_PAYLOAD = 65536
 """Longest payload that is looked at [bytes]; the longest legitimate one (a receipt) is under 16 KiB."""
 

@@ -20,6 +20,10 @@
 | `RigError`, `NoCompilerError`, `FaultSkippedError` | of those: the drilled launch; no C compiler; a fault not to be had |
 """
 
+__all__ = [
+    "HapticError",
+]
+
 
 class HapticError(Exception):
     """Base of every exception that this project raises on purpose; its text says what to do."""

@@ -4,6 +4,18 @@ from __future__ import annotations
 
 from messages.types import DeviceState, Event, Force, Message, NodeStatus, Proxy, Receipt
 
+__all__ = [
+    "DEVICE_STATE",
+    "FIXED",
+    "FORCE",
+    "LOOP",
+    "PROXY",
+    "RECEIPT",
+    "event",
+    "message_type",
+    "status",
+]
+
 DEVICE_STATE = "/device/state"
 PROXY = "/environment/proxy"
 FORCE = "/coupling/force"

@@ -15,6 +15,23 @@ from typing import Annotated, TypeAlias
 
 import msgspec
 
+__all__ = [
+    "MAX_COUNT",
+    "ZERO",
+    "Count",
+    "DeviceState",
+    "Event",
+    "Force",
+    "Message",
+    "Name",
+    "NodeStatus",
+    "Proxy",
+    "Real",
+    "Receipt",
+    "Text",
+    "Vector",
+]
+
 Real: TypeAlias = Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
 """A finite number. MessagePack carries NaN and infinity too, which a haptic device must never see: no bound holds for them."""
 

@@ -27,23 +27,7 @@ _FAR = tuple(
 def name_points(
     axes: Axes, named: Iterable[tuple[str, float, float]], taken: list[BboxBase], *, must: bool, size: float, color: str
 ) -> None:
-    """Write names beside points so that none lies over another.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        All else drawn, limits as they stay.
-    named : iterable of tuple
-        Name, x and y, the most important first.
-    taken : list of Bbox
-        What is written already [pixel]; the names that are placed are added.
-    must : bool
-        Whether a name without room beside its point is written further off, with a line to it; otherwise it is left out.
-    size : float
-        Size of the letters [points].
-    color : str
-        Their colour.
-    """
+    """Write names beside points so that none lies over another."""
     from matplotlib.text import Text
 
     inside = axes.get_window_extent()
@@ -74,13 +58,6 @@ def plain_log(axis: Axis, low: float, high: float) -> None:
     """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each decade, over many decades only the 1.
 
     matplotlib writes the minor ticks of a short span as powers of ten, which run into each other.
-
-    Parameters
-    ----------
-    axis : matplotlib.axis.Axis
-        Of an axes whose scale is logarithmic.
-    low, high : float
-        What it shows, both positive.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -90,17 +67,7 @@ def plain_log(axis: Axis, low: float, high: float) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes, columns: int = 6) -> None:
-    """Put one legend for all panels below them, where no curve is.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        With constrained layout.
-    axes : matplotlib.axes.Axes
-        The panel whose curves have the labels.
-    columns : int
-        Entries side by side.
-    """
+    """Put one legend for all panels below them, where no curve is."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)

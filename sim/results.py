@@ -17,16 +17,6 @@ def fresh(path: Path) -> Path:
     """Make room for a file that a study writes, its folder included.
 
     An earlier file of that name goes to ``earlier/DATE-TIME/`` beside it, which is said on standard error once per run.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-
-    Returns
-    -------
-    Path
-        The same.
     """
     folder = path.parent
     folder.mkdir(parents=True, exist_ok=True)

@@ -54,28 +54,11 @@ class Audience:
         self._talkers: dict[int, _Talker] = {}
 
     def count(self) -> int:
-        """Count the subscriptions that were taken in and not ended.
-
-        Returns
-        -------
-        int
-            Of all sockets.
-        """
+        """Count the subscriptions that were taken in and not ended."""
         return sum(self._peers.values())
 
     def tend(self, most: int) -> tuple[list[str], bool]:
-        """Take in what was sent.
-
-        Parameters
-        ----------
-        most : int
-            How many frames at once.
-
-        Returns
-        -------
-        tuple of list and bool
-            One sentence for each listener that was put out, and whether there is more to take in.
-        """
+        """Take in what was sent."""
         out: list[str] = []
         for i, (socket, place) in enumerate(self._sockets):
             while most and int(socket.get(_EVENTS)) & _POLLIN:

@@ -16,16 +16,6 @@ def new_context(aside: bool = False) -> Context:
     """Make a context whose sockets never delay its end.
 
     The I/O threads inherit affinity and priority of the calling thread: set both first.
-
-    Parameters
-    ----------
-    aside : bool
-        Whether to have a second I/O thread, for listeners: see `Publisher` and `move_aside`.
-
-    Returns
-    -------
-    zmq.Context
-        With linger 0.
     """
     context: Context = zmq.Context(io_threads=2 if aside else 1)
     context.linger = 0

@@ -74,13 +74,7 @@ class Door:
 
 
 def doors() -> dict[str, Door]:
-    """Find the listening sockets of this process that ZeroMQ waits for.
-
-    Returns
-    -------
-    dict of str to Door
-        ZeroMQ's endpoint to door; empty where /proc is not there to tell.
-    """
+    """Find the listening sockets of this process that ZeroMQ waits for."""
     found: dict[str, Door] = {}
     for entry in Path("/proc/self/fdinfo").glob("*"):
         with contextlib.suppress(OSError):
@@ -113,34 +107,12 @@ def _endpoint(family: int, name: object) -> str:
 
 
 def plain_address(text: str) -> str:
-    """Write an address as all do: one of IPv4 that came through a socket of IPv6 as IPv4.
-
-    Parameters
-    ----------
-    text : str
-        The address.
-
-    Returns
-    -------
-    str
-        Without the prefix of mapped addresses.
-    """
+    """Write an address as all do: one of IPv4 that came through a socket of IPv6 as IPv4."""
     return text.removeprefix("::ffff:")
 
 
 def has_descriptors(count: int) -> bool:
-    """Whether this process may open so many more files and connections.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-
-    Returns
-    -------
-    bool
-        False near the limit (``ulimit -n``).
-    """
+    """Whether this process may open so many more files and connections."""
     try:
         # The kernel gives out the lowest number that is free.
         lowest = os.memfd_create("")
@@ -174,13 +146,7 @@ class Peer:
                 self.address = plain_address(str(found.getpeername()[0]))
 
     def is_there(self) -> bool:
-        """Whether the descriptor still is this connection's.
-
-        Returns
-        -------
-        bool
-            False when it was closed, or is used by another one.
-        """
+        """Whether the descriptor still is this connection's."""
         try:
             return os.fstat(self._descriptor).st_ino == self._inode
         except OSError:

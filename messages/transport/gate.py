@@ -48,22 +48,7 @@ _STOP = "inproc://haptic.gate.stop"
 
 
 def monitor(context: Context, socket: Socket, events: int) -> Socket:
-    """Watch a socket, without ever holding up the thread that serves it.
-
-    Parameters
-    ----------
-    context : zmq.Context
-        Its context.
-    socket : zmq.Socket
-        The socket, on the thread that owns it.
-    events : int
-        Which events.
-
-    Returns
-    -------
-    zmq.Socket
-        Where they are received.
-    """
+    """Watch a socket, without ever holding up the thread that serves it."""
     place = f"inproc://monitor-{id(socket)}-{os.urandom(4).hex()}"
     socket.monitor(place, events)
     found = context.socket(zmq.PAIR)
@@ -136,17 +121,7 @@ class Gate(threading.Thread):
         self._statm = os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
 
     def watch(self, socket: Socket, places: Iterable[str], answers: bool = False) -> None:
-        """Watch who connects to a socket, from the thread that owns it and before the gate is started.
-
-        Parameters
-        ----------
-        socket : zmq.Socket
-            A socket of the process.
-        places : iterable of str
-            Endpoints that it is bound to.
-        answers : bool
-            Whether it takes requests, so that peers may send it much.
-        """
+        """Watch who connects to a socket, from the thread that owns it and before the gate is started."""
         self._watched.append(_Watched(socket, monitor(self._context, socket, _EVENTS), places, answers))
 
     def start(self) -> None:

@@ -45,13 +45,7 @@ class Identity(msgspec.Struct, frozen=True):
 
 
 def key_dir() -> Path:
-    """Find the directory of the keys.
-
-    Returns
-    -------
-    Path
-        ``$HAPTIC_KEYS``, or ``haptic/keys`` below ``$XDG_CONFIG_HOME`` or ``~/.config``.
-    """
+    """Find the directory of the keys."""
     if "HAPTIC_KEYS" in os.environ:
         return Path(os.environ["HAPTIC_KEYS"])
     return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "haptic" / "keys"
@@ -98,23 +92,7 @@ def _read(path: Path) -> list[str]:
 
 
 def parse_key(text: str) -> str:
-    """Read a key as a person or a file gives it.
-
-    Parameters
-    ----------
-    text : str
-        64 hexadecimal digits, or the 40 characters of Z85 that ZeroMQ's own tools print.
-
-    Returns
-    -------
-    str
-        64 lower-case hexadecimal digits.
-
-    Raises
-    ------
-    KeyRefusedError
-        When it is neither.
-    """
+    """Read a key as a person or a file gives it."""
     if len(text) == 40:
         try:
             return bytes(z85.decode(text)).hex()
@@ -127,46 +105,14 @@ def parse_key(text: str) -> str:
 
 
 def new_identity(replace: bool = False) -> Identity:
-    """Make this machine's key pair.
-
-    Parameters
-    ----------
-    replace : bool
-        Whether an existing one may be replaced; everyone who allowed it must then allow the new one.
-
-    Returns
-    -------
-    Identity
-        The new pair.
-
-    Raises
-    ------
-    KeyRefusedError
-        When there is one already, or its place is open to others.
-    """
+    """Make this machine's key pair."""
     public, secret = (bytes(z85.decode(key)).hex() for key in zmq.curve_keypair())
     _write(key_dir() / "identity.key", f"{public}\n{secret}\n", replace)
     return Identity(public, secret)
 
 
 def identity(folder: Path | None = None) -> Identity:
-    """Read this machine's key pair.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        Directory of the keys, when it is not that of `key_dir`.
-
-    Returns
-    -------
-    Identity
-        The pair.
-
-    Raises
-    ------
-    KeyRefusedError
-        When there is none, or its file is damaged or open to others.
-    """
+    """Read this machine's key pair."""
     path = (folder or key_dir()) / "identity.key"
     if not path.exists():
         raise KeyRefusedError(f"{path}: no such file; this machine has no keys yet: haptic keys new")
@@ -179,27 +125,7 @@ def identity(folder: Path | None = None) -> Identity:
 
 
 def allow(name: str, key: str, replace: bool = False) -> Path:
-    """Let another machine in.
-
-    Parameters
-    ----------
-    name : str
-        What it is called here, e.g. its address.
-    key : str
-        Its public key, as `parse_key` reads it.
-    replace : bool
-        Whether another key under that name may be replaced.
-
-    Returns
-    -------
-    Path
-        The file written.
-
-    Raises
-    ------
-    KeyRefusedError
-        When name or key is none, or the name is taken.
-    """
+    """Let another machine in."""
     if not _NAME.match(name):
         raise KeyRefusedError(f"{name!r}: a name is letters, digits, dots, - and _, at most 63")
     path = key_dir() / "allowed" / f"{name}.key"
@@ -208,23 +134,7 @@ def allow(name: str, key: str, replace: bool = False) -> Path:
 
 
 def allowed(folder: Path | None = None) -> dict[str, str]:
-    """List the machines that are let in.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        Directory of the keys, when it is not that of `key_dir`.
-
-    Returns
-    -------
-    dict of str to str
-        Name to public key.
-
-    Raises
-    ------
-    KeyRefusedError
-        When a file is damaged or open to others.
-    """
+    """List the machines that are let in."""
     found = {}
     for path in sorted(((folder or key_dir()) / "allowed").glob("*.key")):
         words = _read(path)
@@ -235,18 +145,7 @@ def allowed(folder: Path | None = None) -> dict[str, str]:
 
 
 def trusted(folder: Path | None = None) -> tuple[dict[str, str], str]:
-    """Tell whose keys are let in at this moment; nobody's by what cannot be read.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        Directory of the keys, when it is not that of `key_dir`.
-
-    Returns
-    -------
-    tuple of dict and str
-        Public key to the name of its machine, ``self`` for this one; and why some are missing, empty when none are.
-    """
+    """Tell whose keys are let in at this moment; nobody's by what cannot be read."""
     found: dict[str, str] = {}
     why = ""
     try:
@@ -261,23 +160,7 @@ def trusted(folder: Path | None = None) -> tuple[dict[str, str], str]:
 
 
 def revoke(name: str) -> Path:
-    """Let a machine in no more; what runs ends its connections within a second.
-
-    Parameters
-    ----------
-    name : str
-        What it is called here.
-
-    Returns
-    -------
-    Path
-        The file removed.
-
-    Raises
-    ------
-    KeyRefusedError
-        When there is none of that name.
-    """
+    """Let a machine in no more; what runs ends its connections within a second."""
     path = key_dir() / "allowed" / f"{name}.key"
     if not _NAME.match(name) or (not path.is_symlink() and not path.exists()):
         there = sorted(found.stem for found in (key_dir() / "allowed").glob("*.key"))
@@ -287,23 +170,7 @@ def revoke(name: str) -> Path:
 
 
 def key_of(name: str) -> str:
-    """Find the public key of a machine that is let in.
-
-    Parameters
-    ----------
-    name : str
-        What it is called here.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Raises
-    ------
-    KeyRefusedError
-        When there is none of that name; the text says how to let it in.
-    """
+    """Find the public key of a machine that is let in."""
     there = allowed()
     if name not in there:
         raise KeyRefusedError(

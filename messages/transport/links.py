@@ -115,27 +115,13 @@ class Links:
         self._heard, self._heard_at = -1, time.monotonic()
 
     def watch(self, socket: Socket, endpoints: Iterable[str]) -> None:
-        """Look after a subscription, which calls this before it connects.
-
-        Parameters
-        ----------
-        socket : zmq.Socket
-            Its socket, not yet connected; later looks may be on another thread than its own.
-        endpoints : iterable of str
-            What it will be connected to.
-        """
+        """Look after a subscription, which calls this before it connects."""
         links = [_Link(socket, endpoint) for endpoint in endpoints]
         self._monitors.append((monitor(self._context, socket, _EVENTS), links))
         self._links += links
 
     def look(self, heard: int | None = None) -> None:
-        """See whether a link is in trouble, tell it and ask for a new connection.
-
-        Parameters
-        ----------
-        heard : int, optional
-            Messages heard so far, by a process that should hear some all the time; None for one that need not.
-        """
+        """See whether a link is in trouble, tell it and ask for a new connection."""
         now = time.monotonic()
         for events, links in self._monitors:
             with contextlib.suppress(zmq.Again):
@@ -221,11 +207,5 @@ def _meant(links: list[_Link], place: str) -> list[_Link]:
 
 
 def say_link(reason: str) -> None:
-    """Write to standard error what became of a link.
-
-    Parameters
-    ----------
-    reason : str
-        One sentence.
-    """
+    """Write to standard error what became of a link."""
     print(f"[link] {reason}", file=sys.stderr, flush=True)

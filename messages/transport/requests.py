@@ -18,6 +18,19 @@ from messages.transport.endpoints import connect
 from messages.transport.keys import trusted
 from messages.types import Name, Text
 
+__all__ = [
+    "MAX_REPLY",
+    "MAX_REQUEST",
+    "ControlError",
+    "Line",
+    "Reply",
+    "Request",
+    "T",
+    "call",
+    "decode_reply",
+    "decode_request",
+]
+
 
 class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What is asked of a node.

@@ -27,6 +27,13 @@ if TYPE_CHECKING:
     from messages.transport.links import Links
     from messages.transport.waker import Waker
 
+__all__ = [
+    "SEND_QUEUE",
+    "Publisher",
+    "Subscription",
+    "TimedOut",
+]
+
 SEND_QUEUE = 4096
 """Messages queued for one stalled listener before its newest ones are dropped: 8 s at 500 Hz, about 1 MB."""
 
@@ -302,7 +309,13 @@ class Subscription:
             self._socket.subscribe(topic)
 
     def lend(self) -> int:
-        """Let compiled code of this thread receive. Returns ZeroMQ's address of the socket; what is not for it is put back."""
+        """Let compiled code of this thread receive; what is not for it is put back.
+
+        Returns
+        -------
+        int
+            ZeroMQ's address of the socket.
+        """
         self.next_frame = self._next_frame
         return self._socket.underlying
 

@@ -122,23 +122,11 @@ class ControlServer(threading.Thread):
         return {"status": msgspec.to_builtins(node.status()), "ticks_compiled": node.ticks_compiled, **node.report()}
 
     def watched_by(self, gate: Gate) -> None:
-        """Let a gate watch who tries to connect.
-
-        Parameters
-        ----------
-        gate : Gate
-            The gate of the process, not yet started.
-        """
+        """Let a gate watch who tries to connect."""
         gate.watch(self._socket, [self._node.setup.control], answers=True)
 
     def await_fetch(self, timeout: float) -> None:
-        """Go on answering until the launcher has fetched the last report.
-
-        Parameters
-        ----------
-        timeout : float
-            Longest wait [s].
-        """
+        """Go on answering until the launcher has fetched the last report."""
         if self.is_alive():
             self._fetched.wait(timeout)
 
@@ -253,13 +241,7 @@ class ControlServer(threading.Thread):
         node.serving += 1
 
     def stop(self) -> bool:
-        """Stop serving and wait for the thread, but not for ever.
-
-        Returns
-        -------
-        bool
-            Whether it has ended; when a request is served that does not end, it has not, and its socket is still open.
-        """
+        """Stop serving and wait for the thread, but not for ever."""
         self._ending.set()
         if self.is_alive():
             with self._context.socket(zmq.REQ) as waker:

@@ -60,30 +60,11 @@ class Telling:
         self._told: dict[str, int] = {}
 
     def now(self) -> float:
-        """Time for stamps: the monotonic clock of the launcher's host, or simulated time in lockstep.
-
-        Returns
-        -------
-        float
-            Seconds.
-        """
+        """Time for stamps: the monotonic clock of the launcher's host, or simulated time in lockstep."""
         return self.seq * self._period if self._simulated else time.monotonic() + self.clock_offset
 
     def set_clock(self, offset: float, error: float) -> None:
-        """Take over how far this host's clock is from the launcher's, as the launcher has measured it.
-
-        Parameters
-        ----------
-        offset : float
-            What to add to this host's monotonic clock to get the run's time [s].
-        error : float
-            How far off that may be [s].
-
-        Raises
-        ------
-        ParameterError
-            When it is not a number of seconds.
-        """
+        """Take over how far this host's clock is from the launcher's, as the launcher has measured it."""
         if not (isinstance(offset, float) and isinstance(error, float) and math.isfinite(offset) and error >= 0.0):
             raise ParameterError(
                 f"{self.setup.name}: clock.set {offset!r} {error!r}: expected two finite numbers of seconds"
@@ -91,29 +72,13 @@ class Telling:
         self.clock_offset, self.clock_error = offset, error
 
     def say(self, text: str) -> None:
-        """Write one line to standard error, named; in a node's process it only joins a queue (nodes/base/words.py).
-
-        Parameters
-        ----------
-        text : str
-            What to say.
-        """
+        """Write one line to standard error, named; in a node's process it only joins a queue (nodes/base/words.py)."""
         # On a terminal the launcher's status line stands where this goes.
         clear = "\r\x1b[K" if sys.stderr.isatty() else ""
         sys.stderr.write(f"{clear}[{self.setup.name}] {text}\n")
 
     def tell(self, kind: str, reason: str, always: bool = False) -> None:
-        """Publish an event and say it; repeats of one kind at powers of two only.
-
-        Parameters
-        ----------
-        kind : str
-            Kind of event.
-        reason : str
-            One sentence with value and limit.
-        always : bool
-            Whether repeats are published all the same; said they are at powers of two even then.
-        """
+        """Publish an event and say it; repeats of one kind at powers of two only."""
         count = self._told[kind] = self._told.get(kind, 0) + 1
         seldom = count & (count - 1) == 0
         if seldom:
@@ -123,15 +88,7 @@ class Telling:
             self._post_event(kind, reason)
 
     def announce(self, kind: str, reason: str) -> None:
-        """Publish an event and say it, however often: for what people do, which cannot come in every tick.
-
-        Parameters
-        ----------
-        kind : str
-            Kind of event.
-        reason : str
-            One sentence with value and limit.
-        """
+        """Publish an event and say it, however often: for what people do, which cannot come in every tick."""
         self.say(f"{kind}: {reason}")
         self._post_event(kind, reason)
 
@@ -140,15 +97,7 @@ class Telling:
         self.post(topics.event(self.setup.name), message)
 
     def post(self, topic: str, message: Message) -> None:
-        """Queue a message that is not part of the tick; it leaves after the tick's own.
-
-        Parameters
-        ----------
-        topic : str
-            Topic.
-        message : Message
-            The message.
-        """
+        """Queue a message that is not part of the tick; it leaves after the tick's own."""
         self.outbox.append((topic.encode(), encode(message)))
         self.call()
 
@@ -164,23 +113,11 @@ class Telling:
             self.waker.wake()
 
     def refuse(self, reason: str) -> None:
-        """Count and tell a message that was refused.
-
-        Parameters
-        ----------
-        reason : str
-            What was wrong with it.
-        """
+        """Count and tell a message that was refused."""
         self.refused += 1
         self.tell("refused", reason[:1000])
 
     def deny(self, reason: str) -> None:
-        """Count and tell a peer that was turned away.
-
-        Parameters
-        ----------
-        reason : str
-            Who, where and why.
-        """
+        """Count and tell a peer that was turned away."""
         self.denied += 1
         self.tell("denied", reason)

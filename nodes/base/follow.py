@@ -19,23 +19,6 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
 
     In real time a message that is older than a period when it arrives is skipped if a newer one is already there: a
     node that was stalled goes on with the present, not with what piled up. In lockstep every message is taken.
-
-    Parameters
-    ----------
-    node : Node
-        The node that follows; its counters are kept here.
-    inbox : Subscription
-        Its socket.
-    decoder : Decoder
-        For the topic's type.
-    topic : str
-        The topic.
-
-    Returns
-    -------
-    callable
-        Waits for the next message; None when it was woken, or what came was not valid. A closure: what a tick looks up
-        through attributes, it waits for.
     """
     expected = topic.encode()
     ticks = node.compiled()

@@ -27,13 +27,7 @@ class Change:
         self._error: Exception | None = None
 
     def run(self, seq: int) -> None:
-        """Apply it (main thread).
-
-        Parameters
-        ----------
-        seq : int
-            Tick number at which it takes effect.
-        """
+        """Apply it (main thread)."""
         try:
             self._result = self._apply(seq)
         except Exception as error:  # noqa: BLE001  # a change that fails must not end the loop; whoever asked is told
@@ -41,33 +35,11 @@ class Change:
         self._done.set()
 
     def wait(self, timeout: float | None) -> bool:
-        """Wait until it was applied (control thread).
-
-        Parameters
-        ----------
-        timeout : float or None
-            Longest wait [s]; None waits as long as it takes.
-
-        Returns
-        -------
-        bool
-            Whether it was.
-        """
+        """Wait until it was applied (control thread)."""
         return self._done.wait(timeout)
 
     def result(self) -> Any:
-        """Give what came of it (control thread, after `wait`).
-
-        Returns
-        -------
-        object
-            What the change returned.
-
-        Raises
-        ------
-        Exception
-            What the change raised.
-        """
+        """Give what came of it (control thread, after `wait`)."""
         if self._error is not None:
             raise self._error
         return self._result
@@ -90,13 +62,7 @@ class Changes:
         return bool(self._waiting)
 
     def apply_next(self, seq: int) -> None:
-        """Apply one change (main thread).
-
-        Parameters
-        ----------
-        seq : int
-            Tick number at which it takes effect.
-        """
+        """Apply one change (main thread)."""
         try:
             change = self._waiting.popleft()
         except IndexError:
@@ -107,29 +73,7 @@ class Changes:
     def hand_over(
         self, apply: Callable[[int], Any], call: Callable[[], None], lives: Callable[[], bool], timeout: float = 2.0
     ) -> Any:
-        """Hand a prepared change to the loop and wait until it was applied (control thread).
-
-        Parameters
-        ----------
-        apply : callable
-            Called on the main thread with the tick number.
-        call : callable
-            Calls the loop's attention.
-        lives : callable
-            Whether the loop can still take it up.
-        timeout : float
-            Longest wait [s].
-
-        Returns
-        -------
-        object
-            What `apply` returned.
-
-        Raises
-        ------
-        ParameterError
-            When the loop did not take it up in time; it is withdrawn then, and will not be applied later.
-        """
+        """Hand a prepared change to the loop and wait until it was applied (control thread)."""
         change = Change(apply)
         self._waiting.append(change)
         call()

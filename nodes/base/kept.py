@@ -36,13 +36,7 @@ def _path(node: Node) -> Path:
 
 
 def keep(node: Node) -> None:
-    """Write the node's parameters down, if they are no longer those that were written last (control thread).
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    """
+    """Write the node's parameters down, if they are no longer those that were written last (control thread)."""
     current = node.store.current
     if current is node.kept or not node.setup.run_dir:
         return
@@ -53,13 +47,7 @@ def keep(node: Node) -> None:
 
 
 def resume(node: Node) -> None:
-    """Go on with what a predecessor of this node had, if there was one and it was changed.
-
-    Parameters
-    ----------
-    node : Node
-        The node, not yet configured.
-    """
+    """Go on with what a predecessor of this node had, if there was one and it was changed."""
     path = _path(node)
     if not node.setup.run_dir or not path.exists():
         return

@@ -12,34 +12,12 @@ NODES = Registry("haptic.nodes", "kind of node")
 
 
 def node_kinds() -> dict[str, str]:
-    """Find all installed kinds of node.
-
-    Returns
-    -------
-    dict of str to str
-        Kind to ``module:Class``.
-    """
+    """Find all installed kinds of node."""
     return {name: point.value for name, point in NODES.points().items()}
 
 
 def load(factory: str) -> type[Node]:
-    """Import the class of a node kind.
-
-    Parameters
-    ----------
-    factory : str
-        ``module:Class``.
-
-    Returns
-    -------
-    type of Node
-        The class.
-
-    Raises
-    ------
-    ParameterError
-        When it cannot be imported, or is not a node.
-    """
+    """Import the class of a node kind."""
     module, _, name = factory.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)

@@ -31,6 +31,12 @@ if TYPE_CHECKING:
     from nodes.tick.answering import CompiledTicks
     from nodes.tick.library import Kernel
 
+__all__ = [
+    "IDLE_MS",
+    "M",
+    "Node",
+]
+
 M = TypeVar("M", bound=Message)
 IDLE_MS = 100
 """How long a blocking receive waits before it looks whether the node should stop [ms]."""

@@ -110,18 +110,7 @@ def _fail_to_start(node: Node, error: Exception) -> int:
 
 
 def live(node: Node) -> int:
-    """Run a node from start to end.
-
-    Parameters
-    ----------
-    node : Node
-        The node, not yet configured.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a clean stop, 1 after a failure.
-    """
+    """Run a node from start to end."""
     _heed_signals(node)
     refused = realtime.apply(node.setup.scheduling)
     instead_of_stderr(realtime.step_aside, stdout_too=True)
@@ -180,18 +169,7 @@ def _close(node: Node, context: Context, control: ControlServer, gate: Gate, cod
 
 
 def start(arguments: list[str]) -> int:
-    """Run one node as this process: ``python -m nodes SETUP_FILE [LAUNCHER]``.
-
-    Parameters
-    ----------
-    arguments : list of str
-        The path of the node's setup file, written by the launcher, and the launcher's process number.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Run one node as this process: ``python -m nodes SETUP_FILE [LAUNCHER]``."""
     realtime.die_with_parent(*map(int, arguments[1:]))
     setup = msgspec.json.decode(Path(arguments[0]).read_bytes(), type=Setup)
     try:

@@ -25,18 +25,7 @@ WAKE_LATENCY = "/dev/cpu_dma_latency"
 
 
 def apply(scheduling: Scheduling) -> list[str]:
-    """Set affinity, scheduler and timer slack of the calling thread.
-
-    Parameters
-    ----------
-    scheduling : Scheduling
-        What is wanted.
-
-    Returns
-    -------
-    list of str
-        What was refused, and what to do about it; empty when all was granted.
-    """
+    """Set affinity, scheduler and timer slack of the calling thread."""
     refused = []
     if scheduling.cpus:
         try:
@@ -60,16 +49,6 @@ def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
     """Find the processor for the chain: of those this process may use, the one that devices interrupt least.
 
     A disk to which a logger writes, or a network card, interrupts one processor all the time; a tick there waits for it.
-
-    Parameters
-    ----------
-    interrupts : str
-        The kernel's table: a heading with the processors, then a line for each interrupt.
-
-    Returns
-    -------
-    int
-        Its number; the last of equals, as the first one does the kernel's housekeeping.
     """
     available = os.sched_getaffinity(0)
     counts = dict.fromkeys(sorted(available), 0)
@@ -93,16 +72,6 @@ def off(processors: Collection[int]) -> Iterator[None]:
     """Keep the calling thread, and what it starts, off processors on which a loop runs.
 
     Priorities alone do not: on most kernels a system call is not interrupted, whoever waits for the processor.
-
-    Parameters
-    ----------
-    processors : collection of int
-        Those of the loop; when there are no others, nothing changes.
-
-    Yields
-    ------
-    None
-        While it is so.
     """
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, before - set(processors) or before)
@@ -117,11 +86,6 @@ def awake() -> Iterator[str]:
     """Keep idle processors from going to sleep, which makes each wake-up of a tick 10 µs later; costs their power.
 
     However the process ends, the kernel takes it back.
-
-    Yields
-    ------
-    str
-        Why it was refused; empty when it was granted.
     """
     try:
         held = os.open(WAKE_LATENCY, os.O_WRONLY)
@@ -158,14 +122,7 @@ def quiet_interpreter() -> None:
 
 
 def die_with_parent(parent: int | None = None) -> None:
-    """Ask the kernel for SIGTERM when the launcher dies, so that no node outlives a killed launcher.
-
-    Parameters
-    ----------
-    parent : int, optional
-        The launcher's process number: should it have died before this was called, this process ends at once. Without it
-        whoever is the parent now is taken for the launcher.
-    """
+    """Ask the kernel for SIGTERM when the launcher dies, so that no node outlives a killed launcher."""
     parent = os.getppid() if parent is None else parent
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:
@@ -173,18 +130,7 @@ def die_with_parent(parent: int | None = None) -> None:
 
 
 def sleep_until(deadline: float) -> float:
-    """Sleep to an absolute time.
-
-    Parameters
-    ----------
-    deadline : float
-        Time on the monotonic clock [s].
-
-    Returns
-    -------
-    float
-        The time on waking [s].
-    """
+    """Sleep to an absolute time."""
     now = time.monotonic()
     while now < deadline:
         time.sleep(deadline - now)
@@ -193,12 +139,6 @@ def sleep_until(deadline: float) -> float:
 
 
 def memory_bytes() -> int:
-    """Resident memory of this process.
-
-    Returns
-    -------
-    int
-        Bytes.
-    """
+    """Resident memory of this process."""
     with open("/proc/self/statm", encoding="ascii") as statm:
         return int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")

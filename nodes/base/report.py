@@ -13,15 +13,7 @@ if TYPE_CHECKING:
 
 
 def write_report(node: Node, figures: Mapping[str, Any] | None = None) -> None:
-    """Write a node's last status and its report.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    figures : mapping, optional
-        In place of its report.
-    """
+    """Write a node's last status and its report."""
     path = Path(node.setup.run_dir) / f"{node.setup.name}.report.json"
     draft = path.with_suffix(".draft")
     told = node.report() if figures is None else figures

@@ -9,6 +9,16 @@ import msgspec
 
 from messages.types import Real
 
+__all__ = [
+    "AXIS_INDEX",
+    "Apply",
+    "Axis",
+    "Pace",
+    "Scheduling",
+    "Setup",
+    "Tick",
+]
+
 Pace = Literal["realtime", "lockstep"]
 Apply = Literal["on_arrival", "next_tick"]
 Tick = Literal["plain", "compiled"]

@@ -38,18 +38,7 @@ class Standstill:
         self._stood = 0.0
 
     def look(self, progress: object) -> float:
-        """Look once more.
-
-        Parameters
-        ----------
-        progress : object
-            Whatever changes as long as the loop goes on.
-
-        Returns
-        -------
-        float
-            For how long it has been the same [s].
-        """
+        """Look once more."""
         now = time.monotonic()
         passed = now - self._looked
         if passed >= LOOK:
@@ -60,18 +49,7 @@ class Standstill:
 
 
 def where(thread: int) -> str:
-    """Tell what a thread is doing.
-
-    Parameters
-    ----------
-    thread : int
-        Its identifier.
-
-    Returns
-    -------
-    str
-        Innermost Python function with file and line; empty when the thread is not there.
-    """
+    """Tell what a thread is doing."""
     frame = sys._current_frames().get(thread)
     if frame is None:
         return ""
@@ -80,15 +58,7 @@ def where(thread: int) -> str:
 
 
 def give_up(node: Node, reason: str) -> None:
-    """End a process whose loop will not end it: say why, publish it, write the report, go.
-
-    Parameters
-    ----------
-    node : Node
-        The node; its loop's thread stands still, so that this one may use its sockets.
-    reason : str
-        What hangs, with value and limit.
-    """
+    """End a process whose loop will not end it: say why, publish it, write the report, go."""
     node.stop_reason, node.state, node.stopping = reason, "failed", True
     node.tell("hung", f"{reason}; it was in {where(node.loop_thread)}")
     node.post(topics.status(node.setup.name), node.status())

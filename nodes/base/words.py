@@ -59,18 +59,7 @@ class Words(io.TextIOBase):
         self._thread.start()
 
     def write(self, text: str) -> int:
-        """Queue some text.
-
-        Parameters
-        ----------
-        text : str
-            Any text; one call is written in one piece.
-
-        Returns
-        -------
-        int
-            Its length.
-        """
+        """Queue some text."""
         if self._gone or self._queue.qsize() >= LIMIT:
             self.dropped += 1
         elif text:
@@ -79,33 +68,15 @@ class Words(io.TextIOBase):
         return len(text)
 
     def writable(self) -> bool:
-        """Tell that it can be written to.
-
-        Returns
-        -------
-        bool
-            True.
-        """
+        """Tell that it can be written to."""
         return True
 
     def isatty(self) -> bool:
-        """Tell whether a terminal shows it.
-
-        Returns
-        -------
-        bool
-            True for a terminal.
-        """
+        """Tell whether a terminal shows it."""
         return os.isatty(self._descriptor)
 
     def fileno(self) -> int:
-        """Tell where the text goes, for who starts a process with it.
-
-        Returns
-        -------
-        int
-            Descriptor.
-        """
+        """Tell where the text goes, for who starts a process with it."""
         return self._descriptor
 
     @property
@@ -114,13 +85,7 @@ class Words(io.TextIOBase):
         return "utf-8"
 
     def drain(self, patience: float = PATIENCE) -> None:
-        """Wait until all is written, at an end: not for longer than a reader may be given.
-
-        Parameters
-        ----------
-        patience : float
-            Longest wait [s].
-        """
+        """Wait until all is written, at an end: not for longer than a reader may be given."""
         until = time.monotonic() + patience
         while self._taken < self._put and not self._gone and time.monotonic() < until:
             time.sleep(0.002)
@@ -153,20 +118,7 @@ class Words(io.TextIOBase):
 
 
 def instead_of_stderr(aside: Callable[[], None] = lambda: None, stdout_too: bool = False) -> Words:
-    """Let everything that this process prints to standard error go through a queue, tracebacks and warnings included.
-
-    Parameters
-    ----------
-    aside : callable
-        Called once on the writing thread.
-    stdout_too : bool
-        Whether standard output goes there too: a node has no answer to give, but its law or device may print.
-
-    Returns
-    -------
-    Words
-        The stream, now ``sys.stderr``.
-    """
+    """Let everything that this process prints to standard error go through a queue, tracebacks and warnings included."""
     words = Words(aside=aside)
     sys.stderr = words
     # A traceback comes after everything else that an end could wait for.
@@ -177,12 +129,6 @@ def instead_of_stderr(aside: Callable[[], None] = lambda: None, stdout_too: bool
 
 
 def last_words(patience: float = PATIENCE) -> None:
-    """Wait for what was printed, at the end of a process, but not for a reader that does not read.
-
-    Parameters
-    ----------
-    patience : float
-        Longest wait [s].
-    """
+    """Wait for what was printed, at the end of a process, but not for a reader that does not read."""
     if isinstance(sys.stderr, Words):
         sys.stderr.drain(patience)

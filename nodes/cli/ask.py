@@ -17,13 +17,7 @@ TIMEOUT = 10.0
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """Declare --run and --json.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of a verb that asks nodes.
-    """
+    """Declare --run and --json."""
     parser.add_argument(
         "--run", metavar="NAME", dest="run_name", help="which launch, when several are running (default: $HAPTIC_RUN)"
     )
@@ -31,23 +25,7 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_run(arguments: argparse.Namespace) -> RunInfo:
-    """Find the run that is meant: by --run, else by the variable HAPTIC_RUN, else the only one.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With those of `add_run`.
-
-    Returns
-    -------
-    RunInfo
-        The run.
-
-    Raises
-    ------
-    UsageError
-        When none or several fit.
-    """
+    """Find the run that is meant: by --run, else by the variable HAPTIC_RUN, else the only one."""
     told = os.environ.get("HAPTIC_RUN") or None
     try:
         return find_run(arguments.run_name or told)
@@ -57,25 +35,7 @@ def chosen_run(arguments: argparse.Namespace) -> RunInfo:
 
 
 def node_name(run: RunInfo, name: str) -> str:
-    """Find a node by name, with or without the leading slash.
-
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-    name : str
-        As typed.
-
-    Returns
-    -------
-    str
-        The node's name in the launch.
-
-    Raises
-    ------
-    UsageError
-        When there is none; the text suggests one.
-    """
+    """Find a node by name, with or without the leading slash."""
     plain = name.removeprefix("/")
     if plain in run.nodes:
         return plain
@@ -85,25 +45,7 @@ def node_name(run: RunInfo, name: str) -> str:
 
 
 def known_topic(run: RunInfo, topic: str) -> str:
-    """Check that a topic is published in a run; names are whole names.
-
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-    topic : str
-        As typed.
-
-    Returns
-    -------
-    str
-        The topic.
-
-    Raises
-    ------
-    UsageError
-        When there is none of that name; the text suggests one.
-    """
+    """Check that a topic is published in a run; names are whole names."""
     known = list(run.endpoints())
     if topic not in known:
         close = difflib.get_close_matches(topic, known, 1)
@@ -113,29 +55,7 @@ def known_topic(run: RunInfo, topic: str) -> str:
 
 
 def ask(run: RunInfo, node: str, op: str, **args: object) -> Any:
-    """Ask one node.
-
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-    node : str
-        Name of the node.
-    op : str
-        Operation, see nodes/base/control_thread.py.
-    **args : object
-        Its arguments.
-
-    Returns
-    -------
-    object
-        The answer.
-
-    Raises
-    ------
-    RefusedError
-        When the node refuses or does not answer.
-    """
+    """Ask one node."""
     context = new_context()
     try:
         return call(context, run.nodes[node].control, op, timeout=TIMEOUT, **args)

@@ -9,22 +9,7 @@ _CODES = {"red": 31, "green": 32, "yellow": 33, "bold": 1, "dim": 2}
 
 
 def coloured(text: str, colour: str, stream: TextIO) -> str:
-    """Colour a text for where it is printed.
-
-    Parameters
-    ----------
-    text : str
-        The text.
-    colour : {"red", "green", "yellow", "bold", "dim"}
-        Its colour.
-    stream : file
-        Where it goes.
-
-    Returns
-    -------
-    str
-        The text as it is, unless the stream is a terminal that shows colours.
-    """
+    """Colour a text for where it is printed."""
     if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return text
     return f"\x1b[{_CODES[colour]}m{text}\x1b[0m"

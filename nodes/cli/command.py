@@ -5,13 +5,7 @@ import sys
 
 
 def main() -> int:
-    """Import the command line and run it.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Import the command line and run it."""
     # Importing takes some tenths of a second, in which Ctrl-C would be answered with a traceback.
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     from nodes.cli.main import main as run

@@ -46,13 +46,7 @@ complete -c haptic -a '(__haptic)'
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb.
-    """
+    """Declare the arguments."""
     parser.add_argument(
         "shell", choices=[*SCRIPTS, "words"], help="which shell; words: what may follow (for the scripts)"
     )
@@ -61,18 +55,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+    """Run the verb."""
     if arguments.shell == "words":
         print("\n".join(candidates(arguments.typed)))
     else:
@@ -81,18 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def candidates(typed: list[str]) -> list[str]:
-    """Find what may stand in the place of the last word.
-
-    Parameters
-    ----------
-    typed : list of str
-        Words after ``haptic``; the last one is unfinished, maybe empty.
-
-    Returns
-    -------
-    list of str
-        All that begin with it; none where a file is meant, which the shell knows better.
-    """
+    """Find what may stand in the place of the last word."""
     *done, prefix = typed or [""]
     chosen = next((word for word in done if not word.startswith("-")), None)
     if chosen is None:

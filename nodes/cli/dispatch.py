@@ -25,18 +25,7 @@ def _first_line(module: str) -> str:
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Refuse a place that cannot be written to before the work is done, not after.
-
-    Parameters
-    ----------
-    path : Path
-        A file or directory that will be made or written to.
-
-    Raises
-    ------
-    UsageError
-        Naming what is in the way.
-    """
+    """Refuse a place that cannot be written to before the work is done, not after."""
     there = next(place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink())
     if there != path and not there.is_dir():
         raise UsageError(f"{path}: {there} is not a directory; choose another --out")
@@ -52,17 +41,7 @@ def refuse_unwritable(path: Path) -> None:
 
 
 def dispatch(parser: argparse.ArgumentParser, modules: Mapping[str, str], noun: str) -> None:
-    """Let a verb hand its arguments on to one of several modules of the same shape as a verb.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb.
-    modules : mapping of str to str
-        Name of a sub-verb to the module that has ``add(parser)``.
-    noun : str
-        What a sub-verb is called, for the help.
-    """
+    """Let a verb hand its arguments on to one of several modules of the same shape as a verb."""
     width = max(map(len, modules))
     names = "".join(f"  {name:{width}}  {_first_line(modules[name])}\n" for name in sorted(modules))
     parser.formatter_class = argparse.RawDescriptionHelpFormatter

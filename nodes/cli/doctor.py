@@ -61,13 +61,7 @@ class Finding:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of this verb.
-    """
+    """Declare the arguments."""
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -235,13 +229,7 @@ def _zeromq() -> Finding:
 
 
 def interpreter() -> Finding:
-    """Look at how this interpreter was built.
-
-    Returns
-    -------
-    Finding
-        With PGO nodes answer faster.
-    """
+    """Look at how this interpreter was built."""
     optimised = "-fprofile-use" in (sysconfig.get_config_var("PY_CORE_CFLAGS") or "") or "--enable-optimizations" in (
         sysconfig.get_config_var("CONFIG_ARGS") or ""
     )
@@ -261,20 +249,7 @@ def interpreter() -> Finding:
 
 
 def wake_ups(period: float = PERIOD, count: int = WAKE_UPS) -> dict[str, float]:
-    """Measure how late this thread wakes up from sleeping to absolute times.
-
-    Parameters
-    ----------
-    period : float
-        Time between two wake-ups [s].
-    count : int
-        How many.
-
-    Returns
-    -------
-    dict of str to float
-        ``p50 p99 max`` [µs].
-    """
+    """Measure how late this thread wakes up from sleeping to absolute times."""
     late = []
     start = time.monotonic()
     for k in range(1, count + 1):
@@ -343,18 +318,7 @@ def _findings(measured: dict[str, dict[str, float]]) -> Iterator[Finding]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0 when a loop can run here, 1 when something essential is missing.
-    """
+    """Run the verb."""
     if not sys.platform.startswith("linux"):
         text = f"{sys.platform}: haptic nodes run on Linux only"
         answer(arguments.json, {"fine": False, "checks": [], "wake_up_us": {}, "error": text}, text)

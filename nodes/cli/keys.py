@@ -10,13 +10,7 @@ from nodes.cli.main import UsageError, add_json, answer
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the sub-verbs.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb ``keys``.
-    """
+    """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="new|allow|revoke|list", required=True)
     text = "Make this machine's key pair and print the public key."
     new = sub.add_parser("new", help=text, description=text)

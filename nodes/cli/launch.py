@@ -30,13 +30,7 @@ from nodes.recording.logger import LoggerParameters
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of this verb.
-    """
+    """Declare the arguments."""
     parser.add_argument("scenario", nargs="?", help="name of a launch file, or the path of one")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument("--list", action="store_true", help="list the scenarios")
@@ -119,20 +113,7 @@ def _recordings(launch: Launch, supervisor: Supervisor) -> list[tuple[str, str]]
 
 
 def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
-    """Collect the figures of a run from the reports of its nodes.
-
-    Parameters
-    ----------
-    launch : Launch
-        What ran.
-    supervisor : Supervisor
-        After its end.
-
-    Returns
-    -------
-    dict
-        The keys that are promised for ``haptic launch --json``.
-    """
+    """Collect the figures of a run from the reports of its nodes."""
     driver = next((r for name, r in supervisor.reports.items() if supervisor.children[name].drives), {})
     axis = "xyz".index(launch.run.axes[0])
     final = driver.get("final", {})
@@ -220,19 +201,7 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0 when the run ended as asked, 1 when any node failed (one that was started again and went on did not), 130 or 143 when
-        it was interrupted before its time.
-    """
+    """Run the verb."""
     if arguments.list:
         figures = _list()
         lines = [f"{name:18} {entry['summary']}" for name, entry in figures["scenarios"].items()]

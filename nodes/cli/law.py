@@ -57,13 +57,7 @@ def _limited(least: float, strictly: bool) -> Callable[[str], float]:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the sub-verbs.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb ``law``.
-    """
+    """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|show|switch", required=True)
 
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:

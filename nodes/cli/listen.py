@@ -43,22 +43,7 @@ class Heard(NamedTuple):
 
 
 def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iterator[Heard | None]:
-    """Receive messages until the run ends or the time is over.
-
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-    topics : collection of str
-        Topics to receive, all of them published in the run.
-    duration : float, optional
-        How long [s]; 0 for as long as the run lives.
-
-    Yields
-    ------
-    Heard or None
-        Each message; None about ten times a second while none comes, so that the caller can look up too.
-    """
+    """Receive messages until the run ends or the time is over."""
     # The socket's threads inherit it.
     with realtime.off(run.processors):
         yield from _listen(run, topics, duration)

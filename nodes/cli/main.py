@@ -45,26 +45,14 @@ class Parser(argparse.ArgumentParser):
         self.set_defaults(parser=self)
 
     def error(self, message: str) -> NoReturn:
-        """Complain and exit with 2.
-
-        Parameters
-        ----------
-        message : str
-            What argparse says.
-        """
+        """Complain and exit with 2."""
         wrong = _CHOICE.search(message)
         if wrong is not None:
             message += _probably(wrong["given"], (word.strip("'\" ") for word in wrong["known"].split(",")))
         super().error(message)
 
     def refuse(self, words: list[str]) -> NoReturn:
-        """Complain about words that nothing takes.
-
-        Parameters
-        ----------
-        words : list of str
-            As typed.
-        """
+        """Complain about words that nothing takes."""
         options = [word.partition("=")[0] for word in words if word.startswith("-")]
         hint = _probably(options[0], self._option_string_actions) if options else ""
         super().error(f"unrecognized arguments: {' '.join(words)}{hint}")
@@ -75,60 +63,22 @@ def _probably(given: str, known: Iterable[str]) -> str:
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Offer --json.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of a verb or sub-verb.
-    """
+    """Offer --json."""
     parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")
 
 
 def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> None:
-    """Print a verb's answer: for people, or with --json one JSON object as the last line.
-
-    Parameters
-    ----------
-    as_json : bool
-        Whether --json was given.
-    figures : mapping of str to object
-        The figures, units in the keys.
-    text : str
-        The same for people.
-    """
+    """Print a verb's answer: for people, or with --json one JSON object as the last line."""
     print(json.dumps(figures) if as_json else text, flush=True)
 
 
 def complain(error: object) -> None:
-    """Say on standard error what went wrong.
-
-    Parameters
-    ----------
-    error : object
-        What to say.
-    """
+    """Say on standard error what went wrong."""
     print(coloured("haptic:", "red", sys.stderr), error, file=sys.stderr)
 
 
 def parser_for(chosen: str | None) -> Parser:
-    """Declare the command line, importing no more verbs than needed.
-
-    Parameters
-    ----------
-    chosen : str or None
-        The only verb whose arguments are wanted; None for the help lines of all.
-
-    Returns
-    -------
-    Parser
-        Of the whole command.
-
-    Raises
-    ------
-    NotInstalledError
-        When that verb cannot be imported.
-    """
+    """Declare the command line, importing no more verbs than needed."""
     parser = Parser(prog="haptic", description="Haptic virtual coupling in separate processes.")
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     sub = parser.add_subparsers(dest="verb", metavar="VERB")
@@ -154,18 +104,7 @@ def _help_line(name: str) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one verb.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments after the program's name; those of the process when left out.
-
-    Returns
-    -------
-    int
-        Exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
-    """
+    """Run one verb."""
     argv = sys.argv[1:] if argv is None else argv
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

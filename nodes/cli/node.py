@@ -12,13 +12,7 @@ from nodes.launcher.runs import RunError, RunInfo
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the sub-verbs.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb ``node``.
-    """
+    """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|info|start", required=True)
     text = "List the nodes with kind, state and process number."
     listing = sub.add_parser("list", help=text, description=text)

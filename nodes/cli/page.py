@@ -20,18 +20,7 @@ KIND = "view"
 
 
 def with_view(launch: Launch) -> Launch:
-    """Add a view node to a launch that has none.
-
-    Parameters
-    ----------
-    launch : Launch
-        The launch.
-
-    Returns
-    -------
-    Launch
-        The same launch with a page; the run goes on without it, and it is started again when it dies.
-    """
+    """Add a view node to a launch that has none."""
     if any(spec.kind == KIND for spec in launch.nodes.values()):
         return launch
     name = next(name for name in (KIND, *(f"{KIND}_{i}" for i in range(2, 100))) if name not in launch.nodes)
@@ -40,15 +29,7 @@ def with_view(launch: Launch) -> Launch:
 
 
 def announce(url: str, as_json: bool) -> None:
-    """Print where the page is, and open it where somebody sits at a screen.
-
-    Parameters
-    ----------
-    url : str
-        What to open, token included.
-    as_json : bool
-        Whether a program reads this; it gets ``{"url": …}`` on a line of its own, and no browser is opened.
-    """
+    """Print where the page is, and open it where somebody sits at a screen."""
     print(json.dumps({"url": url}) if as_json else f"page  {url}", flush=True)
     screen = "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
     if screen and not as_json and sys.stdout.isatty():
@@ -71,13 +52,7 @@ class PageAnnouncer:
         self._told: set[str] = set()
 
     def __call__(self, supervisor: Supervisor) -> None:
-        """Look for pages that are served by now.
-
-        Parameters
-        ----------
-        supervisor : Supervisor
-            Of the launch.
-        """
+        """Look for pages that are served by now."""
         for name, child in supervisor.children.items():
             if child.setup.kind == KIND and name not in self._told:
                 # Read as it stands: the view's own modules are none of the launcher's business.

@@ -30,13 +30,7 @@ SHORT = 60
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the sub-verbs.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb ``param``.
-    """
+    """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|get|set|describe|dump|load", required=True)
 
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
@@ -116,20 +110,7 @@ def _set(arguments: argparse.Namespace) -> int:
 
 
 def told(node: str, receipt: dict[str, Any]) -> str:
-    """Tell a receipt to people.
-
-    Parameters
-    ----------
-    node : str
-        Name of the node.
-    receipt : dict
-        What the node answered to a change.
-
-    Returns
-    -------
-    str
-        What changed from what to what, when, and what the stability figures say of it.
-    """
+    """Tell a receipt to people."""
     changes = [f"{path} {_short(old)} → {_short(new)}" for path, (old, new) in receipt.get("changed", {}).items()]
     lines = [f"/{node}: {changes[0] if changes else 'nothing changed'} from tick {receipt['seq']} on"]
     if "force_step_n" in receipt:
@@ -158,18 +139,7 @@ def _stability(receipt: dict[str, Any]) -> list[str]:
 
 
 def forced(arguments: argparse.Namespace) -> dict[str, bool]:
-    """Pass --force on where it was given: a node in another language need not know it.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As parsed.
-
-    Returns
-    -------
-    dict
-        Argument of the request.
-    """
+    """Pass --force on where it was given: a node in another language need not know it."""
     return {"force": True} if arguments.force else {}
 
 

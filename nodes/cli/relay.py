@@ -34,25 +34,7 @@ _LOCAL = ("tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:", "ipc://")
 
 
 def local_publisher(context: Context, endpoint: str) -> Publisher:
-    """Bind a publisher for listeners of this machine, any user's: it sends, and obeys nobody.
-
-    Parameters
-    ----------
-    context : zmq.Context
-        Context of the process.
-    endpoint : str
-        Loopback tcp or ipc.
-
-    Returns
-    -------
-    Publisher
-        Bound.
-
-    Raises
-    ------
-    UsageError
-        When it could be reached from elsewhere, or cannot be bound.
-    """
+    """Bind a publisher for listeners of this machine, any user's: it sends, and obeys nobody."""
     if not endpoint.startswith(_LOCAL):
         raise UsageError(f"{endpoint}: only {', '.join(_LOCAL)}...; nothing is published for other machines here")
     try:
@@ -63,13 +45,7 @@ def local_publisher(context: Context, endpoint: str) -> Publisher:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb.
-    """
+    """Declare the arguments."""
     parser.add_argument("endpoint", nargs="?", default=ENDPOINT, help="where to publish (default: %(default)s)")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", default=[], help="whole names; all when left out")
     parser.add_argument(
@@ -81,23 +57,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb: relay one launch after the other, until Ctrl-C.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When the endpoint or a topic is refused, or, with --once, nothing is running.
-    """
+    """Run the verb: relay one launch after the other, until Ctrl-C."""
     relayed: Counter[str] = Counter()
     names: list[str] = []
     context = new_context()

@@ -24,13 +24,7 @@ class Spread:
         self._squares = 0.0
 
     def add(self, value: float) -> None:
-        """Take one value.
-
-        Parameters
-        ----------
-        value : float
-            The value.
-        """
+        """Take one value."""
         self.count += 1
         if self.count == 1:
             self.low = self.high = value
@@ -48,11 +42,5 @@ class Spread:
         return math.sqrt(self._squares / self.count) if self.count else 0.0
 
     def figures(self) -> dict[str, float]:
-        """Tell all of them.
-
-        Returns
-        -------
-        dict of str to float
-            ``mean``, ``min``, ``max`` and ``std``.
-        """
+        """Tell all of them."""
         return {"mean": self.mean, "min": self.low, "max": self.high, "std": self.deviation}

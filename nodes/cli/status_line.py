@@ -36,20 +36,7 @@ ORDER = ("scenario", "tick", "rate", "law", "penetration", "force", "missed", "r
 
 
 def fitted(parts: dict[str, str], width: int) -> list[str]:
-    """Choose the parts that fit.
-
-    Parameters
-    ----------
-    parts : dict of str to str
-        Text by name.
-    width : int
-        Columns that there are.
-
-    Returns
-    -------
-    list of str
-        Names in `ORDER`; joined by two blanks they take at most `width` columns.
-    """
+    """Choose the parts that fit."""
     kept: set[str] = set()
     left = width
     for name in KEEP:
@@ -87,13 +74,7 @@ class StatusLine:
         self._meet: Callable[[Vector], Meeting] | None = None
 
     def __call__(self, supervisor: Supervisor) -> None:
-        """Show how the launch is doing.
-
-        Parameters
-        ----------
-        supervisor : Supervisor
-            Of the launch.
-        """
+        """Show how the launch is doing."""
         if not self._live or supervisor.context is None:
             return
         now = self._ask(supervisor, DEVICE_STATE, "progress")

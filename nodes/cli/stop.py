@@ -17,13 +17,7 @@ TIMEOUT = 60.0
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb.
-    """
+    """Declare the arguments."""
     parser.add_argument(
         "run_name", nargs="?", metavar="RUN", help="run or scenario (default: $HAPTIC_RUN, or the only one)"
     )
@@ -33,25 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0 when they have ended.
-
-    Raises
-    ------
-    UsageError
-        When none or several fit.
-    RefusedError
-        When one does not end in time.
-    """
+    """Run the verb."""
     if arguments.all and arguments.run_name:
         raise UsageError(f"stop: --all and {arguments.run_name} at once; choose one")
     ending = list(runs().values()) if arguments.all else [chosen_run(arguments)]

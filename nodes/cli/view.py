@@ -19,13 +19,7 @@ from nodes.parameters.store import ParameterError
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of this verb.
-    """
+    """Declare the arguments."""
     parser.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
     parser.add_argument("--replay", type=Path, metavar="FILE", help="a recording instead of a running launch")
     parser.add_argument("--port", type=int, default=0, help="port of the page (default: a free one)")
@@ -45,18 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0 when the run has ended, or Ctrl-C came.
-    """
+    """Run the verb."""
     from nodes.view.server import check_address
 
     try:

@@ -91,13 +91,7 @@ class CouplingTicks(CompiledTicks):
         self._known = False
 
     def enter(self) -> bool:
-        """Take over law, conventions and schedule.
-
-        Returns
-        -------
-        bool
-            Whether the next tick is a law of taps and sections alone, and nothing fades.
-        """
+        """Take over law, conventions and schedule."""
         node, state = self._coupling, self.state
         renderer = node._renderer
         if not renderer.alone:
@@ -124,13 +118,7 @@ class CouplingTicks(CompiledTicks):
         return self.say_text(law.name)
 
     def leave(self, done: int) -> None:
-        """Let the node know what the kernel did.
-
-        Parameters
-        ----------
-        done : int
-            How many ticks.
-        """
+        """Let the node know what the kernel did."""
         del done
         node = self._coupling
         node._delay = self.state.delay

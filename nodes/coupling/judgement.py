@@ -46,22 +46,7 @@ class Judgement:
         self._book = book
 
     def verdict(self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float) -> Verdict | None:
-        """Judge a compiled law on the declared device.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            With the device.
-        law : CompiledLaw
-            The law.
-        measured_delay : float
-            The loop's delay as measured now [ticks].
-
-        Returns
-        -------
-        Verdict or None
-            None when there is nothing to judge by: no device declared, a policy of ``off``, or a law with code of its own.
-        """
+        """Judge a compiled law on the declared device."""
         if parameters.plant is None or parameters.stability == "off":
             return None
         from nodes.stability.judge import judge
@@ -69,18 +54,7 @@ class Judgement:
         return judge(law, self._period, self._device(parameters, measured_delay))
 
     def why_not(self, parameters: CouplingParameters) -> str:
-        """Say why there is no verdict.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node.
-
-        Returns
-        -------
-        str
-            One clause.
-        """
+        """Say why there is no verdict."""
         if parameters.plant is None:
             return f"{self._node}.plant, the device, is not declared"
         return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
@@ -94,25 +68,7 @@ class Judgement:
         return Plant(plant.mass, plant.damping, plant.loop_delay(measured_delay), plant.stiffness)
 
     def at_start(self, parameters: CouplingParameters, delay: float) -> list[str]:
-        """Judge the law of tick 0, those that are scheduled, and the fallback.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node, checked.
-        delay : float
-            Least delay of the loop [ticks].
-
-        Returns
-        -------
-        list of str
-            Warnings.
-
-        Raises
-        ------
-        ParameterError
-            When the policy is to refuse it, or it cannot be judged at all under that policy.
-        """
+        """Judge the law of tick 0, those that are scheduled, and the fallback."""
         if parameters.stability == "refuse" and parameters.plant is None:
             raise ParameterError(
                 f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
@@ -147,33 +103,7 @@ class Judgement:
         delay: float,
         force: bool,
     ) -> tuple[Verdict | None, str]:
-        """Judge a law that would render after a change.
-
-        Parameters
-        ----------
-        now : CouplingParameters or None
-            Before the change; None when its values are no way to the new ones.
-        wanted : CouplingParameters
-            After it.
-        name : str
-            The law.
-        law : CompiledLaw
-            Compiled.
-        delay : float
-            The loop's delay as measured now [ticks].
-        force : bool
-            Whether an unstable one is taken all the same.
-
-        Returns
-        -------
-        tuple of Verdict or None, and str
-            What the figures say, and a warning.
-
-        Raises
-        ------
-        ParameterError
-            When it is unstable, neither forced nor allowed by the policy: with the limit, and what would be taken.
-        """
+        """Judge a law that would render after a change."""
         verdict = self.verdict(wanted, law, delay)
         if verdict is None or verdict.stable:
             return verdict, ""
@@ -187,22 +117,7 @@ class Judgement:
         )
 
     def refuse_fallback(self, now: CouplingParameters, wanted: CouplingParameters, delay: float, force: bool) -> None:
-        """Refuse a changed fallback that would be unstable, as a law is.
-
-        Parameters
-        ----------
-        now, wanted : CouplingParameters
-            Before and after the change.
-        delay : float
-            The loop's delay as measured now [ticks].
-        force : bool
-            Whether an unstable one is taken all the same.
-
-        Raises
-        ------
-        ParameterError
-            With the limit.
-        """
+        """Refuse a changed fallback that would be unstable, as a law is."""
         if now.fallback != wanted.fallback and not force and wanted.stability != "warn":
             for text in self._of_fallback(wanted, delay):
                 raise ParameterError(f"{text}; nothing was changed")

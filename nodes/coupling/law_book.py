@@ -34,53 +34,16 @@ class LawBook:
         self._period = period
 
     def names(self, parameters: CouplingParameters) -> list[str]:
-        """List what can be switched to.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node.
-
-        Returns
-        -------
-        list of str
-            Named laws, then presets, then installed kinds that need no more than what is usual here.
-        """
+        """List what can be switched to."""
         kinds = [kind for kind in law_names() if kind not in PRESETS and self._usual(parameters, kind)]
         return [*parameters.laws, *(name for name in [*preset_names(), *kinds] if name not in parameters.laws)]
 
     def description(self, parameters: CouplingParameters, name: str) -> dict[str, Any]:
-        """Describe a law completely.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node.
-        name : str
-            The law's name.
-
-        Returns
-        -------
-        dict
-            ``kind`` and every parameter.
-        """
+        """Describe a law completely."""
         return law_to_dict(parse_law(self._find(parameters, name), f"{self._node}.laws.{name}"))
 
     def text(self, parameters: CouplingParameters, name: str) -> str:
-        """Describe a law in one line, for receipts.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node.
-        name : str
-            The law's name.
-
-        Returns
-        -------
-        str
-            JSON, which is YAML flow style too, at most 4000 characters: of longer lists only the length is told.
-        """
+        """Describe a law in one line, for receipts."""
         described = {"law": name, **self.description(parameters, name)}
         text = describe(described)
         if len(text) > MAX_TEXT:
@@ -108,25 +71,7 @@ class LawBook:
         return bool(used)
 
     def compile(self, parameters: CouplingParameters, name: str) -> CompiledLaw:
-        """Compile a law.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node.
-        name : str
-            The law's name.
-
-        Returns
-        -------
-        CompiledLaw
-            The law.
-
-        Raises
-        ------
-        ParameterError
-            When it cannot be compiled, or is longer than the history.
-        """
+        """Compile a law."""
         where = f"{self._node}.laws.{name}"
         compiled = compile_law(parse_law(self._find(parameters, name), where), self._period, where)
         if len(compiled.taps) > parameters.memory:
@@ -137,43 +82,13 @@ class LawBook:
         return compiled
 
     def figures(self, parameters: CouplingParameters, name: str, measured_delay: float) -> dict[str, Any]:
-        """Tell what a law really renders.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node; its plant is used where it is known.
-        name : str
-            The law's name.
-        measured_delay : float
-            The loop's delay as measured now [ticks].
-
-        Returns
-        -------
-        dict
-            Figures with units in the keys.
-        """
+        """Tell what a law really renders."""
         return self.figures_of(parameters, self.compile(parameters, name), measured_delay)
 
     def figures_of(
         self, parameters: CouplingParameters, compiled: CompiledLaw, measured_delay: float
     ) -> dict[str, Any]:
-        """Tell what a compiled law really renders.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node; its plant is used where it is known.
-        compiled : CompiledLaw
-            The law.
-        measured_delay : float
-            The loop's delay as measured now [ticks].
-
-        Returns
-        -------
-        dict
-            Figures with units in the keys; those of its taps and sections when the law has code of its own beside them.
-        """
+        """Tell what a compiled law really renders."""
         from nodes.stability.closed_loop import law_figures
 
         plant = parameters.plant
@@ -183,18 +98,7 @@ class LawBook:
         return law_figures(compiled, self._period, plant.mass, plant.damping, delay, plant.stiffness)
 
     def unfit(self, parameters: CouplingParameters) -> list[str]:
-        """List the laws that cannot be rendered as they are: nothing to refuse until one is switched to.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node, checked.
-
-        Returns
-        -------
-        list of str
-            Why, one sentence per law; e.g. the paper's optimum above 2.3 kHz, where its H(1) is negative.
-        """
+        """List the laws that cannot be rendered as they are: nothing to refuse until one is switched to."""
         reasons = []
         for name in parameters.laws:
             try:
@@ -204,18 +108,7 @@ class LawBook:
         return reasons
 
     def check(self, parameters: CouplingParameters) -> None:
-        """Check what belongs together, and compile the laws that will render.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            Of the node.
-
-        Raises
-        ------
-        ParameterError
-            With path, value, limit and remedy.
-        """
+        """Check what belongs together, and compile the laws that will render."""
         for name, law in parameters.laws.items():
             parse_law(law, f"{self._node}.laws.{name}")
         self.compile(parameters, parameters.law)
@@ -235,18 +128,7 @@ class LawBook:
             taken_until = tick + max(swap.ramp, 1)
 
     def refuse_fixed(self, now: CouplingParameters, wanted: CouplingParameters) -> None:
-        """Refuse a change of what cannot change while the node runs.
-
-        Parameters
-        ----------
-        now, wanted : CouplingParameters
-            Before and after the change.
-
-        Raises
-        ------
-        ParameterError
-            Naming the parameter.
-        """
+        """Refuse a change of what cannot change while the node runs."""
         for name in FIXED:
             if getattr(now, name) != getattr(wanted, name):
                 raise ParameterError(f"{self._node}.{name}: is fixed while the node runs; set it in the launch file")

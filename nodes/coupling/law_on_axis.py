@@ -49,24 +49,12 @@ class History:
         self.pushes = 0
 
     def push(self, value: float) -> None:
-        """Put the newest deflection in front.
-
-        Parameters
-        ----------
-        value : float
-            Deflection [m].
-        """
+        """Put the newest deflection in front."""
         self.head = push(self.values, self.head, self.length, value)
         self.pushes += 1
 
     def fill(self, value: float) -> None:
-        """Take it that the deflection has always been the same.
-
-        Parameters
-        ----------
-        value : float
-            Deflection [m].
-        """
+        """Take it that the deflection has always been the same."""
         for i in range(len(self.values)):
             self.values[i] = value
 
@@ -74,26 +62,13 @@ class History:
         """Fill ticks that were lost by a straight line up to the newest deflection, which is not yet pushed.
 
         Laws assume evenly spaced deflections; leaving ticks out would read as a jump in velocity.
-
-        Parameters
-        ----------
-        value : float
-            Deflection after the gap [m].
-        missing : int
-            Ticks lost.
         """
         before = self.values[self.head]
         for i in range(max(1, missing + 1 - self.length), missing + 1):
             self.push(before + (value - before) * i / (missing + 1))
 
     def snapshot(self) -> History:
-        """Copy the history from another thread than the one that pushes.
-
-        Returns
-        -------
-        History
-            A copy that belongs to one number of pushes. Its oldest value is not known: a push may have been under way.
-        """
+        """Copy the history from another thread than the one that pushes."""
         copy = History(0)
         while True:
             copy.pushes = self.pushes
@@ -116,38 +91,12 @@ def _written_out(taps: int) -> Callable[..., Callable[[int], float]]:
 
 
 def unrolled(taps: tuple[float, ...], values: Sequence[float]) -> Callable[[int], float]:
-    """Write out the sum of `kernels.fir`, term by term: the same additions in the same order, without a loop.
-
-    Parameters
-    ----------
-    taps : tuple of float, shape (n + 1,)
-        The law [N/m].
-    values : sequence of float
-        The history that it reads [m].
-
-    Returns
-    -------
-    callable
-        From the index of the newest value to the force [N].
-    """
+    """Write out the sum of `kernels.fir`, term by term: the same additions in the same order, without a loop."""
     return _written_out(len(taps))(values, *taps)
 
 
 def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], float]:
-    """Choose the fastest way to add the taps that gives the bits of `kernels.fir`.
-
-    Parameters
-    ----------
-    taps : tuple of float, shape (n + 1,)
-        The law [N/m].
-    history : History
-        What it reads.
-
-    Returns
-    -------
-    callable
-        From the history's head to the force [N].
-    """
+    """Choose the fastest way to add the taps that gives the bits of `kernels.fir`."""
     values = history.values
     if len(taps) <= UNROLLED_TAPS:
         return unrolled(taps, values)
@@ -207,28 +156,11 @@ class LawOnAxis:
         self._own = law.evaluate
 
     def of_taps(self, taps: tuple[float, ...]) -> LawOnAxis:
-        """Make another law over the same history.
-
-        Parameters
-        ----------
-        taps : tuple of float, shape (n + 1,)
-            All of it [N/m].
-
-        Returns
-        -------
-        LawOnAxis
-            Ready to render.
-        """
+        """Make another law over the same history."""
         return LawOnAxis(CompiledLaw(taps), self._history)
 
     def warm_up(self, history: History) -> None:
-        """Bring the sections to where they would be had the law run all the time.
-
-        Parameters
-        ----------
-        history : History
-            The live one on the loop's own thread, or a snapshot of it on another.
-        """
+        """Bring the sections to where they would be had the law run all the time."""
         if self.state:
             self.state[:] = array("d", [0.0]) * len(self.state)
             warm_up(self._coefficients, self.state, history.values, history.head, history.known)
@@ -249,28 +181,11 @@ class LawOnAxis:
         self._pushes = self._history.pushes
 
     def own(self, history: History) -> float:
-        """Call the law's own code once.
-
-        Parameters
-        ----------
-        history : History
-            The live one or a snapshot.
-
-        Returns
-        -------
-        float
-            Its part of the force [N]; 0 when it has none.
-        """
+        """Call the law's own code once."""
         return 0.0 if self._own is None else self._own(history.values, history.head)
 
     def force(self) -> float:
-        """Render the newest deflection; once per tick.
-
-        Returns
-        -------
-        float
-            Force [N].
-        """
+        """Render the newest deflection; once per tick."""
         history = self._history
         head = history.head
         force = self.sum_of_taps(head)
@@ -282,13 +197,7 @@ class LawOnAxis:
         return force
 
     def present(self) -> float:
-        """Force for the newest deflection, which the sections have already seen; changes nothing.
-
-        Returns
-        -------
-        float
-            Force [N].
-        """
+        """Force for the newest deflection, which the sections have already seen; changes nothing."""
         force = self.sum_of_taps(self._history.head) + sum(self.state[::2])
         return force + self.own(self._history)
 
@@ -308,18 +217,7 @@ def _joined(shares: list[tuple[LawOnAxis, float]]) -> list[tuple[LawOnAxis, floa
 
 
 def weighted_taps(laws: list[tuple[tuple[float, ...], float]]) -> tuple[float, ...]:
-    """Mix laws of taps alone into one.
-
-    Parameters
-    ----------
-    laws : list of tuple of tuple of float and float
-        Taps [N/m] and weight of each.
-
-    Returns
-    -------
-    tuple of float, shape (n + 1,)
-        Weighted sum of the taps, as long as the longest [N/m].
-    """
+    """Mix laws of taps alone into one."""
     if max(len(taps) for taps, _ in laws) > UNROLLED_TAPS:
         import numpy as np
 
@@ -352,18 +250,7 @@ class Fade:
         self._done = 0
 
     def mix(self, new: float) -> float:
-        """Blend the leaving laws into the new one's force; once per tick.
-
-        Parameters
-        ----------
-        new : float
-            Force of the new law [N].
-
-        Returns
-        -------
-        float
-            Force to render [N].
-        """
+        """Blend the leaving laws into the new one's force; once per tick."""
         old = 0.0
         for law, weight in self.leaving:
             old += weight * law.force()
@@ -372,18 +259,7 @@ class Fade:
         return force
 
     def shares(self, new: LawOnAxis) -> list[tuple[LawOnAxis, float]]:
-        """Tell what the force of the last tick was mixed of, to let just that fade out.
-
-        Parameters
-        ----------
-        new : LawOnAxis
-            The law that was fading in.
-
-        Returns
-        -------
-        list of tuple of LawOnAxis and float
-            At most MAX_LEAVING laws and their weights, which add up to 1.
-        """
+        """Tell what the force of the last tick was mixed of, to let just that fade out."""
         weight = min(self._done / self._ramp, 1.0)
         shares = [(law, share * (1.0 - weight)) for law, share in self.leaving] + [(new, weight)]
         shares = [share for share in shares if share[1] > 0.0]

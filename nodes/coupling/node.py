@@ -54,18 +54,7 @@ class Coupling(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Read every law, and compile those that will render, before anything is started.
-
-        Parameters
-        ----------
-        setup : Setup
-            The node as it would be started.
-
-        Raises
-        ------
-        ParameterError
-            With path, value, limit and remedy.
-        """
+        """Read every law, and compile those that will render, before anything is started."""
         parameters: CouplingParameters = convert(setup.parameters, CouplingParameters, setup.name)
         book = LawBook(setup.name, setup.period)
         book.check(parameters)
@@ -183,38 +172,11 @@ class Coupling(Node):
         raise ParameterError(f"law {law.name!r}: {over}; raise {self.setup.name}.budget or choose another law")
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare changed parameters: compile the active law anew, refuse what must not change while it runs.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            The parameters after the change.
-
-        Returns
-        -------
-        callable
-            Swaps the law between two ticks and returns the receipt.
-
-        Raises
-        ------
-        ParameterError
-            When the change is refused: with path, value, limit, and what would be taken.
-        """
+        """Prepare changed parameters: compile the active law anew, refuse what must not change while it runs."""
         return self._prepare(parameters)
 
     def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare changed parameters even if the loop becomes unstable with them.
-
-        Parameters
-        ----------
-        parameters : CouplingParameters
-            The parameters after the change.
-
-        Returns
-        -------
-        callable
-            As from `prepare`.
-        """
+        """Prepare changed parameters even if the loop becomes unstable with them."""
         return self._prepare(parameters, force=True)
 
     def _prepare(
@@ -249,13 +211,7 @@ class Coupling(Node):
         return apply
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """Law operations beside the parameters.
-
-        Returns
-        -------
-        dict of str to callable
-            ``law.list``, ``law.show`` and ``law.switch``; and ``progress``, the active law, for the launcher's status line.
-        """
+        """Law operations beside the parameters."""
         return {
             "law.list": self._list_laws,
             "law.show": self._show_law,
@@ -346,18 +302,7 @@ class Coupling(Node):
                 self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
 
     def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
-        """Make the compiled ticks.
-
-        Parameters
-        ----------
-        kernel : callable
-            What does them.
-
-        Returns
-        -------
-        CompiledTicks
-            Of this node.
-        """
+        """Make the compiled ticks."""
         from nodes.coupling.compiled_tick import CouplingTicks
 
         return CouplingTicks(self, kernel, self._shared)

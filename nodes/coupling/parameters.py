@@ -44,18 +44,7 @@ class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     damping: NonNegative = 0.0
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn it into taps.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        CompiledLaw
-            Two taps that cannot fail.
-        """
+        """Turn it into taps."""
         return CompiledLaw((self.damping / period, -self.damping / period))
 
 
@@ -83,18 +72,7 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     device_delay: NonNegative = 0.0
 
     def loop_delay(self, measured: float) -> float:
-        """Tell the delay that a law is judged at.
-
-        Parameters
-        ----------
-        measured : float
-            Delay of the loop as measured now [ticks].
-
-        Returns
-        -------
-        float
-            From the sample to the force that acts [ticks].
-        """
+        """Tell the delay that a law is judged at."""
         return (measured if self.delay is None else self.delay) + self.device_delay
 
 

@@ -42,13 +42,7 @@ class ActiveLaw:
         return self.compiled.evaluate is not None
 
     def warm_up(self, histories: Sequence[History]) -> None:
-        """Bring recursive sections up to date.
-
-        Parameters
-        ----------
-        histories : sequence of History
-            The live ones, or snapshots.
-        """
+        """Bring recursive sections up to date."""
         for axis, history in zip(self.axes, histories, strict=True):
             axis.warm_up(history)
 
@@ -58,18 +52,7 @@ class ActiveLaw:
             axis.catch_up()
 
     def attempt(self, histories: Sequence[History]) -> None:
-        """Call the law's own code once, before it may render.
-
-        Parameters
-        ----------
-        histories : sequence of History
-            The live ones, or snapshots.
-
-        Raises
-        ------
-        ParameterError
-            When it raises or its force is not finite.
-        """
+        """Call the law's own code once, before it may render."""
         for axis, history in zip(self.axes, histories, strict=True):
             try:
                 force = axis.own(history)
@@ -148,18 +131,7 @@ class Renderer:
         return deflection(proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, self.raw)
 
     def render(self, proxy: Proxy) -> Vector:
-        """Take one tick's deflection and render the force that answers it.
-
-        Parameters
-        ----------
-        proxy : Proxy
-            Of the tick.
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            Force [N].
-        """
+        """Take one tick's deflection and render the force that answers it."""
         force = [0.0, 0.0, 0.0]
         position, surface, normals, contact = proxy.position, proxy.proxy, proxy.normal, proxy.contact
         distance, raw, clamp, fades = proxy.distance, self.raw, self.clamp, self._fades
@@ -186,11 +158,6 @@ class Renderer:
         """Take it that the device was at rest before the first tick that is seen, when the run is under way already.
 
         Nobody knows better in place of a node that was killed; from a history of zeros the first tick would be a jump.
-
-        Parameters
-        ----------
-        proxy : Proxy
-            Of the present tick, which is not yet rendered.
         """
         for n, i in enumerate(self.axes):
             self.histories[n].fill(self._deflection(proxy, i))
@@ -198,15 +165,7 @@ class Renderer:
             law.warm_up(self.histories)
 
     def bridge(self, proxy: Proxy, missing: int) -> None:
-        """Fill lost ticks by a straight line up to the present one, which is not yet rendered.
-
-        Parameters
-        ----------
-        proxy : Proxy
-            Of the present tick.
-        missing : int
-            Ticks lost.
-        """
+        """Fill lost ticks by a straight line up to the present one, which is not yet rendered."""
         for n, i in enumerate(self.axes):
             self.histories[n].bridge(self._deflection(proxy, i), missing)
             self.law.axes[n].catch_up()
@@ -214,25 +173,7 @@ class Renderer:
                 leaving.catch_up()
 
     def swap(self, law: ActiveLaw, ramp: int) -> float:
-        """Let another law take over from the next tick on; all or nothing.
-
-        Parameters
-        ----------
-        law : ActiveLaw
-            Warmed up.
-        ramp : int
-            Ticks of cross-fade; 0 for none.
-
-        Returns
-        -------
-        float
-            Norm of the difference between the new law's force and the present one, at the present deflection [N].
-
-        Raises
-        ------
-        ParameterError
-            When the new law fails at once; the running law is untouched.
-        """
+        """Let another law take over from the next tick on; all or nothing."""
         law.catch_up()
         if law.guarded:
             law.attempt(self.histories)
@@ -256,20 +197,7 @@ class Renderer:
         return step
 
     def fall_back(self, proxy: Proxy, pushes: Sequence[int] | None = None) -> Vector:
-        """Replace a failed law by the fallback within the same tick.
-
-        Parameters
-        ----------
-        proxy : Proxy
-            Of the tick.
-        pushes : sequence of int, optional
-            How many values each history held before the tick, when the failed law may have kept some from taking theirs.
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            The fallback's force [N]; zero should even that not be finite.
-        """
+        """Replace a failed law by the fallback within the same tick."""
         self._end_fades()
         self.law = self.fallback
         force = [0.0, 0.0, 0.0]
@@ -284,21 +212,9 @@ class Renderer:
         return force[0], force[1], force[2]
 
     def pushes(self) -> list[int]:
-        """Tell how many deflections each axis has taken.
-
-        Returns
-        -------
-        list of int
-            One per axis.
-        """
+        """Tell how many deflections each axis has taken."""
         return [history.pushes for history in self.histories]
 
     def snapshots(self) -> list[History]:
-        """Copy the histories from another thread.
-
-        Returns
-        -------
-        list of History
-            One per axis.
-        """
+        """Copy the histories from another thread."""
         return [history.snapshot() for history in self.histories]

@@ -36,18 +36,7 @@ class Budget:
         self._wall = time.monotonic()
 
     def overrun(self, excused: bool = False) -> str:
-        """Judge what has passed since `start`.
-
-        Parameters
-        ----------
-        excused : bool
-            Whether the thread may have waited for the interpreter rather than slept: only computing counts then.
-
-        Returns
-        -------
-        str
-            What was overrun, with value and limit; empty when nothing was.
-        """
+        """Judge what has passed since `start`."""
         wall = time.monotonic() - self._wall
         if wall <= self.seconds:
             return ""

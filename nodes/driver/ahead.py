@@ -32,22 +32,7 @@ class Ahead(Protocol):
     """What a kind of driver may offer beside the plain tick."""
 
     def run(self, seq: int, end: int, epoch: float, following: Vector | None) -> Stop:
-        """Do ticks until something is unusual.
-
-        Parameters
-        ----------
-        seq, end : int
-            The tick that is next, and the one before which to stop.
-        epoch : float
-            When tick 0 was, in real time [s].
-        following : tuple of float, shape (3,), or None
-            As in `Stop`.
-
-        Returns
-        -------
-        Stop
-            Where they stopped; the driver's own state is up to date.
-        """
+        """Do ticks until something is unusual."""
         ...
 
     def wake(self) -> None:

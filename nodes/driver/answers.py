@@ -52,13 +52,7 @@ class Answers(Node):
             self.tell(kind, reason, always=kind == "safety")
 
     def between_ticks(self, seq: int) -> None:
-        """Tell what happened, then do what every node does.
-
-        Parameters
-        ----------
-        seq : int
-            The tick at which a change takes effect.
-        """
+        """Tell what happened, then do what every node does."""
         self._tell_all()
         super().between_ticks(seq)
 
@@ -73,13 +67,7 @@ class Answers(Node):
             give_up(self, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """Offer what the launcher's status line asks for.
-
-        Returns
-        -------
-        dict of str to callable
-            ``progress``, and ``device``: how long its opening and closing may take.
-        """
+        """Offer what the launcher's status line asks for."""
         limits = self._device.limits
         times = {"opening_s": limits.opening, "closing_s": limits.closing}
         return {"progress": self._progress, "device": lambda: times}
@@ -98,13 +86,7 @@ class Answers(Node):
         }
 
     def report(self) -> dict[str, Any]:
-        """Summarise the run.
-
-        Returns
-        -------
-        dict
-            Figures with units in the keys.
-        """
+        """Summarise the run."""
         span = self._last_stamp - self._first_stamp
         endings = self._motion.endings(self._safety.force)
         return {

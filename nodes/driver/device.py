@@ -13,6 +13,13 @@ import msgspec
 
 from messages.types import Vector
 
+__all__ = [
+    "Bounds",
+    "Device",
+    "DeviceLimits",
+    "Workspace",
+]
+
 Bounds: TypeAlias = tuple[float, float]
 Workspace: TypeAlias = tuple[Bounds, Bounds, Bounds]
 

@@ -34,22 +34,7 @@ class Ending(NamedTuple):
 
 
 def ending(samples: Sequence[float], force: float, period: float) -> Ending:
-    """Describe the last samples of one axis.
-
-    Parameters
-    ----------
-    samples : sequence of float
-        Positions, one per tick [m].
-    force : float
-        The last force [N].
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    Ending
-        The description.
-    """
+    """Describe the last samples of one axis."""
     if len(samples) < 2:
         return Ending("at rest", 0.0, 0.0, 0.0)
     swing = max(samples) - min(samples)

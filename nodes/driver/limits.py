@@ -91,20 +91,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
-    """Say what a device that exists must have and has not: a largest force, a workspace, and a deadline of its own.
-
-    Parameters
-    ----------
-    parameters : SafetyParameters
-        Of the launch file, which may set force and workspace itself, or do without.
-    device : DeviceLimits
-        Of the device.
-
-    Returns
-    -------
-    str
-        What is missing and what to do; empty when nothing is.
-    """
+    """Say what a device that exists must have and has not: a largest force, a workspace, and a deadline of its own."""
     bounded = parameters.workspace is not None or all(math.isfinite(low + high) for low, high in device.workspace)
     declared = {
         "peak_force": parameters.peak_force is not None or math.isfinite(device.peak_force),
@@ -121,24 +108,7 @@ def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
 
 
 def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, where: str = "safety") -> Limits:
-    """Take the lower of what a launch file asks for and what the device bears.
-
-    Parameters
-    ----------
-    parameters : SafetyParameters
-        Of the launch file.
-    device : DeviceLimits
-        Of the device; they hold whatever the parameters say.
-    period : float
-        Sampling period T [s].
-    where : str
-        Path of the parameters, for what is told.
-
-    Returns
-    -------
-    Limits
-        What holds.
-    """
+    """Take the lower of what a launch file asks for and what the device bears."""
     told: list[str] = []
 
     def least(name: str, wanted: float | None, bears: float, unit: str) -> float | None:

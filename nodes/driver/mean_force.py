@@ -26,15 +26,7 @@ class Split:
         self._sum = [0.0, 0.0, 0.0]
 
     def change(self, force: Vector, offset: float) -> None:
-        """Let a force take effect at a place in the tick.
-
-        Parameters
-        ----------
-        force : tuple of float, shape (3,)
-            The force [N].
-        offset : float
-            Where, not before the last one [ticks].
-        """
+        """Let a force take effect at a place in the tick."""
         self._add(offset)
         self._now = force
 
@@ -46,13 +38,7 @@ class Split:
             self._since = offset
 
     def mean(self) -> list[float]:
-        """Give the mean of the tick.
-
-        Returns
-        -------
-        list of float, shape (3,)
-            Force [N].
-        """
+        """Give the mean of the tick."""
         if self._fixed is not None:
             return list(self._fixed)
         self._add(1.0)
@@ -80,20 +66,7 @@ class Latency:
         self.part = line_of(ticks)[1]
 
     def acted(self, handed: list[float], ticks: int) -> list[float]:
-        """Tell what acted since the sample before.
-
-        Parameters
-        ----------
-        handed : list of float, shape (3,)
-            Mean force handed over meanwhile [N].
-        ticks : int
-            How many ticks that was: more than one when the driver was held up.
-
-        Returns
-        -------
-        list of float, shape (3,)
-            Mean force that acted [N].
-        """
+        """Tell what acted since the sample before."""
         part = self.part
         total = [through(line, force, part) for line, force in zip(self.lines, handed, strict=True)]
         for _ in range(ticks - 1):
@@ -102,12 +75,6 @@ class Latency:
         return total if ticks == 1 else [force / ticks for force in total]
 
     def backlog(self) -> Vector:
-        """Give the force times ticks that is still on its way.
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            Sum on each axis [N].
-        """
+        """Give the force times ticks that is still on its way."""
         x, y, z = (backlog(line, self.part) for line in self.lines)
         return x, y, z

@@ -69,20 +69,7 @@ class Motion:
         self.at = self.at_before = 0.0
 
     def sample(self, position: Vector, at: float) -> bool:
-        """Take a new sample.
-
-        Parameters
-        ----------
-        position : tuple of float, shape (3,)
-            A position that may be used [m].
-        at : float
-            When it was sampled [s].
-
-        Returns
-        -------
-        bool
-            Whether it ends a step: all but the first do.
-        """
+        """Take a new sample."""
         self.at_before, self.at = self.at, at
         self.recent.append(position)
         if not self._begun:
@@ -105,15 +92,7 @@ class Motion:
         return True
 
     def act(self, force: list[float], ticks: int = 1) -> None:
-        """Let ticks pass.
-
-        Parameters
-        ----------
-        force : list of float, shape (3,)
-            Their mean force [N].
-        ticks : int
-            How many.
-        """
+        """Let ticks pass."""
         covered = self.covered
         if covered:
             mean = self.acting
@@ -125,29 +104,12 @@ class Motion:
         self.covered = covered + ticks
 
     def endings(self, force: Vector) -> list[Ending]:
-        """Tell how the device has moved lately.
-
-        Parameters
-        ----------
-        force : tuple of float, shape (3,)
-            The last force [N].
-
-        Returns
-        -------
-        list of Ending, shape (3,)
-            One per axis.
-        """
+        """Tell how the device has moved lately."""
         lately = list(zip(*self.recent, strict=True)) or [(), (), ()]
         return [ending(samples, acting, self._period) for samples, acting in zip(lately, force, strict=True)]
 
     def velocity(self) -> Vector:
-        """Find the velocity between the last two samples.
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            Mean over the time between them [m/s]; of a device that does not wait for its driver rather too low than too high.
-        """
+        """Find the velocity between the last two samples."""
         span = self.elapsed * self._period
         if not self._virtual:
             span = max(span, self.at - self.at_before)
@@ -156,18 +118,5 @@ class Motion:
 
 
 def scaled(force: Sequence[float], share: float) -> list[float]:
-    """Scale a force.
-
-    Parameters
-    ----------
-    force : sequence of float, shape (3,)
-        The force [N].
-    share : float
-        By how much.
-
-    Returns
-    -------
-    list of float, shape (3,)
-        Force [N].
-    """
+    """Scale a force."""
     return [share * value for value in force]

@@ -47,15 +47,7 @@ class Motor:
         self.heat = 0.0
 
     def close(self, held: Sequence[float], ticks: int) -> None:
-        """Count the tick that is over, and further ones during which the force was held.
-
-        Parameters
-        ----------
-        held : sequence of float, shape (3,)
-            The force held [N].
-        ticks : int
-            From the tick last counted to the present one; 0 before the first one.
-        """
+        """Count the tick that is over, and further ones during which the force was held."""
         if ticks > 0:
             self.heat = self._keep * self.heat + (1.0 - self._keep) * self._largest
             rest = self._keep ** (ticks - 1)
@@ -63,13 +55,7 @@ class Motor:
         self._largest = 0.0
 
     def note(self, force: Sequence[float]) -> None:
-        """Note a force of this tick; the largest one counts.
-
-        Parameters
-        ----------
-        force : sequence of float, shape (3,)
-            Handed over now [N].
-        """
+        """Note a force of this tick; the largest one counts."""
         self._largest = max(self._largest, sum(value * value for value in force))
 
     def _fits(self, force: Sequence[float]) -> bool:
@@ -81,23 +67,7 @@ class Motor:
         return self._keep * self.heat + (1.0 - self._keep) * (squared + way) <= self._bound
 
     def lower(self, last: Sequence[float], wanted: list[float], left: float | None) -> list[float]:
-        """Lower a force as far as the heat asks for.
-
-        Parameters
-        ----------
-        last : sequence of float, shape (3,)
-            Force of before [N].
-        wanted : list of float, shape (3,)
-            Force asked for, within peak and slew [N].
-        left : float or None
-            Change that the slew limit leaves in this tick [N]; None for any.
-
-        Returns
-        -------
-        list of float, shape (3,)
-            `wanted` itself where it fits; otherwise the force nearest to it, on the line from the one that is safe, that
-            does [N].
-        """
+        """Lower a force as far as the heat asks for."""
         if self._fits(wanted):
             return wanted
         largest = max(map(abs, last))

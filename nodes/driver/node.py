@@ -35,6 +35,12 @@ from nodes.driver.response_times import ResponseTimes
 from nodes.driver.safety import Safety
 from nodes.parameters.store import ParameterError, convert
 
+__all__ = [
+    "ASK_AGAIN",
+    "SOFT_STOP",
+    "Driver",
+]
+
 ASK_AGAIN = 0.5
 """In lockstep, a tick without an answer for so long is published again: its answer was lost with a node [s]."""
 

@@ -28,22 +28,7 @@ class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 def check(setup: Setup, parameters: Any, virtual: bool) -> None:
-    """Check pace and workspace.
-
-    Parameters
-    ----------
-    setup : Setup
-        The driver as it would be started.
-    parameters : DriverParameters
-        Its parameters.
-    virtual : bool
-        Whether its device lives in simulated time and can wait.
-
-    Raises
-    ------
-    ParameterError
-        With path, value, limit and remedy.
-    """
+    """Check pace and workspace."""
     if setup.pace == "lockstep" and not virtual:
         raise ParameterError(
             f"{setup.name}: pace lockstep waits for each force, however long, which no device but a virtual one can; "

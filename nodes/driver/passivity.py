@@ -52,62 +52,19 @@ class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
 
 
 def observe(energy: float, acting: float, step: float) -> float:
-    """Count the energy of one tick.
-
-    Parameters
-    ----------
-    energy : float
-        Given out before [J].
-    acting : float
-        Force on the device during the tick; its mean where it changed within the tick [N].
-    step : float
-        Displacement during the tick [m].
-
-    Returns
-    -------
-    float
-        Energy given out up to now [J] (THEORY.md §6).
-    """
+    """Count the energy of one tick."""
     return energy + acting * step
 
 
 def line_of(latency: float) -> tuple[list[float], float]:
-    """Make an empty line of forces on their way.
-
-    Parameters
-    ----------
-    latency : float
-        Of the device [ticks].
-
-    Returns
-    -------
-    line : list of float
-        Forces of the newest ticks, newest first [N].
-    part : float
-        Fraction of a tick by which the oldest one still acts.
-    """
+    """Make an empty line of forces on their way."""
     whole = int(latency)
     part = latency - whole
     return [0.0] * (whole + (2 if part > 0.0 else 1)), part
 
 
 def through(line: MutableSequence[float], force: float, part: float) -> float:
-    """Let the force of a tick into the line, and give what acts during that tick.
-
-    Parameters
-    ----------
-    line : sequence of float
-        From `line_of`; changed in place [N].
-    force : float
-        Mean force handed over for the tick [N].
-    part : float
-        From `line_of`.
-
-    Returns
-    -------
-    float
-        Mean force that acts [N].
-    """
+    """Let the force of a tick into the line, and give what acts during that tick."""
     last = len(line) - 1
     for i in range(last, 0, -1):
         line[i] = line[i - 1]
@@ -118,20 +75,7 @@ def through(line: MutableSequence[float], force: float, part: float) -> float:
 
 
 def backlog(line: Sequence[float], part: float) -> float:
-    """Add up what is on its way.
-
-    Parameters
-    ----------
-    line : sequence of float
-        From `line_of` [N].
-    part : float
-        From `line_of`.
-
-    Returns
-    -------
-    float
-        Force times ticks for which it has still to act [N].
-    """
+    """Add up what is on its way."""
     last = len(line) - 1
     total = 0.0
     if part > 0.0:
@@ -144,22 +88,7 @@ def backlog(line: Sequence[float], part: float) -> float:
 
 
 def forget(energy: float, force: float, stiffness: float | None) -> float:
-    """Forget credit that cannot be in store.
-
-    Parameters
-    ----------
-    energy : float
-        Given out up to now [J].
-    force : float
-        Force that the law asks for now [N].
-    stiffness : float or None
-        Of the spring that may be loaded [N/m]; None when it is not known.
-
-    Returns
-    -------
-    float
-        Energy, not below minus what can be in store [J].
-    """
+    """Forget credit that cannot be in store."""
     if energy >= 0.0:
         return energy
     if force == 0.0:
@@ -172,24 +101,7 @@ def forget(energy: float, force: float, stiffness: float | None) -> float:
 
 
 def control(energy: float, force: float, step: float, rate: float) -> float:
-    """Choose the force of the next tick.
-
-    Parameters
-    ----------
-    energy : float
-        Given out up to now, plus what forces on their way will still give [J].
-    force : float
-        Force that the law asks for [N].
-    step : float
-        Displacement of the tick before, expected once more [m].
-    rate : float
-        Largest damper divided by the period [N/m].
-
-    Returns
-    -------
-    float
-        Force of the same sign, or zero [N].
-    """
+    """Choose the force of the next tick."""
     given = force * step
     if given > 0.0:
         if energy >= 0.0:
@@ -242,17 +154,7 @@ class PassivityGuard:
         return sum(self._energy)
 
     def observe(self, acting: list[float], before: Vector, position: Vector, ticks: int = 1) -> None:
-        """Count the tick that is over.
-
-        Parameters
-        ----------
-        acting : list of float, shape (3,)
-            Mean force since the sample before [N].
-        before, position : tuple of float, shape (3,)
-            The sample before and this one [m].
-        ticks : int
-            How many ticks lie between the two: the displacement that is expected once more is that of one.
-        """
+        """Count the tick that is over."""
         for i in self._axes:
             step = position[i] - before[i]
             self._step[i] = step / ticks
@@ -261,24 +163,7 @@ class PassivityGuard:
                 self.highest = self._energy[i]
 
     def control(self, force: Vector, pending: Vector, share: float, backlog: Vector = ZERO) -> Vector:
-        """Choose the force of the next tick.
-
-        Parameters
-        ----------
-        force : tuple of float, shape (3,)
-            What the law asks for [N].
-        pending : tuple of float, shape (3,)
-            Force that acts until this one takes effect [N].
-        share : float
-            For how long it does [ticks].
-        backlog : tuple of float, shape (3,)
-            Force times ticks that the device has yet to apply before [N].
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            What may be handed over [N].
-        """
+        """Choose the force of the next tick."""
         chosen = [0.0, 0.0, 0.0]
         for i in self._axes:
             step, wanted = self._step[i], force[i]
@@ -291,12 +176,5 @@ class PassivityGuard:
         return chosen[0], chosen[1], chosen[2]
 
     def summary(self) -> dict[str, float]:
-        """Summarise what the guard did.
-
-        Returns
-        -------
-        dict of str to float
-            Forces ``lowered`` and ``raised``, and the ``highest_j`` energy on one axis that was given out beyond what was
-            in store [J].
-        """
+        """Summarise what the guard did."""
         return {"lowered": self.lowered, "raised": self.raised, "highest_j": self.highest}

@@ -39,13 +39,7 @@ class ResponseTimes:
         self.recent = array("d", [0.0]) * RECENT
 
     def add(self, response: float) -> None:
-        """Note one response.
-
-        Parameters
-        ----------
-        response : float
-            From publishing the state to receiving its answer [s].
-        """
+        """Note one response."""
         at = self.at
         self.recent[at] = response
         at += 1
@@ -82,31 +76,14 @@ class ResponseTimes:
         return self.longest
 
     def percentiles(self, *shares: float) -> list[float]:
-        """Find the responses that shares of the ticks did not exceed.
-
-        Parameters
-        ----------
-        *shares : float
-            0 to 1.
-
-        Returns
-        -------
-        list of float
-            Upper edges of bins, to the microsecond, but never more than the longest response [s]; 0 without any ticks.
-        """
+        """Find the responses that shares of the ticks did not exceed."""
         bins = self.bins[:]
         if self.at % BLOCK:
             self._count(bins, self.at)
         return [self._percentile(bins, share) if self.count else 0.0 for share in shares]
 
     def summary_us(self) -> dict[str, float]:
-        """Summarise in microseconds.
-
-        Returns
-        -------
-        dict of str to float
-            ``p50 p99 p999 max``.
-        """
+        """Summarise in microseconds."""
         named = zip(("p50", "p99", "p999"), self.percentiles(0.5, 0.99, 0.999), strict=True)
         figures = {name: round(value * 1e6, 1) for name, value in named}
         return {**figures, "max": round(self.longest * 1e6, 1)}

@@ -111,14 +111,7 @@ class Safety:
             tell("limit", text)
 
     def summary(self) -> dict[str, Any]:
-        """Summarise what happened.
-
-        Returns
-        -------
-        dict
-            ``state`` now, how often each state was ``entered``, forces ``refused`` by reason and ``limited`` by limit, the
-            last ``reasons`` for a change of state, and what was ``told`` about the launch file's limits.
-        """
+        """Summarise what happened."""
         return {
             "state": self.state,
             "entered": dict(self._entered),
@@ -137,21 +130,7 @@ class Safety:
             self._tell("safety", text)
 
     def admit(self, force: Force, seq: int) -> bool:
-        """Judge whether a received force may be used at all.
-
-        Parameters
-        ----------
-        force : Force
-            As decoded.
-        seq : int
-            The present tick.
-
-        Returns
-        -------
-        bool
-            False for one that was seen before (replayed), that is older than ``max_age``, that answers a tick which has not
-            been, or that is not finite.
-        """
+        """Judge whether a received force may be used at all."""
         x, y, z = force.force
         if not math.isfinite(x + y + z):
             why, reason = "not_finite", f"a force for tick {force.seq} that is not finite: {force.force}"
@@ -169,22 +148,7 @@ class Safety:
         return False
 
     def command(self, wanted: Vector, answers: int, seq: int) -> Vector:
-        """Turn an admitted force into what the device gets.
-
-        Parameters
-        ----------
-        wanted : tuple of float, shape (3,)
-            The force asked for [N].
-        answers : int
-            The tick that it answers.
-        seq : int
-            The present tick.
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            Force within all limits [N].
-        """
+        """Turn an admitted force into what the device gets."""
         self.force_seq = answers
         self._since = seq
         return self._hand_over(wanted if self.state == "active" else self._become_active(wanted, seq), seq)
@@ -206,38 +170,13 @@ class Safety:
         return wanted
 
     def answered(self, force: Vector, seq: int, slewed: list[float]) -> None:
-        """Take over what compiled ticks did, in the state ``active`` and below all limits.
-
-        Parameters
-        ----------
-        force : tuple of float, shape (3,)
-            Handed over last [N].
-        seq : int
-            The tick that it answered, and in which it did.
-        slewed : list of float, shape (3,)
-            How far the force changed in that tick [N].
-        """
+        """Take over what compiled ticks did, in the state ``active`` and below all limits."""
         self.force, self.force_seq, self._since = force, seq, seq
         if not self._unlimited:
             self._tick, self.slewed = seq, slewed
 
     def missed(self, seq: int, velocity: Vector, held: Vector | None = None) -> Vector | None:
-        """Decide about a tick that closes without the force that answers it.
-
-        Parameters
-        ----------
-        seq : int
-            The tick that closes.
-        velocity : tuple of float, shape (3,)
-            The device's own velocity [m/s].
-        held : tuple of float, shape (3,), or None
-            What to hold until the watchdog bites [N]; None for the last force.
-
-        Returns
-        -------
-        tuple of float, shape (3,), or None
-            Force to hand over [N]; None to let the device hold the last one.
-        """
+        """Decide about a tick that closes without the force that answers it."""
         limits = self.limits
         silent = seq - self._since
         if self.state == "waiting":
@@ -255,30 +194,11 @@ class Safety:
         return self._hand_over(ZERO, seq)
 
     def hold(self, force: Vector) -> None:
-        """Note what is on the device where that is not what was decided last: it let go by itself, or a tick was lost.
-
-        Parameters
-        ----------
-        force : tuple of float, shape (3,)
-            Force on the device [N].
-        """
+        """Note what is on the device where that is not what was decided last: it let go by itself, or a tick was lost."""
         self.force = force
 
     def watch_position(self, position: Vector, seq: int) -> bool:
-        """Look whether a position is one, and inside the workspace; otherwise there is no force.
-
-        Parameters
-        ----------
-        position : tuple of float, shape (3,)
-            Sampled position [m].
-        seq : int
-            The present tick.
-
-        Returns
-        -------
-        bool
-            False for one that must not be used.
-        """
+        """Look whether a position is one, and inside the workspace; otherwise there is no force."""
         x, y, z = position
         if not (-REACH <= x <= REACH and -REACH <= y <= REACH and -REACH <= z <= REACH):
             self._enter("fault", seq, f"the device gives position {position}")
@@ -330,19 +250,7 @@ class Safety:
         return self.force
 
     def soft_stop(self, start: Vector) -> list[Vector]:
-        """Plan the way to zero force for the end of the loop.
-
-        Parameters
-        ----------
-        start : tuple of float, shape (3,)
-            What is on the device [N].
-
-        Returns
-        -------
-        list of tuple of float, shape (s, 3)
-            Forces for the next ticks [N], the last one zero: ten equal steps, or more where the slew limit asks for it, fewer
-            where ten periods are longer than `STOP_TIME`.
-        """
+        """Plan the way to zero force for the end of the loop."""
         if start == ZERO:
             return [ZERO]
         steps = max(1, min(10, int(STOP_TIME / self._period)))

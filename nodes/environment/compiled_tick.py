@@ -47,13 +47,7 @@ class EnvironmentTicks(CompiledTicks):
         self._known = False
 
     def enter(self) -> bool:
-        """Take over the surface, when it has changed.
-
-        Returns
-        -------
-        bool
-            Whether it is one that the kernel knows.
-        """
+        """Take over the surface, when it has changed."""
         surface = self._environment.surface
         if surface is not self._surface:
             self._surface, self._known = surface, self._take_over(surface)

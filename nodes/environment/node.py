@@ -47,37 +47,13 @@ class Environment(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Make the surface before anything is started.
-
-        Parameters
-        ----------
-        setup : Setup
-            The node as it would be started.
-
-        Raises
-        ------
-        ParameterError
-            With path, value, limit and remedy.
-        """
+        """Make the surface before anything is started."""
         where = f"{setup.name}.surface"
         meet_axes(parse_surface(setup.parameters.get("surface", {"kind": "free"}), where), setup.axes, where)
 
     @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
-        """Tell which axes the scene must compute.
-
-        Parameters
-        ----------
-        parameters : mapping
-            Of the node, as written.
-        name : str
-            Of the node.
-
-        Returns
-        -------
-        tuple of str
-            Those along which the surface can push.
-        """
+        """Tell which axes the scene must compute."""
         return parse_surface(parameters.get("surface", {"kind": "free"}), f"{name}.surface").pushes() or ()
 
     def configure(self) -> None:
@@ -109,18 +85,7 @@ class Environment(Node):
         return watched
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare another surface.
-
-        Parameters
-        ----------
-        parameters : EnvironmentParameters
-            The parameters after the change.
-
-        Returns
-        -------
-        callable
-            Puts it in place between two ticks.
-        """
+        """Prepare another surface."""
         surface, meet = self._built(parameters)
 
         def apply(seq: int) -> dict[str, Any]:
@@ -130,18 +95,7 @@ class Environment(Node):
         return apply
 
     def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
-        """Make the compiled ticks.
-
-        Parameters
-        ----------
-        kernel : callable
-            What does them.
-
-        Returns
-        -------
-        CompiledTicks
-            Of this node.
-        """
+        """Make the compiled ticks."""
         from nodes.environment.compiled_tick import EnvironmentTicks
 
         return EnvironmentTicks(self, kernel)

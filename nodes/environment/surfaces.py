@@ -17,6 +17,18 @@ from nodes.kernels import plane_distance
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError, convert
 
+__all__ = [
+    "SURFACES",
+    "Anchor",
+    "AxisSurface",
+    "Free",
+    "Meeting",
+    "Plane",
+    "Surface",
+    "meet_axes",
+    "parse_surface",
+]
+
 SURFACES = Registry("haptic.surfaces", "surface")
 
 Meeting: TypeAlias = tuple[Vector, Vector, float, bool]

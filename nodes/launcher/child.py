@@ -105,13 +105,7 @@ class Child:
         return bool(self.setup.manifest)
 
     def start(self, run_dir: Path) -> None:
-        """Start the process.
-
-        Parameters
-        ----------
-        run_dir : Path
-            Directory of the run; the node's setup is written there.
-        """
+        """Start the process."""
         path = run_dir / f"{self.setup.name}.json"
         path.write_bytes(msgspec.json.encode(self.setup))
         # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends the nodes in order.
@@ -124,33 +118,14 @@ class Child:
         self.again_at = None
 
     def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
-        """Ask for its state.
-
-        Parameters
-        ----------
-        context : zmq.Context
-            The launcher's.
-        timeout : float
-            Longest wait [s].
-
-        Returns
-        -------
-        str
-            As in its status; ``starting`` while it does not answer.
-        """
+        """Ask for its state."""
         try:
             return str(call(context, self.setup.control, "status", timeout=timeout)["state"])
         except ControlError:
             return "starting"
 
     def send(self, number: signal.Signals) -> None:
-        """Ask it to end.
-
-        Parameters
-        ----------
-        number : signal.Signals
-            How urgently: SIGINT, SIGTERM or SIGKILL.
-        """
+        """Ask it to end."""
         assert self.process is not None  # noqa: S101
         self.process.send_signal(number)
         self.process.send_signal(signal.SIGCONT)
@@ -159,18 +134,7 @@ class Child:
         """Let go of what the supervisor held for it."""
 
     def report(self, run_dir: Path) -> dict[str, Any]:
-        """Read what it told at its end.
-
-        Parameters
-        ----------
-        run_dir : Path
-            Directory of the run.
-
-        Returns
-        -------
-        dict
-            Empty when it told nothing.
-        """
+        """Read what it told at its end."""
         path = run_dir / f"{self.setup.name}.report.json"
         found: dict[str, Any] = msgspec.json.decode(path.read_bytes()) if path.exists() else {}
         return found

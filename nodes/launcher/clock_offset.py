@@ -24,32 +24,12 @@ class ClockOffset:
         self._measured: deque[tuple[float, float, float]] = deque(maxlen=WINDOW)
 
     def add(self, asked: float, remote: float, answered: float) -> None:
-        """Take one measurement.
-
-        Parameters
-        ----------
-        asked, answered : float
-            This host's monotonic clock before the question and after the answer [s].
-        remote : float
-            The other host's monotonic clock in between [s].
-        """
+        """Take one measurement."""
         if answered >= asked:
             self._measured.append((answered, (asked + answered) / 2.0 - remote, (answered - asked) / 2.0))
 
     def best(self, now: float) -> tuple[float, float]:
-        """Give the offset that is known best.
-
-        Parameters
-        ----------
-        now : float
-            This host's monotonic clock [s].
-
-        Returns
-        -------
-        tuple of float
-            What to add to the other host's clock to get this one's [s], and the bound of its error [s]; (0, inf) before the
-            first measurement.
-        """
+        """Give the offset that is known best."""
         if not self._measured:
             return 0.0, float("inf")
         bounds = [(half + DRIFT * max(now - when, 0.0), offset) for when, offset, half in self._measured]

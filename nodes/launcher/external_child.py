@@ -50,18 +50,7 @@ _ROUNDS = 8
 
 
 def command(setup: Setup) -> str:
-    """Tell how to start a node by hand.
-
-    Parameters
-    ----------
-    setup : Setup
-        The node.
-
-    Returns
-    -------
-    str
-        One line for people: where, and the command.
-    """
+    """Tell how to start a node by hand."""
     bare, _ = split(setup.control)
     if bare.startswith("ipc://"):
         own = f"{setup.run_dir}/{setup.name}.json"
@@ -140,13 +129,7 @@ class ByHand(Child):
         return self._end
 
     def start(self, run_dir: Path) -> None:
-        """Tell how to start it, and wait for it on a thread.
-
-        Parameters
-        ----------
-        run_dir : Path
-            Directory of the run; the node's setup is written there.
-        """
+        """Tell how to start it, and wait for it on a thread."""
         if self._thread is not None:
             self.release()
         (run_dir / f"{self.setup.name}.json").write_bytes(msgspec.json.encode(self.setup))
@@ -158,31 +141,12 @@ class ByHand(Child):
         self._thread.start()
 
     def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
-        """Tell its state as last heard.
-
-        Parameters
-        ----------
-        context : zmq.Context
-            Not used: a thread asks all the time.
-        timeout : float
-            Not used either.
-
-        Returns
-        -------
-        str
-            As in its status, or ``not started``.
-        """
+        """Tell its state as last heard."""
         del context, timeout
         return self._state
 
     def send(self, number: signal.Signals) -> None:
-        """Ask it to stop; what does not answer any more is left to its lease.
-
-        Parameters
-        ----------
-        number : signal.Signals
-            SIGKILL gives it up.
-        """
+        """Ask it to stop; what does not answer any more is left to its lease."""
         if number == signal.SIGKILL or not self._seen:
             self._code, self._end = self._over or (1, self._end or "given up")
         self._stop = True
@@ -194,18 +158,7 @@ class ByHand(Child):
             self._thread.join()
 
     def report(self, run_dir: Path) -> dict[str, Any]:
-        """Give what it told at its end.
-
-        Parameters
-        ----------
-        run_dir : Path
-            Not used: it came through the control socket.
-
-        Returns
-        -------
-        dict
-            Empty when it told nothing.
-        """
+        """Give what it told at its end."""
         del run_dir
         return self._report
 

@@ -36,25 +36,7 @@ from nodes.parameters.store import ParameterError, convert
 
 
 def start_here(run: runs.RunInfo, name: str) -> int:
-    """Start a node of a launch on this machine that waits for it.
-
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-    name : str
-        The node.
-
-    Returns
-    -------
-    int
-        Exit code of the node.
-
-    Raises
-    ------
-    ParameterError
-        When the launcher starts that node itself.
-    """
+    """Start a node of a launch on this machine that waits for it."""
     setup = run.nodes[name]
     if not setup.by_hand or not split(setup.control)[0].startswith("ipc://"):
         raise ParameterError(
@@ -102,18 +84,7 @@ class Starter:
         self._stopping = False
 
     def wait(self) -> Setup | None:
-        """Wait for the setup.
-
-        Returns
-        -------
-        Setup or None
-            None when a signal came first.
-
-        Raises
-        ------
-        EndpointRefusedError, KeyRefusedError
-            When the endpoint or this machine's keys cannot be used.
-        """
+        """Wait for the setup."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._on_signal)
         context = new_context()
@@ -171,23 +142,7 @@ class Starter:
         return Reply(True, answers[op])
 
     def accept(self, data: Any) -> Setup:
-        """Judge a setup that came from elsewhere.
-
-        Parameters
-        ----------
-        data : object
-            Builtins.
-
-        Returns
-        -------
-        Setup
-            With this machine's own code, directory and processors.
-
-        Raises
-        ------
-        ParameterError, RunError
-            When it is not a valid setup of this node, or asks for more than a node of a launch may.
-        """
+        """Judge a setup that came from elsewhere."""
         setup: Setup = convert(data, Setup, "setup")
         if setup.name != self._name:
             raise ParameterError(f"setup.name: {setup.name!r}, but {self._name!r} was started here")
@@ -229,31 +184,7 @@ def _plain(run: str) -> str:
 
 
 def start_for(name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> int:
-    """Start a node for a launch on another machine.
-
-    Parameters
-    ----------
-    name : str
-        The node.
-    host : str
-        Address of this machine to bind.
-    port : int
-        Port of the node's messages; requests come to the next one.
-    kind : str
-        The one kind of node that it may become; empty for the name.
-    allow_paths : sequence of Path
-        Directories in which its parameters may name files.
-
-    Returns
-    -------
-    int
-        Exit code of the node; 130 when a signal came before its launcher.
-
-    Raises
-    ------
-    EndpointRefusedError, KeyRefusedError, ParameterError
-        When the endpoint or this machine's keys cannot be used, or there is no such kind.
-    """
+    """Start a node for a launch on another machine."""
     starter = Starter(name, host, port, kind, allow_paths)
     print(f"[{name}] waiting for its launcher at {starter.control}", file=sys.stderr, flush=True)
     setup = starter.wait()

@@ -34,43 +34,18 @@ class Origins:
         self._arguments: dict[str, str] = {}
 
     def laid_over(self, path: Path) -> None:
-        """Note a file of parameters, by node, that goes before the launch file.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-        """
+        """Note a file of parameters, by node, that goes before the launch file."""
         for place, line in lines_of(path).items():
             node, _, rest = place.partition(".")
             self._lines[f"nodes.{node}.parameters.{rest}"] = (str(path), line)
             self._arguments.pop(f"nodes.{node}.parameters.{rest}", None)
 
     def filled_in(self, place: str, argument: str) -> None:
-        """Note that an argument stands at a place.
-
-        Parameters
-        ----------
-        place : str
-            Path in the file.
-        argument : str
-            Its name.
-        """
+        """Note that an argument stands at a place."""
         self._arguments[place.removeprefix(f"{self._name}.")] = argument
 
     def located(self, text: str) -> str:
-        """Say where what an error complains about was written.
-
-        Parameters
-        ----------
-        text : str
-            The error; it begins with a path.
-
-        Returns
-        -------
-        str
-            With file and line before it, and the argument behind it where one was filled in there.
-        """
+        """Say where what an error complains about was written."""
         match = _PATH.match(text)
         if match is None:
             return text

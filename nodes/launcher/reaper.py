@@ -47,13 +47,7 @@ class Held:
         return not select.select((self._descriptor,), (), (), 0.0)[0]
 
     def send(self, number: signal.Signals) -> None:
-        """Send a signal; one that is gone does not mind.
-
-        Parameters
-        ----------
-        number : signal.Signals
-            The signal.
-        """
+        """Send a signal; one that is gone does not mind."""
         with contextlib.suppress(ProcessLookupError):
             signal.pidfd_send_signal(self._descriptor, number)
 
@@ -63,13 +57,7 @@ class Held:
 
 
 def end(nodes: list[Held]) -> None:
-    """Stop the nodes of a run.
-
-    Parameters
-    ----------
-    nodes : list of Held
-        All of them.
-    """
+    """Stop the nodes of a run."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         patience = GRACE + max((node.seconds for node in nodes if node.lives), default=0.0)
         deadline = time.monotonic() + patience
@@ -82,18 +70,7 @@ def end(nodes: list[Held]) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Watch one launcher: ``python reaper.py RUN_DIR`` with the pipe as standard input.
-
-    Parameters
-    ----------
-    arguments : list of str
-        The run's directory.
-
-    Returns
-    -------
-    int
-        0.
-    """
+    """Watch one launcher: ``python reaper.py RUN_DIR`` with the pipe as standard input."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     nodes: dict[int, Held] = {}

@@ -65,23 +65,11 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         return {cpu for scheduling in own if scheduling.fifo for cpu in scheduling.cpus}
 
     def publishers(self) -> dict[str, str]:
-        """List the endpoints for listeners.
-
-        Returns
-        -------
-        dict of str to str
-            Node name to endpoint.
-        """
+        """List the endpoints for listeners."""
         return {name: setup.listen or setup.publish for name, setup in self.nodes.items()}
 
     def endpoints(self) -> dict[str, str]:
-        """List who publishes what.
-
-        Returns
-        -------
-        dict of str to str
-            Topic to endpoint.
-        """
+        """List who publishes what."""
         from nodes.base.kinds import load
 
         found = {}
@@ -98,18 +86,7 @@ _MARKED = "Directory of a run of haptic-nodes; the next launch removes it when t
 
 
 def runtime_dir() -> Path:
-    """Find the private directory below which the runs of this user are; other things may be in it too.
-
-    Returns
-    -------
-    Path
-        ``$HAPTIC_RUNTIME_DIR``, or ``haptic`` below ``$XDG_RUNTIME_DIR``, or ``/tmp/haptic-<uid>``.
-
-    Raises
-    ------
-    RunError
-        When it belongs to somebody else or is open to others.
-    """
+    """Find the private directory below which the runs of this user are; other things may be in it too."""
     if "HAPTIC_RUNTIME_DIR" in os.environ:
         path = Path(os.environ["HAPTIC_RUNTIME_DIR"])
     elif "XDG_RUNTIME_DIR" in os.environ and os.access(os.environ["XDG_RUNTIME_DIR"], os.W_OK):
@@ -135,34 +112,12 @@ def _private(path: Path) -> Path:
 
 
 def runs_dir() -> Path:
-    """Find the directory that holds the runs of this user and nothing else.
-
-    Returns
-    -------
-    Path
-        ``runs`` in the runtime directory, mode 0700.
-
-    Raises
-    ------
-    RunError
-        When it, or the runtime directory, belongs to somebody else or is open to others.
-    """
+    """Find the directory that holds the runs of this user and nothing else."""
     return _private(runtime_dir() / "runs")
 
 
 def is_marked(path: Path) -> bool:
-    """Whether a directory was made for a run, by this user.
-
-    Parameters
-    ----------
-    path : Path
-        Anything.
-
-    Returns
-    -------
-    bool
-        False for links, for whatever belongs to somebody else, and without the mark.
-    """
+    """Whether a directory was made for a run, by this user."""
     try:
         found, mark = path.lstat(), (path / MARK).lstat()
         ours = stat.S_ISDIR(found.st_mode) and stat.S_ISREG(mark.st_mode)
@@ -172,23 +127,7 @@ def is_marked(path: Path) -> bool:
 
 
 def new_run_dir(run: str) -> Path:
-    """Make the private directory of a run.
-
-    Parameters
-    ----------
-    run : str
-        Name of the run.
-
-    Returns
-    -------
-    Path
-        The directory, mode 0700.
-
-    Raises
-    ------
-    RunError
-        When the name is taken or the path is too long for a socket.
-    """
+    """Make the private directory of a run."""
     path = runs_dir() / run
     longest = len(os.fsencode(path / ("n" * 32 + ".listen")))
     if longest > MAX_IPC_PATH:
@@ -208,23 +147,7 @@ OWNER = "owner"
 
 
 def new_node_dir(run: str) -> Path:
-    """Make the private directory of a node whose launcher is on another machine, or take over that of its killed predecessor.
-
-    Parameters
-    ----------
-    run : str
-        Name of the run and the node.
-
-    Returns
-    -------
-    Path
-        The directory, mode 0700. What a killed predecessor left (when tick 0 was) is still in it.
-
-    Raises
-    ------
-    RunError
-        When a live process keeps it, or the path is too long for a socket.
-    """
+    """Make the private directory of a node whose launcher is elsewhere, or take over that of its killed predecessor."""
     path = runs_dir() / run
     if not is_marked(path) or not (path / OWNER).exists() or _is_kept(path):
         new_run_dir(run)
@@ -241,18 +164,7 @@ def _is_kept(path: Path) -> bool:
 
 
 def started_at(pid: int) -> int:
-    """Tell when a process was started, which together with its number names it for ever.
-
-    Parameters
-    ----------
-    pid : int
-        Process number.
-
-    Returns
-    -------
-    int
-        Clock ticks since the machine was; 0 when there is no such process, or a zombie.
-    """
+    """Tell when a process was started, which together with its number names it for ever."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:
@@ -263,39 +175,13 @@ def started_at(pid: int) -> int:
 
 
 def alive(pid: int, started: int = 0) -> bool:
-    """Whether a process exists and is not a zombie.
-
-    Parameters
-    ----------
-    pid : int
-        Process number.
-    started : int
-        When it was started, as from `started_at`: another one may have got its number. 0 when that is not known.
-
-    Returns
-    -------
-    bool
-        True when it runs (or sleeps, or is stopped).
-    """
+    """Whether a process exists and is not a zombie."""
     found = started_at(pid)
     return found > 0 and started in (0, found)
 
 
 def belongs(pid: int, run_dir: Path) -> bool:
-    """Whether a live process is a node of a run (process numbers are used again).
-
-    Parameters
-    ----------
-    pid : int
-        Process number.
-    run_dir : Path
-        Directory of the run.
-
-    Returns
-    -------
-    bool
-        True when its command line names the directory.
-    """
+    """Whether a live process is a node of a run (process numbers are used again)."""
     try:
         return alive(pid) and os.fsencode(run_dir) in Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
@@ -304,28 +190,14 @@ def belongs(pid: int, run_dir: Path) -> bool:
 
 
 def write_run(path: Path, info: RunInfo) -> None:
-    """Publish what a run consists of.
-
-    Parameters
-    ----------
-    path : Path
-        Directory of the run.
-    info : RunInfo
-        Its content.
-    """
+    """Publish what a run consists of."""
     draft = path / "run.draft"
     draft.write_bytes(msgspec.json.encode(info))
     draft.replace(path / "run.json")
 
 
 def runs() -> dict[str, RunInfo]:
-    """List the live runs of this user on this machine.
-
-    Returns
-    -------
-    dict of str to RunInfo
-        By name, oldest first.
-    """
+    """List the live runs of this user on this machine."""
     found = []
     for path in runs_dir().glob("*/run.json"):
         try:
@@ -339,23 +211,7 @@ def runs() -> dict[str, RunInfo]:
 
 
 def find_run(name: str | None = None) -> RunInfo:
-    """Find one live run.
-
-    Parameters
-    ----------
-    name : str, optional
-        Its name, or that of its scenario; not needed when only one runs.
-
-    Returns
-    -------
-    RunInfo
-        The run.
-
-    Raises
-    ------
-    RunError
-        When none or several fit.
-    """
+    """Find one live run."""
     live = runs()
     fits = [info for info in live.values() if name is None or name in (info.run, info.scenario)]
     if len(fits) == 1:
@@ -368,13 +224,7 @@ def find_run(name: str | None = None) -> RunInfo:
 
 
 def sweep() -> list[str]:
-    """Remove the directories of runs whose launcher and nodes are all gone; only what bears the mark of a run.
-
-    Returns
-    -------
-    list of str
-        Names of the runs removed.
-    """
+    """Remove the directories of runs whose launcher and nodes are all gone; only what bears the mark of a run."""
     swept = []
     live = runs()
     for path in runs_dir().iterdir():

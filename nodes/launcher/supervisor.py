@@ -66,29 +66,12 @@ class Supervisor:
         self._hurry = False
 
     def stop(self, reason: str) -> None:
-        """Ask for the end; asked twice, for a quick one. Safe in a signal handler.
-
-        Parameters
-        ----------
-        reason : str
-            Why.
-        """
+        """Ask for the end; asked twice, for a quick one. Safe in a signal handler."""
         self._hurry = bool(self._stop_asked)
         self._stop_asked = self._stop_asked or reason
 
     def supervise(self, progress: Callable[[Supervisor], None] | None = None) -> None:
-        """Run the launch from start to end.
-
-        Parameters
-        ----------
-        progress : callable, optional
-            Called about five times a second while the loop runs.
-
-        Raises
-        ------
-        LaunchFailedError
-            When a node could not be started.
-        """
+        """Run the launch from start to end."""
         with contextlib.ExitStack() as held:
             if self._launch.run.stays_awake and (refused := held.enter_context(realtime.awake())):
                 self._say(refused)

@@ -131,20 +131,7 @@ class _Places:
 
 
 def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
-    """Settle which tick the nodes take, and have it compiled.
-
-    Parameters
-    ----------
-    launch : Launch
-        The launch.
-    say : callable
-        Called with a line when something is compiled, or cannot be.
-
-    Returns
-    -------
-    Launch
-        With ``run.tick`` no longer ``auto``.
-    """
+    """Settle which tick the nodes take, and have it compiled."""
     factories = node_kinds()
     modules = {load(factories[spec.kind]).kernel_module for spec in launch.nodes.values() if not spec.host} - {""}
     scarce = launch.run.pace == "realtime" and launch.run.rate >= SCARCE
@@ -153,29 +140,7 @@ def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
 
 
 def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
-    """Resolve a launch.
-
-    Parameters
-    ----------
-    launch : Launch
-        The launch.
-    run : str
-        Name of the run.
-    run_dir : Path
-        Its directory.
-    manifest : dict of str to str
-        What goes into every recording.
-
-    Returns
-    -------
-    dict of str to Setup
-        One per node.
-
-    Raises
-    ------
-    ParameterError
-        When nodes do not fit together or a parameter is refused.
-    """
+    """Resolve a launch."""
     classes, publisher, relays = _roles(launch)
     factories = node_kinds()
     publish = {name: f"ipc://{run_dir}/{name}.pub" for name in launch.nodes}
@@ -261,22 +226,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
 
 
 def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[str, str]:
-    """Describe a run for its recordings.
-
-    Parameters
-    ----------
-    launch : Launch
-        The launch.
-    run : str
-        Name of the run.
-    wall_minus_monotonic : float
-        What to add to a stamp to get wall time [s].
-
-    Returns
-    -------
-    dict of str to str
-        Text by name; parameters of the nodes as JSON.
-    """
+    """Describe a run for its recordings."""
     uname = os.uname()
     factories = node_kinds()
     publishes = {name: load(factories[spec.kind]).publishes for name, spec in launch.nodes.items()}

@@ -21,6 +21,15 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+__all__ = [
+    "LAWS",
+    "CompiledLaw",
+    "Law",
+    "law_kinds",
+    "law_names",
+    "load_law",
+]
+
 LAWS = Registry("haptic.laws", "law")
 
 

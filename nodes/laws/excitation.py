@@ -25,22 +25,7 @@ ASTRAY = 100
 
 
 def held_back(wanted: float, deflection: float, reach: float) -> float:
-    """Turn a push towards the centre when the device is far from it.
-
-    Parameters
-    ----------
-    wanted : float
-        Pseudo-random force [N].
-    deflection : float
-        From the device to the centre [m].
-    reach : float
-        How far the device may be pushed [m].
-
-    Returns
-    -------
-    float
-        The force itself within the reach; its magnitude towards the centre beyond it [N].
-    """
+    """Turn a push towards the centre when the device is far from it."""
     if deflection > reach:
         return abs(wanted)
     if deflection < -reach:
@@ -69,13 +54,7 @@ class Telegraph:
         self._ticks = 0
 
     def next(self) -> float:
-        """Go on by one tick.
-
-        Returns
-        -------
-        float
-            Force [N].
-        """
+        """Go on by one tick."""
         for i, clock in self._clocks:
             if self._ticks % clock == 0:
                 self._parts[i] = self._share if self._signs.random() < 0.5 else -self._share
@@ -121,18 +100,7 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     load: float = 0.0
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the spring and the damper into taps; the push is the law's own code.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        CompiledLaw
-            Two taps and an evaluator that counts its ticks.
-        """
+        """Turn the spring and the damper into taps; the push is the law's own code."""
         damper = self.damping / period
         return CompiledLaw((self.stiffness + damper, -damper), evaluate=self._push(period))
 

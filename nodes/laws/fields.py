@@ -20,28 +20,7 @@ Gains: TypeAlias = Literal["physical", "paper", "unlimited"]
 
 
 def term_gain(gain: float, order: float, gains: Gains, period: float, taps: int) -> float:
-    """Gain of one fractional term in physical units.
-
-    Parameters
-    ----------
-    gain : float
-        Gain as written: [N s^α/m] when physical, else [N s/m].
-    order : float
-        α of the term.
-    gains : {"physical", "paper", "unlimited"}
-        ``paper`` is the paper's convention (fig. 2): the gain is f(ω_N) of eq. (9), the sum to n that its FIR renders.
-        ``unlimited`` is the same with unlimited memory, f(ω_N) = (2/T)^(α−1) per unit of physical gain. A realisation other
-        than the paper's FIR gets the same physical gain, so that it renders the same derivative (THEORY.md §1, §2).
-    period : float
-        Sampling period T [s].
-    taps : int
-        n + 1.
-
-    Returns
-    -------
-    float
-        Gain [N s^α/m].
-    """
+    """Gain of one fractional term in physical units."""
     if gains == "physical":
         return gain
     unlimited: float = gain * (0.5 * period) ** (order - 1.0)
@@ -51,20 +30,7 @@ def term_gain(gain: float, order: float, gains: Gains, period: float, taps: int)
 
 
 def alternating_sum(order: float, taps: int) -> float:
-    """Σ (−1)^m c_m of the Grünwald–Letnikov coefficients: T^α D(−1), which tends to 2^α with the memory (THEORY.md §1).
-
-    Parameters
-    ----------
-    order : float
-        α.
-    taps : int
-        n + 1.
-
-    Returns
-    -------
-    float
-        The sum.
-    """
+    """Σ (−1)^m c_m of the Grünwald–Letnikov coefficients: T^α D(−1), which tends to 2^α with the memory (THEORY.md §1)."""
     term = total = 1.0
     for m in range(1, taps):
         term *= (order + 1.0) / m - 1.0

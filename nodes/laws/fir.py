@@ -26,23 +26,7 @@ class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     period: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
 
     def compile(self, period: float) -> CompiledLaw:
-        """Hand out the taps.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        CompiledLaw
-            The taps, unchanged.
-
-        Raises
-        ------
-        ValueError
-            When the taps were made for another sampling period.
-        """
+        """Hand out the taps."""
         if self.period is not None and abs(period / self.period - 1.0) > 1e-6:
             raise ValueError(
                 f"period: these taps were made for T = {self.period:g} s and the loop runs at T = {period:g} s; "

@@ -56,23 +56,7 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     derivative: str = "gl"
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into taps.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        CompiledLaw
-            One tap vector, whatever the number of terms; sections when the realisation is recursive.
-
-        Raises
-        ------
-        ValueError
-            When a derivative cannot be realised at its order and length.
-        """
+        """Turn the parameters into taps."""
         return combine(
             self.stiffness,
             [

@@ -19,6 +19,13 @@ from nodes.parameters.refusals import choices, worded
 from nodes.parameters.registry import NotInstalledError
 from nodes.parameters.store import ParameterError
 
+__all__ = [
+    "LawRefusedError",
+    "compile_law",
+    "law_to_dict",
+    "parse_law",
+]
+
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<where>.*)`)?$", re.DOTALL)
 
 

@@ -28,16 +28,5 @@ class PD(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     damping: NonNegative = 0.0
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into taps.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        CompiledLaw
-            Two taps.
-        """
+        """Turn the parameters into taps."""
         return CompiledLaw((self.stiffness + self.damping / period, -self.damping / period))

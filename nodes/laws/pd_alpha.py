@@ -37,43 +37,14 @@ class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     derivative: str = "gl"
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into taps.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        CompiledLaw
-            Taps of the spring and the derivative together; sections when the realisation is recursive.
-
-        Raises
-        ------
-        ValueError
-            When the derivative cannot be realised at this order and length.
-        """
+        """Turn the parameters into taps."""
         gain = term_gain(self.damping, self.order, self.gains, period, self.taps)
         unit = realise(self.derivative, self.order, self.taps, period)
         return combine(self.stiffness, [(gain, unit)])
 
 
 def combine(stiffness: float, terms: list[tuple[float, CompiledLaw]]) -> CompiledLaw:
-    """Add a spring and weighted derivatives into one law.
-
-    Parameters
-    ----------
-    stiffness : float
-        Nominal K [N/m], added to the newest tap.
-    terms : list of (float, CompiledLaw)
-        Physical gain [N s^α/m] and unit-gain realisation [s^−α] of each derivative.
-
-    Returns
-    -------
-    CompiledLaw
-        One tap vector as long as the longest term, and the sections of all terms side by side.
-    """
+    """Add a spring and weighted derivatives into one law."""
     taps = [0.0] * max([1, *(len(unit.taps) for _, unit in terms)])
     sections = []
     for gain, unit in terms:

@@ -30,18 +30,7 @@ class PDFiltered(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     cutoff: Annotated[float, msgspec.Meta(gt=0.0)]
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the parameters into a tap and a section.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        CompiledLaw
-            The spring as a tap, the filtered damper as a section.
-        """
+        """Turn the parameters into a tap and a section."""
         pole = math.exp(-2.0 * math.pi * self.cutoff * period)
         gain = self.damping * (1.0 - pole) / period
         return CompiledLaw((self.stiffness,), ((gain, -gain, -pole, 0.0),))

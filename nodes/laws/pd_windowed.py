@@ -38,41 +38,13 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     window: Annotated[int, msgspec.Meta(ge=1, le=64)] = 15
 
     def compile(self, period: float) -> CompiledLaw:
-        """Turn the spring into a tap; the damper is the law's own code.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        CompiledLaw
-            K, zeros as far as the window reaches back, and the evaluator.
-        """
+        """Turn the spring into a tap; the damper is the law's own code."""
         taps = (self.stiffness, *(0.0,) * self.window)
         return CompiledLaw(taps, evaluate=_damper(self.damping / period, self.resolution, self.window))
 
 
 def windowed_slope(ring: Sequence[float], head: int, error: float, window: int) -> float:
-    """Slope of the longest line from the newest sample back that passes within the error of all samples between.
-
-    Parameters
-    ----------
-    ring : sequence of float
-        ``ring[head + m]`` is the sample m ticks ago [m].
-    head : int
-        Index of the newest.
-    error : float
-        How far a sample may be from the line [m].
-    window : int
-        Longest line [ticks].
-
-    Returns
-    -------
-    float
-        Slope [m/tick].
-    """
+    """Slope of the longest line from the newest sample back that passes within the error of all samples between."""
     newest = ring[head]
     # A shade over the error: samples of an encoder lie exactly on it.
     error *= 1.0 + 1e-9

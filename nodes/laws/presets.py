@@ -41,29 +41,12 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 
 
 def preset_names() -> list[str]:
-    """List the presets.
-
-    Returns
-    -------
-    list of str
-        Names, sorted.
-    """
+    """List the presets."""
     return sorted(PRESETS)
 
 
 def expand(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace the name of a preset by what it stands for.
-
-    Parameters
-    ----------
-    data : mapping
-        A law's description whose ``kind`` may be a preset.
-
-    Returns
-    -------
-    dict
-        The description with a registered kind; what `data` says goes before what the preset says.
-    """
+    """Replace the name of a preset by what it stands for."""
     preset = PRESETS.get(data["kind"]) if isinstance(data.get("kind"), str) else None
     if preset is None:
         return dict(data)

@@ -56,29 +56,7 @@ class Description(msgspec.Struct, kw_only=True):
 
 
 def described(target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]) -> Description:
-    """Describe a parameter.
-
-    Parameters
-    ----------
-    target : type of msgspec.Struct
-        Parameters of the node.
-    values : object
-        Their present values, as builtins: where types are free, the ``kind`` that stands there decides.
-    path : str
-        E.g. ``laws.pd.stiffness`` or ``schedule[0].at``.
-    struct_of : callable
-        Finds the struct of a law or surface by its kind; None when there is none.
-
-    Returns
-    -------
-    Description
-        What it is.
-
-    Raises
-    ------
-    ParameterError
-        When there is none of that name.
-    """
+    """Describe a parameter."""
     info: inspect.Type = inspect.type_info(target)
     found = Description(type=_words(info), meaning=(target.__doc__ or "").strip().partition("\n")[0])
     done = ""

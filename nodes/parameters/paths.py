@@ -30,20 +30,6 @@ def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str)
 
     Declared paths may have their default. In any other text a slash makes a path, unless it is a topic: so a kind of
     node that does not declare its paths is covered too.
-
-    Parameters
-    ----------
-    parameters : msgspec.Struct
-        Of a node, converted.
-    allowed : sequence of Path
-        Directories.
-    where : str
-        What the parameters' path starts with, for errors.
-
-    Raises
-    ------
-    ParameterError
-        With the parameter's path, its value and the remedy.
     """
     folders = [folder.resolve() for folder in allowed]
     for path, value, is_declared in _local(parameters, where):
@@ -84,17 +70,6 @@ def _local(value: Any, where: str) -> Iterator[tuple[str, Any, bool]]:
 
 
 def needed(parameters: msgspec.Struct) -> list[str]:
-    """List the directories that a node on another machine must be allowed for its parameters to be taken.
-
-    Parameters
-    ----------
-    parameters : msgspec.Struct
-        Of the node, converted.
-
-    Returns
-    -------
-    list of str
-        Each once, in order; ``.`` for a switch alone.
-    """
+    """List the directories that a node on another machine must be allowed for its parameters to be taken."""
     found = [str(Path(value).parent) if isinstance(value, str) else "." for _, value, _ in _local(parameters, "")]
     return list(dict.fromkeys(found))

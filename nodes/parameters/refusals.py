@@ -28,42 +28,14 @@ _WORDS = {
 
 
 def choices(given: object, known: Iterable[str]) -> str:
-    """Say what there is in place of a name that is not, and which was probably meant.
-
-    Parameters
-    ----------
-    given : object
-        What was written.
-    known : iterable of str
-        What could have been.
-
-    Returns
-    -------
-    str
-        ``there is: fir, pd; did you mean pd?``
-    """
+    """Say what there is in place of a name that is not, and which was probably meant."""
     names = list(known)
     close = difflib.get_close_matches(given, names, 1) if isinstance(given, str) else []
     return f"there is: {', '.join(names) or 'nothing yet'}" + "".join(f"; did you mean {name}?" for name in close)
 
 
 def worded(told: str, data: Any, target: Any) -> tuple[str, str]:
-    """Word a refusal.
-
-    Parameters
-    ----------
-    told : str
-        What msgspec says.
-    data : object
-        What was converted.
-    target : type
-        To what.
-
-    Returns
-    -------
-    tuple of str
-        Path within `data`, beginning with a dot or bracket, empty for the whole; and what is wrong there.
-    """
+    """Word a refusal."""
     match = _AT.match(told)
     reason, path = (match["reason"], match["path"] or "") if match else (told, "")
     if unknown := _UNKNOWN.fullmatch(reason):

@@ -16,6 +16,17 @@ import msgspec
 from messages.errors import HapticError
 from nodes.parameters.refusals import choices, worded
 
+__all__ = [
+    "ParameterError",
+    "ParameterStore",
+    "convert",
+    "describe",
+    "differences",
+    "flattened",
+    "merge",
+    "of_node",
+]
+
 _PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d+\])*")
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 

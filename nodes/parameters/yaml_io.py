@@ -112,25 +112,7 @@ _Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Read one YAML document, bounded in size and depth.
-
-    Parameters
-    ----------
-    text : str
-        The document.
-    source : str
-        Where it came from, for errors.
-
-    Returns
-    -------
-    object
-        Builtins.
-
-    Raises
-    ------
-    ParameterError
-        When it is not YAML, too long, too deep, or uses aliases or duplicate keys.
-    """
+    """Read one YAML document, bounded in size and depth."""
     if len(text) > MAX_CHARACTERS:
         raise ParameterError(f"{source}: {len(text)} characters, limit {MAX_CHARACTERS}")
     try:
@@ -141,19 +123,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:
-    """Tell on which line of a YAML file each value stands.
-
-    Parameters
-    ----------
-    path : path-like
-        A file that `read_yaml` has read.
-
-    Returns
-    -------
-    dict of str to int
-        Path, e.g. ``nodes.driver.parameters`` or ``terms[0]``, to line from 1; empty when the file has changed since and
-        cannot be read any more.
-    """
+    """Tell on which line of a YAML file each value stands."""
     found: dict[str, int] = {}
 
     def walk(node: Any, place: str) -> None:
@@ -173,20 +143,7 @@ def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:
 
 
 def write_yaml(data: Any, width: int = 120) -> str:
-    """Write builtins as YAML that `parse_yaml` reads back unchanged.
-
-    Parameters
-    ----------
-    data : object
-        Mappings with text keys, lists, text, numbers, truth values, None.
-    width : int
-        Where lines are broken [characters].
-
-    Returns
-    -------
-    str
-        The document; innermost lists and mappings on one line.
-    """
+    """Write builtins as YAML that `parse_yaml` reads back unchanged."""
     for plain in (True, False):
         text: str = yaml.dump(
             data, Dumper=_Dumper, sort_keys=False, allow_unicode=plain, default_flow_style=None, width=width
@@ -198,23 +155,7 @@ def write_yaml(data: Any, width: int = 120) -> str:
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:
-    """Read a YAML file.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-
-    Returns
-    -------
-    object
-        Builtins.
-
-    Raises
-    ------
-    ParameterError
-        When it cannot be read or parsed.
-    """
+    """Read a YAML file."""
     try:
         with open(path, "rb") as file:
             # A document of that many characters has at most four times as many bytes; a device never ends.
@@ -254,18 +195,7 @@ class WatchedFile:
         return found.st_mtime_ns, found.st_size, found.st_ino
 
     def poll(self) -> Any:
-        """Look whether the file was saved anew; the first time, it counts as such.
-
-        Returns
-        -------
-        object or None
-            Its content as builtins; None when there is nothing new or it is still being written.
-
-        Raises
-        ------
-        ParameterError
-            When it cannot be read or parsed; it is not tried again until it is saved again.
-        """
+        """Look whether the file was saved anew; the first time, it counts as such."""
         try:
             signature = self._signature()
             steady = signature == self._seen

@@ -69,23 +69,7 @@ class Completeness(msgspec.Struct):
 
 
 def completeness(recording: Recording) -> Completeness:
-    """Judge whether a recording holds everything.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-
-    Returns
-    -------
-    Completeness
-        The verdict, and what it rests on.
-
-    Raises
-    ------
-    RecordError
-        When a message does not fit its type.
-    """
+    """Judge whether a recording holds everything."""
     return Completeness(recording.complete, accounts(recording), overruns(recording))
 
 
@@ -105,23 +89,7 @@ class Clock(msgspec.Struct):
 
 
 def clocks(recording: Recording) -> dict[str, Clock]:
-    """Tell how far the nodes' clocks were from the launcher's, by the recorded statuses: a manifest is written too early.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-
-    Returns
-    -------
-    dict of str to Clock
-        By node name, for each node whose status was recorded.
-
-    Raises
-    ------
-    RecordError
-        When a status does not fit its type.
-    """
+    """Tell how far the nodes' clocks were from the launcher's, by the recorded statuses: a manifest is written too early."""
     found: dict[str, Clock] = {}
     for entry in recording.entries(topic for topic in recording.topics if message_type(topic) is NodeStatus):
         status = entry.message
@@ -143,23 +111,7 @@ def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
 
 
 def accounts(recording: Recording) -> dict[str, Account]:
-    """Compare, node by node, what it says it sent with what was recorded.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-
-    Returns
-    -------
-    dict of str to Account
-        By node name, for each node whose status was recorded, and its messages too.
-
-    Raises
-    ------
-    RecordError
-        When a status does not fit its type.
-    """
+    """Compare, node by node, what it says it sent with what was recorded."""
     topics = recording.topics
     since = max((figures.first_seq for topic, figures in topics.items() if topic in LOOP), default=0)
     left_out = overruns(recording) if since else 0
@@ -187,23 +139,7 @@ def accounts(recording: Recording) -> dict[str, Account]:
 
 
 def overruns(recording: Recording) -> int:
-    """Count the ticks that the driver left out while it was recorded: gaps in ``seq`` that are no losses.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-
-    Returns
-    -------
-    int
-        By the driver's own count; 0 without device states.
-
-    Raises
-    ------
-    RecordError
-        When a state does not fit its type.
-    """
+    """Count the ticks that the driver left out while it was recorded: gaps in ``seq`` that are no losses."""
     ends: list[tuple[RawMessage, int]] = []
     for topic, raw, offset in recording.raw():
         if topic == DEVICE_STATE:

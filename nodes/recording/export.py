@@ -36,19 +36,7 @@ _ROWS = 65536
 
 
 def plain_names(topics: Iterable[str]) -> dict[str, str]:
-    """Turn topics into names that are safe as file names and as names of variables.
-
-    Parameters
-    ----------
-    topics : iterable of str
-        Topic names, from a file that may be anybody's.
-
-    Returns
-    -------
-    dict of str to str
-        Each topic's name in letters, digits and underscores only, beginning with a letter, at most 60 characters long, no
-        two alike and none `TICKS`: ``/device/state`` is ``device_state``.
-    """
+    """Turn topics into names that are safe as file names and as names of variables."""
     found: dict[str, str] = {}
     for topic in topics:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", topic.strip("/"))[:55] or "topic"
@@ -62,19 +50,7 @@ def plain_names(topics: Iterable[str]) -> dict[str, str]:
 
 
 def columns(message_type: type[Message]) -> list[str]:
-    """Name the columns of a topic's table, units included.
-
-    Parameters
-    ----------
-    message_type : type of Message
-        What the topic carries.
-
-    Returns
-    -------
-    list of str
-        ``time [s]`` from the first tick on, ``log_time [s]`` and one name per field or component, e.g. ``seq``, ``stamp [s]``,
-        ``position_x [m]``; the units are those of the field's documentation.
-    """
+    """Name the columns of a topic's table, units included."""
     found = ["time [s]", "log_time [s]"]
     for name, told in schema(message_type)["properties"].items():
         unit = _UNIT.search(told.get("description", ""))
@@ -85,18 +61,7 @@ def columns(message_type: type[Message]) -> list[str]:
 
 
 def parameters(recording: Recording) -> dict[str, Any]:
-    """Collect what belongs to the tables: the run, its parameters, the launch file, and what the columns mean.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-
-    Returns
-    -------
-    dict
-        ``recording``, ``manifest``, ``parameters`` by node, ``launch_file``, ``versions`` and ``columns`` (unit and meaning).
-    """
+    """Collect what belongs to the tables: the run, its parameters, the launch file, and what the columns mean."""
 
     def told(text: str) -> Any:
         try:
@@ -148,28 +113,7 @@ def _tick(row: Row, begin: float) -> list[Any]:
 
 
 def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write one CSV file with a row per tick, one per topic, and the parameters as JSON.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    out : str or Path
-        Directory for the files; made when it is not there.
-    overwrite : bool, optional
-        Whether existing files may be replaced.
-
-    Returns
-    -------
-    list of Path
-        ``ticks.csv`` where there are ticks, a file per topic, ``parameters.json``. Comma-separated, first row the names of the
-        columns with their units (`columns`), numbers to the last bit, flags as 0 and 1.
-
-    Raises
-    ------
-    RecordError
-        When a message does not fit its type, a file exists already, or the disk is full.
-    """
+    """Write one CSV file with a row per tick, one per topic, and the parameters as JSON."""
     folder = Path(out)
     files = {topic: folder / f"{name}.csv" for topic, name in plain_names(recording.topics).items()}
     made = list(files.values())
@@ -224,28 +168,7 @@ def _tables(recording: Recording) -> dict[str, Arrays]:
 
 
 def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write one NPZ file with the arrays of the ticks and of all topics, and the parameters as JSON.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    out : str or Path
-        The file.
-    overwrite : bool, optional
-        Whether existing files may be replaced.
-
-    Returns
-    -------
-    list of Path
-        The file, its arrays named ``ticks.COLUMN`` and ``topic.field``, e.g. ``ticks.position`` of shape (N, 3), in SI units;
-        and ``NAME.parameters.json`` beside it.
-
-    Raises
-    ------
-    RecordError
-        When a message does not fit its type, a file exists already, or the disk is full.
-    """
+    """Write one NPZ file with the arrays of the ticks and of all topics, and the parameters as JSON."""
     import numpy as np
 
     arrays = {f"{name}.{field}": array for name, table in _tables(recording).items() for field, array in table.items()}
@@ -262,29 +185,7 @@ def _save_with_parameters(recording: Recording, out: Path, data: bytes, overwrit
 
 
 def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write one MAT file (version 5) for MATLAB and Octave: ``run = load('…')``, ``plot(run.ticks.time, run.ticks.position)``.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    out : str or Path
-        The file.
-    overwrite : bool, optional
-        Whether existing files may be replaced.
-
-    Returns
-    -------
-    list of Path
-        The file, with the structs ``ticks`` and one per topic (columns, texts as cell arrays) and the text ``parameters``
-        (JSON, for ``jsondecode``); and ``NAME.parameters.json`` beside it.
-
-    Raises
-    ------
-    RecordError
-        When a message does not fit its type, an array is beyond the 2 GB of the format, a file exists already, or the disk is
-        full.
-    """
+    """Write one MAT file (version 5) for MATLAB and Octave; ``run.ticks.time`` and ``run.ticks.position`` are columns."""
     from scipy.io import savemat
     from scipy.io.matlab import MatWriteError
 
@@ -304,28 +205,7 @@ def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False
 
 
 def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write the table of ticks as Parquet, in blocks of bounded memory; needs pyarrow: pip install 'haptic-nodes[parquet]'.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    out : str or Path
-        The file.
-    overwrite : bool, optional
-        Whether existing files may be replaced.
-
-    Returns
-    -------
-    list of Path
-        The file, columns named as in the CSV file without units (``position_x``), units as metadata of the fields; and
-        ``NAME.parameters.json`` beside it.
-
-    Raises
-    ------
-    RecordError
-        When pyarrow is not installed, a message does not fit its type, a file exists already, or the disk is full.
-    """
+    """Write the table of ticks as Parquet, in blocks of bounded memory; needs pyarrow: pip install 'haptic-nodes[parquet]'."""
     try:
         import pyarrow as pa
         from pyarrow import parquet

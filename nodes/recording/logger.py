@@ -89,23 +89,7 @@ class Recorder:
         self.clock_offset = 0.0
 
     def take(self, timeout_ms: int) -> bool:
-        """Wait for one message and record it; flush when it is time.
-
-        Parameters
-        ----------
-        timeout_ms : int
-            Longest wait [ms].
-
-        Returns
-        -------
-        bool
-            Whether a message came.
-
-        Raises
-        ------
-        RecordError
-            When the file cannot be written.
-        """
+        """Wait for one message and record it; flush when it is time."""
         frames = self._inbox.receive(timeout_ms)
         now = time.monotonic()
         if frames is not None:
@@ -144,27 +128,7 @@ class Recorder:
 
 
 def open_writer(path: str, manifest: dict[str, str], overwrite: bool) -> RecordWriter:
-    """Create a recording, its folder included.
-
-    Parameters
-    ----------
-    path : str
-        The file.
-    manifest : dict of str to str
-        Of the run.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Returns
-    -------
-    RecordWriter
-        Ready to write.
-
-    Raises
-    ------
-    RecordError
-        When it cannot be created.
-    """
+    """Create a recording, its folder included."""
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -188,34 +152,12 @@ class Logger(Node):
 
     @classmethod
     def subscribes(cls, parameters: Any) -> tuple[str, ...]:
-        """Tell which subscriptions a logger makes.
-
-        Parameters
-        ----------
-        parameters : LoggerParameters
-            Of the logger.
-
-        Returns
-        -------
-        tuple of str
-            Its topics; ``""`` takes all.
-        """
+        """Tell which subscriptions a logger makes."""
         return tuple(dict.fromkeys(parameters.topics)) or ("",)
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check that the topics to record can exist.
-
-        Parameters
-        ----------
-        setup : Setup
-            The node as it would be started.
-
-        Raises
-        ------
-        ParameterError
-            When one is no topic of the protocol, or that of a node which is not there.
-        """
+        """Check that the topics to record can exist."""
         nodes = {setup.name, *setup.sources}
         for number, topic in enumerate(setup.parameters.get("topics", [])):
             kind = message_type(topic)
@@ -240,26 +182,13 @@ class Logger(Node):
         self._recorder: Recorder | None = None
 
     def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
-        """Listen to all publishers of the run.
-
-        Parameters
-        ----------
-        subscribe : callable
-            Makes a subscription from endpoints, topics and queue length.
-        """
+        """Listen to all publishers of the run."""
         parameters: LoggerParameters = self.store.current
         self._listening = subscribe(set(self.setup.sources.values()), self.subscribes(parameters), QUEUE)
         self._recorder = Recorder(self._listening, self._writer, parameters.topics)
 
     def report(self) -> dict[str, Any]:
-        """Tell what was recorded.
-
-        Returns
-        -------
-        dict
-            ``recording``, ``recorded``, ``refused``. The path as it was given, or in full on another machine, where the
-            launcher's directory means nothing.
-        """
+        """Tell what was recorded."""
         recorder = self._recorder
         return {
             "recording": os.path.abspath(self._path) if self.setup.control.startswith("tcp://") else self._path,
@@ -302,31 +231,7 @@ class Logger(Node):
 
 
 def record(run: RunInfo, path: str, topics: list[str], duration: float, overwrite: bool = False) -> int:
-    """Record a running launch from beside it, until it ends, the time is over, or a signal comes.
-
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-    path : str
-        The file.
-    topics : list of str
-        Topics to record; empty for all.
-    duration : float
-        How long [s]; 0 for as long as the run lives.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Returns
-    -------
-    int
-        Messages recorded.
-
-    Raises
-    ------
-    RecordError
-        When the file cannot be written.
-    """
+    """Record a running launch from beside it, until it ends, the time is over, or a signal comes."""
     # The socket's threads inherit it.
     with realtime.off(run.processors):
         return _record(run, path, topics, duration, overwrite)

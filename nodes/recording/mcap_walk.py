@@ -132,25 +132,7 @@ def _parsed(path: Path, record: Record, what: str, parse: Callable[[bytes], T]) 
 
 
 def parse_channel(path: Path, record: Record) -> Channel:
-    """Parse a channel record.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for the error's text.
-    record : Record
-        A record with opcode CHANNEL.
-
-    Returns
-    -------
-    Channel
-        The channel.
-
-    Raises
-    ------
-    RecordError
-        When its content is damaged.
-    """
+    """Parse a channel record."""
 
     def parse(content: bytes) -> Channel:
         topic, at = _string(content, 4)
@@ -161,25 +143,7 @@ def parse_channel(path: Path, record: Record) -> Channel:
 
 
 def parse_schema(path: Path, record: Record) -> Schema:
-    """Parse a schema record.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for the error's text.
-    record : Record
-        A record with opcode SCHEMA.
-
-    Returns
-    -------
-    Schema
-        The schema.
-
-    Raises
-    ------
-    RecordError
-        When its content is damaged.
-    """
+    """Parse a schema record."""
 
     def parse(content: bytes) -> Schema:
         name, at = _string(content, 2)
@@ -193,25 +157,7 @@ def parse_schema(path: Path, record: Record) -> Schema:
 
 
 def parse_metadata(path: Path, record: Record) -> tuple[str, dict[str, str]]:
-    """Parse a metadata record.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for the error's text.
-    record : Record
-        A record with opcode METADATA.
-
-    Returns
-    -------
-    tuple of str and dict of str to str
-        Name and content.
-
-    Raises
-    ------
-    RecordError
-        When its content is damaged.
-    """
+    """Parse a metadata record."""
 
     def parse(content: bytes) -> tuple[str, dict[str, str]]:
         name, at = _string(content, 0)
@@ -228,25 +174,7 @@ def parse_metadata(path: Path, record: Record) -> tuple[str, dict[str, str]]:
 
 
 def parse_message(path: Path, record: Record) -> RawMessage:
-    """Parse a message record.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for the error's text.
-    record : Record
-        A record with opcode MESSAGE.
-
-    Returns
-    -------
-    RawMessage
-        The message, its data still encoded.
-
-    Raises
-    ------
-    RecordError
-        When its content is damaged.
-    """
+    """Parse a message record."""
     if len(record.content) < _MESSAGE.size:
         raise RecordError(f"{path}: damaged message at byte {record.offset}: {len(record.content)} bytes")
     channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record.content)
@@ -254,25 +182,7 @@ def parse_message(path: Path, record: Record) -> RawMessage:
 
 
 def unpack_chunk(path: Path, record: Record) -> list[Record]:
-    """Decompress a chunk, check it against its checksum, and split it into records.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for the error's text.
-    record : Record
-        A record with opcode CHUNK.
-
-    Returns
-    -------
-    list of Record
-        Schemas, channels and messages in the order of the file.
-
-    Raises
-    ------
-    RecordError
-        When it is damaged, too large, or compressed in another way than zstd.
-    """
+    """Decompress a chunk, check it against its checksum, and split it into records."""
 
     def parse(content: bytes) -> list[Record]:
         _, _, size, checksum = CHUNK_HEAD.unpack_from(content)
@@ -308,44 +218,13 @@ def unpack_chunk(path: Path, record: Record) -> list[Record]:
 
 
 def footer_sound(content: bytes, checksum: int) -> bool:
-    """Check the footer against the summary.
-
-    Parameters
-    ----------
-    content : bytes
-        Content of the footer record, 20 bytes.
-    checksum : int
-        CRC-32 of the summary.
-
-    Returns
-    -------
-    bool
-        Whether the checksum in it matches (or it has none).
-    """
+    """Check the footer against the summary."""
     (told,) = _U32.unpack_from(content, 16)
     return told in (0, zlib.crc32(FRAME.pack(FOOTER, 20) + content[:16], checksum))
 
 
 def walk(path: Path) -> Iterator[Record]:
-    """Walk the records of a file from its beginning to its end.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Yields
-    ------
-    Record
-        Each record outside chunks, chunks as they are.
-
-    Raises
-    ------
-    CutError
-        After the last whole record of a file without an end.
-    RecordError
-        When it cannot be opened, is no MCAP file, or a length or checksum does not match.
-    """
+    """Walk the records of a file from its beginning to its end."""
     try:
         size = path.stat().st_size
         stream = path.open("rb")

@@ -61,25 +61,7 @@ def _checked(recordings: Sequence[Recording]) -> None:
 
 
 def overlay(recordings: Sequence[Recording], start: float | None = None, stop: float | None = None) -> Figure:
-    """Draw position and force of several runs, each from its first state on.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        1 to RUNS of them.
-    start, stop : float, optional
-        From and up to which time [s]. When both are left out: until the last run has come to rest.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The picture.
-
-    Raises
-    ------
-    RecordError
-        When there are too many, or one has nothing to draw in that time.
-    """
+    """Draw position and force of several runs, each from its first state on."""
     _checked(recordings)
     lines = [Lines(recording, start or 0.0, math.inf if stop is None else stop) for recording in recordings]
     if start is None and stop is None:
@@ -170,25 +152,7 @@ def _extent(line: Line, axis: int) -> float:
 def force_over_position(
     recordings: Sequence[Recording], start: float | None = None, stop: float | None = None
 ) -> Figure:
-    """Draw the force handed to the device over the position at the same tick: what a wall feels like.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        1 to RUNS of them.
-    start, stop : float, optional
-        From and up to which time [s].
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The picture.
-
-    Raises
-    ------
-    RecordError
-        When there are too many, or one has nothing to draw in that time.
-    """
+    """Draw the force handed to the device over the position at the same tick: what a wall feels like."""
     _checked(recordings)
     ends = start or 0.0, math.inf if stop is None else stop
     lines = [Lines(recording, *ends) for recording in recordings]
@@ -224,31 +188,7 @@ def plot_several(
     stop: float | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Draw several runs into one file.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        1 to RUNS of them.
-    out : str or Path
-        The file to write: PNG, SVG or PDF, as it is called.
-    over_position : bool, optional
-        Whether to draw force over position instead of both over time.
-    start, stop : float, optional
-        From and up to which time [s].
-    overwrite : bool, optional
-        Whether an existing file may be replaced.
-
-    Returns
-    -------
-    Path
-        The file written.
-
-    Raises
-    ------
-    RecordError
-        When there is nothing to draw, the file exists already or cannot be written.
-    """
+    """Draw several runs into one file."""
     form = form_of(Path(out))
     draw = force_over_position if over_position else overlay
     save(Path(out), render(draw(recordings, start, stop), form), overwrite)

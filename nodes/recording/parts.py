@@ -15,20 +15,7 @@ from nodes.recording.writer import MANIFEST, RecordError
 
 
 def part(path: Path, number: int) -> Path:
-    """Name a part of a recording.
-
-    Parameters
-    ----------
-    path : Path
-        The recording.
-    number : int
-        1 for the first part, which is the recording itself.
-
-    Returns
-    -------
-    Path
-        The part's file.
-    """
+    """Name a part of a recording."""
     return path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
 
 
@@ -46,18 +33,7 @@ def _run_of(path: Path) -> str:
 
 
 def parts_of(path: Path) -> list[Path]:
-    """Find the parts of a recording.
-
-    Parameters
-    ----------
-    path : Path
-        The recording.
-
-    Returns
-    -------
-    list of Path
-        The file itself, then those that go on with its run.
-    """
+    """Find the parts of a recording."""
     found = [path]
     if not part(path, 2).is_file():
         return found
@@ -68,20 +44,7 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def next_part(path: Path, diary: Path) -> tuple[Path, bool]:
-    """Choose the file of a logger, so that one that is started again leaves alone what was recorded before.
-
-    Parameters
-    ----------
-    path : Path
-        Where the recording was asked for.
-    diary : Path
-        Where a run's logger writes down how many parts it has begun; it ends with the run.
-
-    Returns
-    -------
-    tuple of Path and bool
-        The file, and whether it is the first part.
-    """
+    """Choose the file of a logger, so that one that is started again leaves alone what was recorded before."""
     begun = msgspec.json.decode(diary.read_bytes(), type=int) if diary.exists() else 0
     diary.write_bytes(msgspec.json.encode(begun + 1))
     return part(path, begun + 1), begun == 0

@@ -13,31 +13,7 @@ from nodes.recording.reader import Entry, Recording
 def play(
     recording: Recording, publisher: Publisher, *, rate: float = 1.0, topics: Collection[str] | None = None
 ) -> Iterator[Entry]:
-    """Publish the messages of a recording as they were received, stamps and seq unchanged.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    publisher : Publisher
-        Where to publish.
-    rate : float, optional
-        Speed relative to the original pace (of receipt); 2 is twice as fast, ``inf`` does not wait at all.
-    topics : collection of str, optional
-        Only these; all when left out.
-
-    Yields
-    ------
-    Entry
-        Each message, once it was published.
-
-    Raises
-    ------
-    RecordError
-        When a topic is not in the recording, or a message does not fit its type.
-    ValueError
-        When the rate is not above 0.
-    """
+    """Publish the messages of a recording as they were received, stamps and seq unchanged."""
     if not rate > 0.0:
         raise ValueError(f"rate is {rate}, must be above 0")
     begin, first = time.monotonic(), None

@@ -48,17 +48,7 @@ def _line(
 
 
 def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
-    """Draw position, proxy and surface.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where.
-    lines : Lines
-        The run.
-    axis : int
-        0, 1 or 2 for x, y, z.
-    """
+    """Draw position, proxy and surface."""
     import numpy as np
 
     time, proxy = lines.proxy.arrays()
@@ -175,13 +165,7 @@ def _told(recording: Recording, summary: Summary, lines: Lines, axis: int, shown
 
 
 def style(axes: Axes) -> None:
-    """Give a panel its grid and take off what it does not need.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        The panel.
-    """
+    """Give a panel its grid and take off what it does not need."""
     axes.grid(True, color="#e3e5e8", lw=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -189,17 +173,7 @@ def style(axes: Axes) -> None:
 
 
 def head(axes: Axes, title: str, text: str, room: int = 21) -> None:
-    """Write title and facts above the topmost panel.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        The panel.
-    title, text : str
-        Title, and one or two lines. Texts of a file are texts: a $ in a scenario's name is no formula.
-    room : int
-        Height left free for a legend between text and panel [points].
-    """
+    """Write title and facts above the topmost panel."""
     pad = room + 14 * len(text.splitlines()) + 5
     axes.set_title(title[:70], fontsize=14, fontweight="bold", loc="left", pad=pad, parse_math=False)
     axes.annotate(
@@ -216,18 +190,7 @@ def head(axes: Axes, title: str, text: str, room: int = 21) -> None:
 
 
 def new_figure(height: float) -> Figure:
-    """Make an empty figure without a window.
-
-    Parameters
-    ----------
-    height : float
-        Height [inch]; the width is 10.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-    """
+    """Make an empty figure without a window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -237,26 +200,7 @@ def new_figure(height: float) -> Figure:
 
 
 def figure_of(recording: Recording, start: float | None = None, stop: float | None = None) -> Figure:
-    """Draw a run.
-
-    Parameters
-    ----------
-    recording : Recording
-        A recording with at least two messages on ``/device/state``.
-    start, stop : float, optional
-        From and up to which time [s]. When both are left out: all, but of a run that rests for more than half of its time
-        only a while longer than until it rests.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The picture.
-
-    Raises
-    ------
-    RecordError
-        When there are not two states to draw, nothing in that time, or a message does not fit its type.
-    """
+    """Draw a run."""
     whole = Lines(recording, start or 0.0, math.inf if stop is None else stop)
     summary = summarise(recording)
     lines, shown = whole, ""
@@ -296,43 +240,14 @@ def figure_of(recording: Recording, start: float | None = None, stop: float | No
 
 
 def render(figure: Figure, form: str) -> bytes:
-    """Write a figure as a file's content.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        The figure.
-    form : str
-        One of FORMATS.
-
-    Returns
-    -------
-    bytes
-        The content.
-    """
+    """Write a figure as a file's content."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format=form)
     return buffer.getvalue()
 
 
 def form_of(out: Path) -> str:
-    """Tell the format that the name of a picture asks for.
-
-    Parameters
-    ----------
-    out : Path
-        The file.
-
-    Returns
-    -------
-    str
-        One of FORMATS; PNG for a name without an ending.
-
-    Raises
-    ------
-    RecordError
-        When the ending is of another kind.
-    """
+    """Tell the format that the name of a picture asks for."""
     form = out.suffix.lower().removeprefix(".") or "png"
     if form not in FORMATS:
         raise RecordError(f"{out}: {out.suffix} is none of the formats of a plot: .{', .'.join(FORMATS)}")
@@ -347,29 +262,7 @@ def plot(
     stop: float | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Draw a run into a file.
-
-    Parameters
-    ----------
-    recording : Recording
-        A recording with at least two messages on ``/device/state``.
-    out : str or Path
-        The file to write: PNG, SVG or PDF, as it is called.
-    start, stop : float, optional
-        As of `figure_of`.
-    overwrite : bool, optional
-        Whether an existing file may be replaced.
-
-    Returns
-    -------
-    Path
-        The file written.
-
-    Raises
-    ------
-    RecordError
-        When there is nothing to draw, the file exists already or cannot be written.
-    """
+    """Draw a run into a file."""
     form = form_of(Path(out))
     save(Path(out), render(figure_of(recording, start, stop), form), overwrite)
     return Path(out)

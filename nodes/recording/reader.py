@@ -24,6 +24,14 @@ from nodes.recording.writer import MANIFEST, RecordError
 if TYPE_CHECKING:
     import numpy as np
 
+__all__ = [
+    "RECOVERY",
+    "Entry",
+    "M",
+    "Recording",
+    "TopicFigures",
+]
+
 RECOVERY = "recovery"
 """Name of the metadata record that `nodes.recording.recover.recover` leaves in the file it writes."""
 

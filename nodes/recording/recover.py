@@ -158,28 +158,7 @@ class _Copy:
 
 
 def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Recovered:
-    """Copy everything sound in a recording into a new, complete file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The recording, cut or damaged; it is left as it is.
-    out : str or Path
-        The file to write.
-    overwrite : bool, optional
-        Whether an existing `out` may be replaced.
-
-    Returns
-    -------
-    Recovered
-        What was saved, and what was wrong.
-
-    Raises
-    ------
-    RecordError
-        When `path` holds no message that could be saved or is no MCAP file, when `out` is `path` or exists already, or
-        when the disk is full.
-    """
+    """Copy everything sound in a recording into a new, complete file."""
     path, out = Path(path), Path(out)
     problems = _problems(path)
     sound = not problems

@@ -48,15 +48,7 @@ class Line:
         self._folded: tuple[Array, Array] | None = None
 
     def add(self, time: float, *values: float) -> None:
-        """Take one value of each line.
-
-        Parameters
-        ----------
-        time : float
-            Their time [s].
-        *values : float
-            As many as there are lines; NaN for a line that has none now.
-        """
+        """Take one value of each line."""
         self._rows.append((time, *values))
         if len(self._rows) >= _BLOCK:
             self._fold()
@@ -77,13 +69,7 @@ class Line:
             held[bins] = smaller(held[bins], smaller.reduceat(rows[order, 1:], first, axis=0))
 
     def arrays(self) -> tuple[Array, Array]:
-        """Give the lines.
-
-        Returns
-        -------
-        tuple of numpy.ndarray
-            Times [s], shape (M,), and values, shape (M, columns); M is at most POINTS.
-        """
+        """Give the lines."""
         import numpy as np
 
         if self._folded is None and len(self._rows) <= POINTS:
@@ -114,26 +100,12 @@ class Spans:
         self._seen: dict[str, bytearray] = {}
 
     def add(self, begin: float, end: float, name: str) -> None:
-        """Note that it was the case.
-
-        Parameters
-        ----------
-        begin, end : float
-            From and up to when [s].
-        name : str
-            What.
-        """
+        """Note that it was the case."""
         low, high = (min(max(int((time - self._start) / self._width), 0), BINS - 1) for time in (begin, end))
         self._seen.setdefault(name, bytearray(BINS))[low : high + 1] = b"\1" * (high + 1 - low)
 
     def spans(self) -> Iterator[tuple[str, float, float]]:
-        """Go through the stretches of time.
-
-        Yields
-        ------
-        tuple
-            Name, begin and end [s].
-        """
+        """Go through the stretches of time."""
         for name, seen in self._seen.items():
             begin = seen.find(1)
             while begin >= 0:
@@ -278,13 +250,7 @@ class Lines:
         return int(np.argmax(motion)) if motion.any() else 2
 
     def rest(self) -> float:
-        """Tell when the device has come to rest for good: position within 1 %, force within 2 % of their ranges.
-
-        Returns
-        -------
-        float
-            Time after the first state [s]; that of the last state when it does not rest.
-        """
+        """Tell when the device has come to rest for good: position within 1 %, force within 2 % of their ranges."""
         import numpy as np
 
         last = self.begin

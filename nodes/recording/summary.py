@@ -49,20 +49,7 @@ class Summary(msgspec.Struct):
 
 
 def quantile(ordered: Sequence[float], fraction: float) -> float:
-    """Quantile with linear interpolation between the two nearest values (type 7 of Hyndman and Fan 1996).
-
-    Parameters
-    ----------
-    ordered : sequence of float
-        At least one value, in rising order.
-    fraction : float
-        0 to 1.
-
-    Returns
-    -------
-    float
-        The quantile.
-    """
+    """Quantile with linear interpolation between the two nearest values (type 7 of Hyndman and Fan 1996)."""
     place = (len(ordered) - 1) * fraction
     low = int(place)
     high = min(low + 1, len(ordered) - 1)
@@ -70,23 +57,7 @@ def quantile(ordered: Sequence[float], fraction: float) -> float:
 
 
 def summarise(recording: Recording) -> Summary:
-    """Compute the figures of a run.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its recording.
-
-    Returns
-    -------
-    Summary
-        The figures; zeros and empty where no state was recorded.
-
-    Raises
-    ------
-    RecordError
-        When a message does not fit its type.
-    """
+    """Compute the figures of a run."""
     if DEVICE_STATE not in recording.topics:
         return Summary(0, 0.0, 0.0, 0, 0, {}, 0, [], [])
     first: DeviceState | None = None

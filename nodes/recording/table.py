@@ -15,6 +15,13 @@ from nodes.recording.writer import RecordError
 if TYPE_CHECKING:
     import numpy as np
 
+__all__ = [
+    "COLUMNS",
+    "Row",
+    "read",
+    "rows",
+]
+
 _GONE = (math.nan, math.nan, math.nan)
 
 Row = tuple[DeviceState, DeviceState | None, Proxy | None, Force | None]

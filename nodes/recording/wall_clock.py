@@ -22,19 +22,7 @@ _LATEST_NS = (1 << 64) - 1
 
 
 def offsets_of(manifest: Mapping[str, str]) -> tuple[int, int]:
-    """Tell how far MCAP's times are ahead of the run's, so that viewers date a recording by the wall clock.
-
-    Parameters
-    ----------
-    manifest : mapping of str to str
-        Of the run; ``wall_minus_monotonic_s`` is its clock's distance to wall time.
-
-    Returns
-    -------
-    tuple of int
-        For receipt, and for stamps [ns]. In lockstep, where stamps are simulated time, tick 0 gets the time of now. Both 0
-        for a manifest that does not know the wall clock.
-    """
+    """Tell how far MCAP's times are ahead of the run's, so that viewers date a recording by the wall clock."""
     try:
         wall = float(manifest["wall_minus_monotonic_s"])
         # Beyond what MCAP can hold it is no clock.
@@ -45,23 +33,7 @@ def offsets_of(manifest: Mapping[str, str]) -> tuple[int, int]:
 
 
 def read_offsets(values: Mapping[str, str]) -> tuple[int, int]:
-    """Read the ``clock`` record of a recording.
-
-    Parameters
-    ----------
-    values : mapping of str to str
-        Its content.
-
-    Returns
-    -------
-    tuple of int
-        As `offsets_of`.
-
-    Raises
-    ------
-    ValueError
-        When it does not hold two times; the text says what it holds.
-    """
+    """Read the ``clock`` record of a recording."""
     try:
         log, publish = (int(values[name]) for name in (LOG_OFFSET, PUBLISH_OFFSET))
     except (KeyError, ValueError) as error:
@@ -72,34 +44,10 @@ def read_offsets(values: Mapping[str, str]) -> tuple[int, int]:
 
 
 def record(log: int, publish: int) -> dict[str, str]:
-    """Write the content of the ``clock`` record.
-
-    Parameters
-    ----------
-    log, publish : int
-        As `offsets_of`.
-
-    Returns
-    -------
-    dict of str to str
-        The content.
-    """
+    """Write the content of the ``clock`` record."""
     return {LOG_OFFSET: str(log), PUBLISH_OFFSET: str(publish)}
 
 
 def nanoseconds(seconds: float, offset: int) -> int:
-    """Give a time as MCAP counts it: unsigned, 64 bits.
-
-    Parameters
-    ----------
-    seconds : float
-        Time of the run [s].
-    offset : int
-        How far MCAP's time is ahead of it [ns].
-
-    Returns
-    -------
-    int
-        MCAP's time [ns], clamped to what it can hold.
-    """
+    """Give a time as MCAP counts it: unsigned, 64 bits."""
     return min(max(round(min(max(seconds, -_LATEST), _LATEST) * 1e9) + offset, 0), _LATEST_NS)

@@ -37,13 +37,7 @@ class RecordError(HapticError):
 
 
 def versions() -> dict[str, str]:
-    """Tell what wrote a recording.
-
-    Returns
-    -------
-    dict of str to str
-        Version of Python, of the system and of each package that touches the data.
-    """
+    """Tell what wrote a recording."""
     found = {"python": platform.python_version(), "system": f"{platform.system()} {platform.release()}"}
     for package in _PACKAGES:
         try:
@@ -90,23 +84,7 @@ class Output:
             raise RecordError(f"{path}: cannot be created: {error.strerror}") from error
 
     def write(self, data: bytes) -> int:
-        """Hand over some bytes, all of them or none.
-
-        Parameters
-        ----------
-        data : bytes
-            Whole records.
-
-        Returns
-        -------
-        int
-            How many bytes.
-
-        Raises
-        ------
-        RecordError
-            When the disk is full or refuses; the file is cut back to where it was.
-        """
+        """Hand over some bytes, all of them or none."""
         view = memoryview(data)
         try:
             while view:
@@ -123,26 +101,14 @@ class Output:
         return len(data)
 
     def tell(self) -> int:
-        """Tell the position, as the MCAP writer asks for it.
-
-        Returns
-        -------
-        int
-            Bytes handed over so far.
-        """
+        """Tell the position, as the MCAP writer asks for it."""
         return self.size
 
     def flush(self) -> None:
         """Do nothing: nothing is held back."""
 
     def close(self) -> None:
-        """Close the file; harmless when repeated.
-
-        Raises
-        ------
-        RecordError
-            When the operating system reports a late failure.
-        """
+        """Close the file; harmless when repeated."""
         descriptor, self.descriptor = self.descriptor, -1
         if descriptor >= 0:
             try:
@@ -152,34 +118,13 @@ class Output:
 
 
 def discard(path: Path) -> None:
-    """Remove a file that could not be finished; devices, pipes and links to them stay.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    """
+    """Remove a file that could not be finished; devices, pipes and links to them stay."""
     if path.is_file() and not path.is_symlink():
         path.unlink()
 
 
 def save(path: Path, data: bytes, overwrite: bool) -> None:
-    """Write a file whole, or leave none.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    data : bytes
-        Its content.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    RecordError
-        When it cannot be created, exists already, or the disk is full.
-    """
+    """Write a file whole, or leave none."""
     output = Output(path, overwrite)
     try:
         output.write(data)
@@ -191,25 +136,7 @@ def save(path: Path, data: bytes, overwrite: bool) -> None:
 
 
 def mcap_writer(output: Output, library: str) -> Any:
-    """Start an MCAP writer the way this project writes: zstd, 64 KiB chunks, checksums over everything.
-
-    Parameters
-    ----------
-    output : Output
-        The file.
-    library : str
-        Who writes.
-
-    Returns
-    -------
-    mcap.writer.Writer
-        Started; typed Any because half of its methods carry no annotations.
-
-    Raises
-    ------
-    RecordError
-        When the disk is full.
-    """
+    """Start an MCAP writer the way this project writes: zstd, 64 KiB chunks, checksums over everything."""
     writer: Any = Writer(
         cast("IO[Any]", output), chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
     )
@@ -300,23 +227,7 @@ class RecordWriter:
             raise RecordError(f"{self.path}: closed already")
 
     def write(self, topic: str, message: Message, log_time_s: float) -> None:
-        """Add one message. Takes about 8 µs.
-
-        Parameters
-        ----------
-        topic : str
-            Topic it came on.
-        message : Message
-            The message; its ``stamp`` becomes the publish time, by the wall clock. Times before 0 are recorded as 0 (MCAP
-            counts unsigned nanoseconds); the message itself keeps its stamp.
-        log_time_s : float
-            When it was received, on the host's monotonic clock [s]; recorded by the wall clock.
-
-        Raises
-        ------
-        RecordError
-            When the topic carried another type before, when the disk is full, or after an earlier failure or `close`.
-        """
+        """Add one message. Takes about 8 µs."""
         self._usable()
         message_type = type(message)
         channel, expected = self._channels.get(topic) or self._open(topic, message_type)
@@ -335,20 +246,7 @@ class RecordWriter:
         self.counts[topic] += 1
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add one metadata record.
-
-        Parameters
-        ----------
-        name : str
-            Name of the record, e.g. ``summary``.
-        values : mapping of str to str
-            Its content.
-
-        Raises
-        ------
-        RecordError
-            When the disk is full, or after an earlier failure or `close`.
-        """
+        """Add one metadata record."""
         self._usable()
         try:
             self._writer.add_metadata(name, dict(values))
@@ -359,11 +257,6 @@ class RecordWriter:
         """Finish the chunk and hand it to the operating system: a kill of this process loses nothing written before.
 
         Call it every half second. (It does not wait for the disk: a power cut may still lose the last seconds.)
-
-        Raises
-        ------
-        RecordError
-            When the disk is full, or after an earlier failure or `close`.
         """
         self._usable()
         try:
@@ -372,14 +265,7 @@ class RecordWriter:
             raise self._failure(error) from error
 
     def close(self) -> None:
-        """Write the summary and close the file. Harmless when repeated; after a failed write it only closes.
-
-        Raises
-        ------
-        RecordError
-            When the disk has no room for the summary; the messages are kept, and `nodes.recording.reader.recover` completes
-            the file.
-        """
+        """Write the summary and close the file. Harmless when repeated; after a failed write it only closes."""
         if self._output.descriptor < 0:
             return
         try:

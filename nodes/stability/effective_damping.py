@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 
     PowerSum = Callable[[NDArray[np.float64], NDArray[np.complex128]], NDArray[np.complex128]]
 
+__all__ = [
+    "damping_needed",
+    "effective_damping",
+    "least",
+]
+
 _ZOOMS = 6
 
 

@@ -33,31 +33,7 @@ class HeldPlant:
 
 
 def held_plant(mass: float, damping: float, period: float, delay: float = 0.0, stiffness: float = 0.0) -> HeldPlant:
-    """Discretise m x'' + b x' + k x = u exactly for a held force that arrives `delay` ticks after its sample.
-
-    Parameters
-    ----------
-    mass : float
-        m > 0 [kg].
-    damping : float
-        b ≥ 0 [N s/m].
-    period : float
-        Sampling period T > 0 [s].
-    delay : float
-        d ≥ 0 [ticks]; with d = i + φ the force of tick k−i−1 acts for φT, then that of k−i.
-    stiffness : float
-        k ≥ 0 of a hand [N/m].
-
-    Returns
-    -------
-    HeldPlant
-        Its transfer function at the ticks.
-
-    Raises
-    ------
-    ValueError
-        When a parameter is out of its limits; the text names it.
-    """
+    """Discretise m x'' + b x' + k x = u exactly for a held force that arrives `delay` ticks after its sample."""
     whole, transition, new, old = held_step(mass, damping, period, delay, stiffness)
     a11, a12, _, a22 = transition
     # First row of adj(zI − A) times each input vector: (z − a22) g1 + a12 g2.
@@ -72,37 +48,7 @@ def held_plant(mass: float, damping: float, period: float, delay: float = 0.0, s
 def held_step(
     mass: float, damping: float, period: float, delay: float = 0.0, stiffness: float = 0.0
 ) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
-    """One tick of m x'' + b x' + k x = u in position and velocity.
-
-    Parameters
-    ----------
-    mass : float
-        m > 0 [kg].
-    damping : float
-        b ≥ 0 [N s/m].
-    period : float
-        Sampling period T > 0 [s].
-    delay : float
-        d ≥ 0 [ticks]; with d = i + φ the force of tick k−i−1 acts for φT, then that of k−i.
-    stiffness : float
-        k ≥ 0 of a hand [N/m].
-
-    Returns
-    -------
-    whole : int
-        i.
-    transition : tuple of float, shape (4,)
-        a11, a12 [s], a21 [1/s], a22 of the state (x, v).
-    newer : tuple of float, shape (2,)
-        What the force of tick k−i adds to x [m/N] and v [m/(s N)].
-    older : tuple of float, shape (2,)
-        The same for the force of tick k−i−1; zero when the delay is whole.
-
-    Raises
-    ------
-    ValueError
-        When a parameter is out of its limits; the text names it.
-    """
+    """One tick of m x'' + b x' + k x = u in position and velocity."""
     for name, value, positive in (
         ("mass", mass, True),
         ("period", period, True),

@@ -20,6 +20,19 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.held_plant import HeldPlant, held_plant
 from nodes.stability.occurring import Edge, edge_at
 
+__all__ = [
+    "KMax",
+    "Plant",
+    "Tolerance",
+    "boundaries",
+    "crossings",
+    "edge_of",
+    "k_max",
+    "tolerance",
+    "with_spring",
+    "without_spring",
+]
+
 
 @dataclass(frozen=True)
 class Plant:

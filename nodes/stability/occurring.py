@@ -17,6 +17,12 @@ from dataclasses import dataclass
 from nodes.laws import CompiledLaw
 from nodes.stability.held_plant import held_plant
 
+__all__ = [
+    "Edge",
+    "damping_shown",
+    "edge_at",
+]
+
 
 @dataclass(frozen=True)
 class Edge:

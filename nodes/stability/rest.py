@@ -21,6 +21,13 @@ from nodes.stability.effective_damping import damping_needed
 if TYPE_CHECKING:
     from nodes.laws import CompiledLaw
 
+__all__ = [
+    "Rest",
+    "absolute_sum",
+    "rest",
+    "stiffest_at_rest",
+]
+
 _POINTS = 2000
 
 

@@ -22,23 +22,7 @@ _DEPTH = 30
 
 
 def largest_root(coefficients: NDArray[np.float64]) -> float:
-    """Modulus of the largest root.
-
-    Parameters
-    ----------
-    coefficients : ndarray, shape (n + 1,)
-        Real coefficients from the highest power of z to the constant; the first one is not zero.
-
-    Returns
-    -------
-    float
-        max |z|, 0 for a constant or a power of z.
-
-    Raises
-    ------
-    ValueError
-        When the leading coefficient is zero or a coefficient is not finite.
-    """
+    """Modulus of the largest root."""
     import numpy as np
 
     c = np.asarray(coefficients, dtype=np.float64)
@@ -51,18 +35,7 @@ def largest_root(coefficients: NDArray[np.float64]) -> float:
 
 
 def largest_roots(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Modulus of the largest root of many polynomials of the same, low degree at once (companion matrices).
-
-    Parameters
-    ----------
-    coefficients : ndarray, shape (..., n + 1)
-        Real coefficients, highest power of z first; the leading ones are not zero.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        max |z| of each.
-    """
+    """Modulus of the largest root of many polynomials of the same, low degree at once (companion matrices)."""
     import numpy as np
 
     c = np.asarray(coefficients, dtype=np.float64)
@@ -76,20 +49,7 @@ def largest_roots(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | None:
-    """Count the roots outside a circle, by a certified winding number.
-
-    Parameters
-    ----------
-    coefficients : ndarray, shape (n + 1,)
-        Real coefficients, highest power of z first; the first one is not zero.
-    radius : float
-        Radius of the circle, positive.
-
-    Returns
-    -------
-    int or None
-        How many roots have |z| > radius; None when a root lies on the circle to within rounding.
-    """
+    """Count the roots outside a circle, by a certified winding number."""
     import numpy as np
 
     # In w = radius/z the roots outside become zeros inside the unit circle. In logarithms: radius**-2000 overflows.

@@ -107,30 +107,11 @@ class CompiledTicks:
         return made
 
     def keep(self, name: str, numbers: array[Any]) -> None:
-        """Give the address of an array to the kernel.
-
-        Parameters
-        ----------
-        name : str
-            Field of the state.
-        numbers : array
-            It must live, and keep its length, for as long as the kernel may use it.
-        """
+        """Give the address of an array to the kernel."""
         setattr(self.state, name, numbers.buffer_info()[0])
 
     def say_text(self, text: str) -> bool:
-        """Set the text of the messages sent.
-
-        Parameters
-        ----------
-        text : str
-            The only text of their type.
-
-        Returns
-        -------
-        bool
-            Whether it fits.
-        """
+        """Set the text of the messages sent."""
         encoded = msgspec.msgpack.encode(text)
         if len(encoded) > LONGEST_TEXT:
             return False
@@ -141,49 +122,20 @@ class CompiledTicks:
     # -- what a kind of node defines ---------------------------------------------------------------------------------
 
     def enter(self) -> bool:
-        """Bring the kernel's side up to date, before its ticks.
-
-        Returns
-        -------
-        bool
-            False when the next tick is not one for the kernel.
-        """
+        """Bring the kernel's side up to date, before its ticks."""
         return True
 
     def leave(self, done: int) -> None:
-        """Bring the node's side up to date, after compiled ticks.
-
-        Parameters
-        ----------
-        done : int
-            How many, at least one.
-        """
+        """Bring the node's side up to date, after compiled ticks."""
 
     # -- the border --------------------------------------------------------------------------------------------------
 
     def last_sent(self) -> bytes:
-        """Copy the message sent last.
-
-        Returns
-        -------
-        bytes
-            Its payload.
-        """
+        """Copy the message sent last."""
         return ctypes.string_at(self.state.sent, self.state.sent_size)
 
     def before(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
-        """Put the compiled ticks before the plain one.
-
-        Parameters
-        ----------
-        take : callable
-            Waits for the next message of a plain tick; None when there was none.
-
-        Returns
-        -------
-        callable
-            The same, but for messages that were answered here.
-        """
+        """Put the compiled ticks before the plain one."""
         node, state, inbox = self._node, self.state, self._inbox
 
         def take_next() -> M | None:

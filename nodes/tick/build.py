@@ -53,13 +53,7 @@ class Built(msgspec.Struct, frozen=True, kw_only=True):
 
 @cache
 def folder() -> Path:
-    """Find the folder of the kernels for this installation, these compilers and this processor.
-
-    Returns
-    -------
-    Path
-        It need not exist.
-    """
+    """Find the folder of the kernels for this installation, these compilers and this processor."""
     text = [str(_ROOT), str(sys.version_info[:2]), platform.machine()]
     for package in ("numba", "llvmlite", "numpy"):
         try:
@@ -80,18 +74,7 @@ def _digest(path: Path) -> str:
 
 
 def find(module: str) -> Path | None:
-    """Find a kernel that was compiled before, from what is installed now.
-
-    Parameters
-    ----------
-    module : str
-        Module that defines it.
-
-    Returns
-    -------
-    Path or None
-        Its file; None when it must be compiled.
-    """
+    """Find a kernel that was compiled before, from what is installed now."""
     try:
         built = msgspec.json.decode((folder() / f"{module}.json").read_bytes(), type=Built)
         fresh = all(_digest(_ROOT / name) == digest for name, digest in built.sources.items())
@@ -102,18 +85,7 @@ def find(module: str) -> Path | None:
 
 
 def build(modules: Sequence[str]) -> None:
-    """Compile kernels, each in a process of its own.
-
-    Parameters
-    ----------
-    modules : sequence of str
-        Modules that define them.
-
-    Raises
-    ------
-    NotCompilableError
-        When one cannot be compiled; the text is the compiler's last line.
-    """
+    """Compile kernels, each in a process of its own."""
     processes = [
         subprocess.Popen(
             [sys.executable, "-m", "nodes.tick.build", module],

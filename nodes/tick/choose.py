@@ -22,22 +22,6 @@ def choose(
 
     ``auto`` takes the compiled one wherever it is there already, for it costs nothing then. It does not make a launch wait for
     the compiler; where time is scarce it says what would.
-
-    Parameters
-    ----------
-    wanted : str
-        ``run.tick`` of the launch file.
-    modules : collection of str
-        Modules of the kernels of its nodes.
-    say : callable
-        Called with a line when something is compiled, which takes its time, or cannot be.
-    scarce : bool
-        Whether the run is paced at `SCARCE` or faster.
-
-    Returns
-    -------
-    str
-        ``compiled`` when all of them are there now.
     """
     if wanted == "plain" or not modules:
         return "plain"

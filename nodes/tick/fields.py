@@ -53,23 +53,7 @@ class Field(NamedTuple):
 
 
 def fields_of(message: type[Message]) -> tuple[Field, ...]:
-    """Tabulate a type of message.
-
-    Parameters
-    ----------
-    message : type of Message
-        The type.
-
-    Returns
-    -------
-    tuple of Field
-        In the order in which they are encoded.
-
-    Raises
-    ------
-    NotCompilableError
-        When a field is of another kind.
-    """
+    """Tabulate a type of message."""
     described = inspect.type_info(message)
     assert isinstance(described, inspect.StructType)  # noqa: S101
     fields = []
@@ -108,35 +92,11 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
 
 
 def slot(fields: tuple[Field, ...], name: str) -> int:
-    """Find where a field's value stands.
-
-    Parameters
-    ----------
-    fields : tuple of Field
-        Of a message.
-    name : str
-        The field.
-
-    Returns
-    -------
-    int
-        Its slot in its bank.
-    """
+    """Find where a field's value stands."""
     return next(field.slot for field in fields if field.name == name)
 
 
 def key_blocks(message: type[Message]) -> bytes:
-    """Lay out the keys of a message, encoded, in blocks of 16 bytes.
-
-    Parameters
-    ----------
-    message : type of Message
-        The type.
-
-    Returns
-    -------
-    bytes
-        What the encoder copies from.
-    """
+    """Lay out the keys of a message, encoded, in blocks of 16 bytes."""
     keys = [field.name.encode() for field in fields_of(message)]
     return b"".join((bytes([0xA0 | len(key)]) + key).ljust(16, b"\0") for key in keys)

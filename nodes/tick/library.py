@@ -27,18 +27,7 @@ _kept: list[Any] = []
 
 
 def library_of_pyzmq() -> str:
-    """Find the library that pyzmq has loaded.
-
-    Returns
-    -------
-    str
-        Its path.
-
-    Raises
-    ------
-    NotCompilableError
-        When it is not to be found, or its functions are not visible.
-    """
+    """Find the library that pyzmq has loaded."""
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
         mapped = sorted({line.split(maxsplit=5)[5].strip() for line in maps if ".so" in line})
     candidates = [path for path in mapped if "zmq" in Path(path).name]
@@ -53,18 +42,7 @@ def library_of_pyzmq() -> str:
 
 
 def functions() -> dict[str, int]:
-    """Find the C functions that kernels call.
-
-    Returns
-    -------
-    dict of str to int
-        Their addresses.
-
-    Raises
-    ------
-    NotCompilableError
-        When pyzmq's libzmq is not to be found.
-    """
+    """Find the C functions that kernels call."""
     libzmq, libc = ctypes.CDLL(library_of_pyzmq()), ctypes.CDLL(None)
     found = {}
     for library, names in ((libzmq, _ZMQ), (libc, _LIBC)):
@@ -88,25 +66,7 @@ def _address_by_llvm(path: Path) -> int:
 
 
 def obtain(module: str, say: Callable[[str], None]) -> Kernel:
-    """Load a kernel; compile it first where that was not done yet.
-
-    Parameters
-    ----------
-    module : str
-        Module that defines it.
-    say : callable
-        Called with one line before something takes its time.
-
-    Returns
-    -------
-    callable
-        The kernel; it is called without the interpreter's lock.
-
-    Raises
-    ------
-    NotCompilableError
-        When it cannot be compiled or loaded here.
-    """
+    """Load a kernel; compile it first where that was not done yet."""
     path = find(module)
     if path is None:
         say("compiling the tick, once for this version: some ten seconds")

@@ -27,44 +27,19 @@ class Board:
         self.logged = 0
 
     def put(self, kind: str, content: dict[str, Any]) -> None:
-        """Replace a document; one that has not changed is not sent again.
-
-        Parameters
-        ----------
-        kind : str
-            Its name; the page's ``type``.
-        content : dict
-            What a JSON object can hold.
-        """
+        """Replace a document; one that has not changed is not sent again."""
         text = msgspec.json.encode({"type": kind, **content}).decode()
         if kind not in self._documents or self._documents[kind][1] != text:
             self._version += 1
             self._documents[kind] = (self._version, text)
 
     def log(self, content: dict[str, Any]) -> None:
-        """Add to the log.
-
-        Parameters
-        ----------
-        content : dict
-            What a JSON object can hold.
-        """
+        """Add to the log."""
         self._log.append(msgspec.json.encode({"type": "log", **content}).decode())
         self.logged += 1
 
     def since(self, version: int, logged: int) -> tuple[list[str], int, int]:
-        """List what is new.
-
-        Parameters
-        ----------
-        version, logged : int
-            What the page has: 0 for nothing.
-
-        Returns
-        -------
-        tuple of list of str, int and int
-            JSON texts, oldest first, and what the page has then. Of the log, what is no longer kept is left out.
-        """
+        """List what is new."""
         new = sorted(entry for entry in self._documents.values() if entry[0] > version)
         count = min(self.logged - logged, len(self._log))
         entries = list(self._log)[len(self._log) - count :] if count else []

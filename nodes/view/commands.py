@@ -67,27 +67,7 @@ class Commander:
         self.coupling = _publisher(run, FORCE)
 
     def ask(self, node: str, op: str, **args: object) -> Any:
-        """Ask one node.
-
-        Parameters
-        ----------
-        node : str
-            Its name.
-        op : str
-            Operation.
-        **args : object
-            Its arguments.
-
-        Returns
-        -------
-        object
-            The answer.
-
-        Raises
-        ------
-        CommandError
-            When there is no such node, or it refuses or does not answer.
-        """
+        """Ask one node."""
         if node not in self._run.nodes:
             raise CommandError(f"{self._run.run}: no node is named {node!r}; there is: {', '.join(self._run.nodes)}")
         if node not in self._lines:
@@ -101,24 +81,7 @@ class Commander:
     # -- what a page can ask -----------------------------------------------------------------------------------------
 
     def do(self, request: Mapping[str, Any]) -> Any:
-        """Do what a page asks.
-
-        Parameters
-        ----------
-        request : mapping
-            ``op``: ``set`` (``node``, ``values``), ``law`` (``field``, ``value``: of the active law), ``switch`` (``law``,
-            ``ramp``), ``undo``, ``stop``, ``record`` (``on``).
-
-        Returns
-        -------
-        dict
-            The receipt, or what else there is to tell.
-
-        Raises
-        ------
-        CommandError
-            When it is refused; the text says why.
-        """
+        """Do what a page asks."""
         known: dict[str, Callable[..., Any]] = {
             "set": self._set,
             "law": self._set_law,

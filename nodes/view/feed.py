@@ -32,18 +32,7 @@ _EMPTY = float("inf")
 
 
 def series_names(axes: Sequence[str]) -> list[str]:
-    """List what is plotted.
-
-    Parameters
-    ----------
-    axes : sequence of str
-        Axes that the scene computes.
-
-    Returns
-    -------
-    list of str
-        ``position.x`` and so on, then ``energy`` and ``response``; in SI units.
-    """
+    """List what is plotted."""
     return [f"{field}.{axis}" for field in _FIELDS for axis in axes] + list(_SCALARS)
 
 
@@ -102,15 +91,7 @@ class Feed:
         self._response = self._energy + 1
 
     def take(self, topic: str, message: Message) -> None:
-        """Take one message of the loop into its bin.
-
-        Parameters
-        ----------
-        topic : str
-            Its topic.
-        message : Message
-            The message; those that are not of the loop are not plotted.
-        """
+        """Take one message of the loop into its bin."""
         number = message.seq // self.per_bin
         if isinstance(message, DeviceState):
             self.state = message
@@ -153,13 +134,7 @@ class Feed:
             row[at] = value
 
     def file(self, all_of_them: bool = False) -> None:
-        """File the bins to which no more messages can come.
-
-        Parameters
-        ----------
-        all_of_them : bool
-            Whether to file what is still under way too: at the end of a run.
-        """
+        """File the bins to which no more messages can come."""
         newest = self._newest.values()
         # Complete when every topic is past it; or given up when the newest one is well past it.
         until = max(min(newest) - 1, max(newest) - self._grace)
@@ -177,36 +152,14 @@ class Feed:
             self.head += 1
 
     def oldest(self, seconds: float = math.inf) -> int:
-        """Tell the number of the oldest bin that is kept.
-
-        Parameters
-        ----------
-        seconds : float, optional
-            And not older than that.
-
-        Returns
-        -------
-        int
-            Where a page that opens now begins.
-        """
+        """Tell the number of the oldest bin that is kept."""
         kept = max(0, self.head - self._size)
         if math.isinf(seconds):
             return kept
         return max(kept, self.head - math.ceil(seconds / (self.per_bin * self._period)))
 
     def until(self, time: float) -> int:
-        """Find the number of the first bin after a time.
-
-        Parameters
-        ----------
-        time : float
-            Since tick 0 [s].
-
-        Returns
-        -------
-        int
-            Bin number, between the oldest kept and `head`.
-        """
+        """Find the number of the first bin after a time."""
         low, high = self.oldest(), self.head
         while low < high:
             middle = (low + high) // 2
@@ -217,36 +170,14 @@ class Feed:
         return low
 
     def frame(self, first: int, end: int, void: bool = False, now: Sequence[float] | None = None) -> bytes:
-        """Encode bins for the page: little endian, times as float64, then each series' least and largest values as float32.
-
-        Parameters
-        ----------
-        first, end : int
-            Bins, the second one excluded; those that are gone are left out.
-        void : bool
-            Whether the page must forget what it had.
-        now : sequence of float, shape (22,), optional
-            What the scene shows, as from `now`; what it is now when left out.
-
-        Returns
-        -------
-        bytes
-            `HEAD`, times, least values series by series, largest values likewise.
-        """
+        """Encode bins for the page: little endian, times as float64, then each series' least and largest values as float32."""
         first = max(first, self.oldest())
         slots = np.arange(first, max(end, first)) % self._size
         head = HEAD.pack(1, len(slots), len(self.names), int(void), *(self.now() if now is None else now))
         return b"".join((head, self._times[slots].tobytes(), self._values[:, slots].tobytes()))
 
     def now(self) -> tuple[float, ...]:
-        """Tell what the scene shows now.
-
-        Returns
-        -------
-        tuple of float, shape (22,)
-            Time [s]; position, proxy, normal, force of the law, force handed over, target (three each); distance [m], contact,
-            delay [ticks]. NaN for what is not known yet.
-        """
+        """Tell what the scene shows now."""
         nowhere = (math.nan, math.nan, math.nan)
         state, proxy, force = self.state, self.proxy, self.force
         return (

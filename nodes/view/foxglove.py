@@ -24,18 +24,7 @@ MOST = 60.0
 
 
 def load() -> Any:
-    """Import Foxglove's own library.
-
-    Returns
-    -------
-    module
-        ``foxglove``.
-
-    Raises
-    ------
-    ParameterError
-        When it is not installed; the text says how to.
-    """
+    """Import Foxglove's own library."""
     try:
         import foxglove
     except ImportError as error:
@@ -110,15 +99,7 @@ class Bridge:
         self.port: int = self._server.port
 
     def take(self, topic: str, message: Message) -> None:
-        """Pass a message on, unless the topic has had its share.
-
-        Parameters
-        ----------
-        topic : str
-            Its topic.
-        message : Message
-            The message.
-        """
+        """Pass a message on, unless the topic has had its share."""
         now = time.monotonic()
         if now < self._next.get(topic, 0.0):
             return
@@ -136,18 +117,7 @@ class Bridge:
         self.sent += 1
 
     def parameters(self, wanted: list[str]) -> list[Any]:
-        """Read parameters of all nodes.
-
-        Parameters
-        ----------
-        wanted : list of str
-            ``NODE.path``; empty for all.
-
-        Returns
-        -------
-        list of foxglove.Parameter
-            Those that there are.
-        """
+        """Read parameters of all nodes."""
         found = []
         for node in self._run.nodes:
             try:
@@ -167,18 +137,7 @@ class Bridge:
         return self._library.Parameter(name, value=value, type=kind)
 
     def set_parameters(self, values: dict[str, Any]) -> list[Any]:
-        """Set parameters, node by node all or nothing; a refusal is told to the clients with its reason.
-
-        Parameters
-        ----------
-        values : dict of str to object
-            ``NODE.path`` to value.
-
-        Returns
-        -------
-        list of foxglove.Parameter
-            As they hold then.
-        """
+        """Set parameters, node by node all or nothing; a refusal is told to the clients with its reason."""
         by_node: dict[str, dict[str, Any]] = {}
         for name, value in values.items():
             node, _, path = name.partition(".")

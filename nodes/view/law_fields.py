@@ -63,31 +63,12 @@ def _fields(info: inspect.StructType) -> list[dict[str, Any]]:
 
 
 def law_fields(law: type[Law]) -> list[dict[str, Any]]:
-    """Describe the parameters of a law.
-
-    Parameters
-    ----------
-    law : type of Law
-        Any registered law.
-
-    Returns
-    -------
-    list of dict
-        One per parameter that a page can edit, in the law's own order: ``name``, ``unit``, ``told`` (the docstring's text),
-        ``type`` (``number``, ``integer``, ``choice``, ``numbers`` or ``list``), limits ``gt`` ``ge`` ``lt`` ``le`` where
-        there are any, ``choices`` of a choice, and the ``fields`` of a list's entries.
-    """
+    """Describe the parameters of a law."""
     info = inspect.type_info(law)
     assert isinstance(info, inspect.StructType)  # noqa: S101  # every Law is a struct
     return _fields(info)
 
 
 def all_law_fields() -> dict[str, list[dict[str, Any]]]:
-    """Describe the parameters of all installed laws.
-
-    Returns
-    -------
-    dict of str to list of dict
-        By kind, see `law_fields`.
-    """
+    """Describe the parameters of all installed laws."""
     return {kind: law_fields(law) for kind, law in law_kinds().items()}

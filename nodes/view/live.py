@@ -33,18 +33,7 @@ KEPT = 60.0
 
 
 def quantiles_us(responses: deque[float]) -> dict[str, float]:
-    """Percentiles of response times.
-
-    Parameters
-    ----------
-    responses : deque of float
-        Response times [s].
-
-    Returns
-    -------
-    dict
-        ``p50``, ``p99`` and ``max`` [µs]; empty without any.
-    """
+    """Percentiles of response times."""
     ordered = sorted(responses)
     if not ordered:
         return {}
@@ -78,13 +67,7 @@ class Facts(NamedTuple):
     driver: str
 
     def hello(self) -> dict[str, Any]:
-        """Tell a page what run this is.
-
-        Returns
-        -------
-        dict
-            What every page is told first.
-        """
+        """Tell a page what run this is."""
         return {
             "run": self.run,
             "scenario": self.scenario,
@@ -97,20 +80,7 @@ class Facts(NamedTuple):
 
 
 def facts_of(run: RunInfo, driver: str) -> Facts:
-    """Tell what does not change about a launch.
-
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-    driver : str
-        Name of its driver node.
-
-    Returns
-    -------
-    Facts
-        Name, rate, pace and axes.
-    """
+    """Tell what does not change about a launch."""
     setup = next(iter(run.nodes.values()))
     summary = run.manifest.get("summary", "")
     return Facts(run.run, run.scenario, summary, setup.period, setup.pace, setup.apply, list(setup.axes), driver)
@@ -163,20 +133,7 @@ class LiveRun:
         self._rate_hz = 0.0
 
     def take(self, frames: tuple[bytes, bytes], now: float) -> tuple[str, Message] | None:
-        """Take one message.
-
-        Parameters
-        ----------
-        frames : tuple of bytes
-            Topic and payload.
-        now : float
-            Time on the monotonic clock [s].
-
-        Returns
-        -------
-        tuple of str and Message, or None
-            Topic and message; None for one that is not of the protocol.
-        """
+        """Take one message."""
         known = self._decoders.get(frames[0])
         if known is None:
             name = frames[0].decode("utf-8", errors="replace")
@@ -194,17 +151,7 @@ class LiveRun:
         return known[0], message
 
     def keep(self, topic: str, message: Message, now: float) -> None:
-        """Keep what pages need of a message.
-
-        Parameters
-        ----------
-        topic : str
-            Its topic.
-        message : Message
-            The message.
-        now : float
-            Time on the monotonic clock [s].
-        """
+        """Keep what pages need of a message."""
         if isinstance(message, DeviceState):
             self._state_at = now
             if message.response > 0.0:
@@ -235,31 +182,14 @@ class LiveRun:
         self.feed.take(topic, message)
 
     def tick(self, now: float) -> None:
-        """File bins and tell the status when it is time.
-
-        Parameters
-        ----------
-        now : float
-            Time on the monotonic clock [s].
-        """
+        """File bins and tell the status when it is time."""
         self.feed.file(bool(self.ended))
         if now - self._status_at >= STATUS_PERIOD or self.ended:
             self._status_at = now
             self.board.put("status", self.status(now))
 
     def status(self, now: float) -> dict[str, Any]:
-        """Tell how the run stands.
-
-        Parameters
-        ----------
-        now : float
-            Time on the monotonic clock [s].
-
-        Returns
-        -------
-        dict
-            Level and words, figures of the loop, nodes, and why it ended.
-        """
+        """Tell how the run stands."""
         state, force = self.feed.state, self.feed.force
         silent = now - self._state_at
         nodes = {

@@ -60,38 +60,12 @@ class Place(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def place_file(run_dir: str | Path, name: str) -> Path:
-    """File that tells where a run's page is.
-
-    Parameters
-    ----------
-    run_dir : str or Path
-        Private directory of the run.
-    name : str
-        Name of the view node.
-
-    Returns
-    -------
-    Path
-        The file.
-    """
+    """File that tells where a run's page is."""
     return Path(run_dir) / f"{name}.page.json"
 
 
 def read_place(run_dir: str | Path, name: str) -> Place | None:
-    """Read where a run's page is.
-
-    Parameters
-    ----------
-    run_dir : str or Path
-        Private directory of the run.
-    name : str
-        Name of the view node.
-
-    Returns
-    -------
-    Place or None
-        None while it is not served yet.
-    """
+    """Read where a run's page is."""
     try:
         return msgspec.json.decode(place_file(run_dir, name).read_bytes(), type=Place)
     except FileNotFoundError:
@@ -106,18 +80,7 @@ class View(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Refuse any address but this machine's own.
-
-        Parameters
-        ----------
-        setup : Setup
-            The node as it would be started.
-
-        Raises
-        ------
-        ParameterError
-            With the ssh line that does it safely.
-        """
+        """Refuse any address but this machine's own."""
         parameters: ViewParameters = convert(setup.parameters, ViewParameters, setup.name)
         check_address(parameters.address, parameters.port)
         if parameters.foxglove is not None:
@@ -126,13 +89,7 @@ class View(Node):
             load()
 
     def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
-        """Listen to all publishers of the run.
-
-        Parameters
-        ----------
-        subscribe : callable
-            Makes a subscription from endpoints, topics and queue length.
-        """
+        """Listen to all publishers of the run."""
         self._listening = subscribe(set(self.setup.sources.values()), [""], QUEUE)
 
     def _run_info(self) -> RunInfo:
@@ -181,11 +138,5 @@ class View(Node):
         self._listening.close()
 
     def report(self) -> dict[str, Any]:
-        """Tell what was served.
-
-        Returns
-        -------
-        dict
-            ``turned_away``: requests without the token or from another origin.
-        """
+        """Tell what was served."""
         return {"turned_away": self._pages.server.turned_away} if hasattr(self, "_pages") else {}

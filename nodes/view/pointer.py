@@ -47,20 +47,7 @@ class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
 
 def pointer_file(run_dir: str | Path, driver: str) -> Path:
-    """Place of a driver's pointer file.
-
-    Parameters
-    ----------
-    run_dir : str or Path
-        Private directory of the run.
-    driver : str
-        Name of the driver node.
-
-    Returns
-    -------
-    Path
-        The file; it exists only where a hand can be dragged.
-    """
+    """Place of a driver's pointer file."""
     return Path(run_dir) / f"{driver}.pointer"
 
 
@@ -97,13 +84,7 @@ class PointerReader:
         self._last: tuple[float, float, float, float] = (0.0, 0.0, 0.0, -math.inf)
 
     def read(self) -> Vector | None:
-        """Read the target.
-
-        Returns
-        -------
-        tuple of float, shape (3,), or None
-            Where the hand's target should be [m]; None while nobody holds it.
-        """
+        """Read the target."""
         after, x, y, z, when, before = self._unpack(self._map)
         if after == before:
             self._last = x, y, z, when
@@ -136,18 +117,7 @@ class PointerWriter:
         self._count = _COUNT.unpack_from(self._map, 0)[0]
 
     def write(self, target: Vector) -> None:
-        """Set the target; it holds until it expires.
-
-        Parameters
-        ----------
-        target : tuple of float, shape (3,)
-            Where the hand's target should be [m].
-
-        Raises
-        ------
-        ValueError
-            When it is not finite.
-        """
+        """Set the target; it holds until it expires."""
         if not all(map(math.isfinite, target)):
             raise ValueError(f"pointer: {target} m, expected three finite numbers")
         self._write(target, time.monotonic())
@@ -190,20 +160,7 @@ class SharedHand:
         return self._writer is not None
 
     def move(self, owner: int, target: Sequence[float] | None) -> str:
-        """Move the target.
-
-        Parameters
-        ----------
-        owner : int
-            Who moves it.
-        target : sequence of float, shape (3,), or None
-            Where to [m]; None lets go.
-
-        Returns
-        -------
-        str
-            Why it is refused; empty when it is not.
-        """
+        """Move the target."""
         if self._writer is None:
             return (
                 ""

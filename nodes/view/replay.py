@@ -48,31 +48,12 @@ class Timeline:
         self.items: list[Any] = []
 
     def add(self, at: float, item: Any) -> None:
-        """Add the next one.
-
-        Parameters
-        ----------
-        at : float
-            Time, not before the last one [s].
-        item : object
-            What holds from then on.
-        """
+        """Add the next one."""
         self.times.append(max(at, self.times[-1]) if self.times else at)
         self.items.append(item)
 
     def until(self, at: float) -> int:
-        """Count what has come by a time.
-
-        Parameters
-        ----------
-        at : float
-            Time [s].
-
-        Returns
-        -------
-        int
-            How many items.
-        """
+        """Count what has come by a time."""
         return bisect_right(self.times, at)
 
 
@@ -209,13 +190,7 @@ class ReplayPages:
     # -- serving -----------------------------------------------------------------------------------------------------
 
     async def run(self, stopping: Callable[[], bool]) -> None:
-        """Serve until told to stop; the server is started by the caller.
-
-        Parameters
-        ----------
-        stopping : callable
-            Whether to stop.
-        """
+        """Serve until told to stop; the server is started by the caller."""
         try:
             while not stopping():
                 await asyncio.sleep(IDLE)
@@ -224,15 +199,7 @@ class ReplayPages:
             self._mapping.shutdown(cancel_futures=True)
 
     def map_of(self, laws: dict[str, Any], tell: Callable[[str], None]) -> None:
-        """Have the map of the active law drawn, and told when it is there.
-
-        Parameters
-        ----------
-        laws : dict
-            Of one moment.
-        tell : callable
-            Called with the page's message, at once or later.
-        """
+        """Have the map of the active law drawn, and told when it is there."""
         active = laws["active"]
         described = laws["laws"].get(active)
         if described is None:
@@ -289,13 +256,7 @@ class ReplayPage:
         return self._at
 
     def news(self) -> list[str | bytes]:
-        """List what it has not been sent yet.
-
-        Returns
-        -------
-        list of str or bytes
-            Documents and log as JSON, bins as `Feed.frame`.
-        """
+        """List what it has not been sent yet."""
         pages, at = self._pages, self._time()
         found, self._told = self._told, []
         logged = pages.log.until(at)
@@ -317,38 +278,11 @@ class ReplayPage:
         return found
 
     def hand(self, target: list[float] | None) -> str:
-        """Refuse the hand: what was is past.
-
-        Parameters
-        ----------
-        target : list of float, shape (3,), or None
-            Where [m].
-
-        Returns
-        -------
-        str
-            Why it is refused.
-        """
+        """Refuse the hand: what was is past."""
         return "" if target is None else "hand: this is a recording"
 
     async def ask(self, request: dict[str, Any]) -> Any:
-        """Move in time.
-
-        Parameters
-        ----------
-        request : dict
-            ``op``: ``play``, ``pause``, ``seek`` (``t`` [s]) or ``speed`` (``factor``).
-
-        Returns
-        -------
-        dict
-            ``t`` [s] and ``playing``.
-
-        Raises
-        ------
-        CommandError
-            For everything else: a recording cannot be commanded.
-        """
+        """Move in time."""
         op = request.get("op")
         self._time()
         if op == "play":

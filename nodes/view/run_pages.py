@@ -56,13 +56,7 @@ class RunPage:
         self._void = True
 
     def news(self) -> list[str | bytes]:
-        """List what it has not been sent yet.
-
-        Returns
-        -------
-        list of str or bytes
-            Documents and log as JSON, bins as `Feed.frame`.
-        """
+        """List what it has not been sent yet."""
         texts, self._version, self._logged = self._pages.live.board.since(self._version, self._logged)
         found: list[str | bytes] = list(texts)
         state = self._feed.state
@@ -72,38 +66,11 @@ class RunPage:
         return found
 
     def hand(self, target: list[float] | None) -> str:
-        """Move the hand's target.
-
-        Parameters
-        ----------
-        target : list of float, shape (3,), or None
-            Where [m]; None lets go.
-
-        Returns
-        -------
-        str
-            Why it is refused; empty when it is not.
-        """
+        """Move the hand's target."""
         return self._pages.hand.move(id(self), target)
 
     async def ask(self, request: dict[str, Any]) -> Any:
-        """Do what it asks.
-
-        Parameters
-        ----------
-        request : dict
-            See `Commander.do`.
-
-        Returns
-        -------
-        object
-            The receipt.
-
-        Raises
-        ------
-        CommandError
-            When it is refused.
-        """
+        """Do what it asks."""
         return await self._pages.command(request)
 
     def close(self) -> None:
@@ -167,23 +134,7 @@ class RunPages:
         return RunPage(self)
 
     async def command(self, request: dict[str, Any]) -> Any:
-        """Do what a page asks, off the pages' thread.
-
-        Parameters
-        ----------
-        request : dict
-            See `Commander.do`.
-
-        Returns
-        -------
-        object
-            The receipt.
-
-        Raises
-        ------
-        CommandError
-            When it is refused.
-        """
+        """Do what a page asks, off the pages' thread."""
         if self.live.ended:
             raise CommandError(f"view: the run has ended: {self.live.ended}")
         result = await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.do, request)
@@ -193,23 +144,7 @@ class RunPages:
         return result
 
     def bridge(self, port: int) -> int:
-        """Let Foxglove and Lichtblick connect too.
-
-        Parameters
-        ----------
-        port : int
-            Port on this machine; 0 takes a free one.
-
-        Returns
-        -------
-        int
-            The port.
-
-        Raises
-        ------
-        ParameterError
-            When the library is not installed, or the port is taken.
-        """
+        """Let Foxglove and Lichtblick connect too."""
         from nodes.view.foxglove import Bridge
 
         def do(method: str, *words: Any) -> Any:
@@ -221,15 +156,7 @@ class RunPages:
         return self._bridge.port
 
     async def run(self, stopping: Callable[[], bool], between: Callable[[], None]) -> None:
-        """Take in messages and look after laws and map until told to stop; the server is started by the caller.
-
-        Parameters
-        ----------
-        stopping : callable
-            Whether to stop.
-        between : callable
-            Called between two drains.
-        """
+        """Take in messages and look after laws and map until told to stop; the server is started by the caller."""
         try:
             while not stopping():
                 await self._drain()

@@ -58,48 +58,15 @@ class Page(Protocol):
     """What one open page is shown, and what it asks."""
 
     def news(self) -> list[str | bytes]:
-        """List what it has not been sent yet.
-
-        Returns
-        -------
-        list of str or bytes
-            Text is JSON, bytes are bins.
-        """
+        """List what it has not been sent yet."""
         ...
 
     def hand(self, target: list[float] | None) -> str:
-        """Move the hand's target.
-
-        Parameters
-        ----------
-        target : list of float, shape (3,), or None
-            Where [m]; None lets go.
-
-        Returns
-        -------
-        str
-            Why it is refused; empty when it is not.
-        """
+        """Move the hand's target."""
         ...
 
     async def ask(self, request: dict[str, Any]) -> Any:
-        """Do what it asks.
-
-        Parameters
-        ----------
-        request : dict
-            ``op`` and its arguments.
-
-        Returns
-        -------
-        object
-            The answer.
-
-        Raises
-        ------
-        CommandError
-            When it is refused.
-        """
+        """Do what it asks."""
         ...
 
     def close(self) -> None:
@@ -108,20 +75,7 @@ class Page(Protocol):
 
 
 def check_address(address: str, port: int) -> None:
-    """Refuse every address but this machine's own: who reaches the page can command the loop.
-
-    Parameters
-    ----------
-    address : str
-        Where somebody wants the page served.
-    port : int
-        Port, for the remedy; 0 when any will do.
-
-    Raises
-    ------
-    ParameterError
-        With the ssh line that does it safely.
-    """
+    """Refuse every address but this machine's own: who reaches the page can command the loop."""
     if address in LOCAL:
         return
     shown = port or 8080
@@ -194,18 +148,7 @@ class PageServer:
         return f"http://{ADDRESS}:{self.port}/{self.token}/"
 
     async def start(self, port: int = 0) -> None:
-        """Begin to serve.
-
-        Parameters
-        ----------
-        port : int
-            Port; 0 takes a free one.
-
-        Raises
-        ------
-        OSError
-            When the port is taken.
-        """
+        """Begin to serve."""
         quiet = logging.getLogger("nodes.view.server")
         # A browser opens connections ahead and never uses them: no news to anybody.
         quiet.addHandler(logging.NullHandler())

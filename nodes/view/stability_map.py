@@ -31,20 +31,7 @@ MOST_DELAY = 20.0
 
 
 def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None:
-    """Find the device that a map is drawn for.
-
-    Parameters
-    ----------
-    declared : mapping or None
-        ``plant`` of the coupling.
-    driver : mapping
-        Parameters of the driver; a virtual device may stand in them.
-
-    Returns
-    -------
-    PlantParameters or None
-        None when nobody says what it is.
-    """
+    """Find the device that a map is drawn for."""
     if declared is not None:
         return msgspec.convert(declared, PlantParameters)
     device = driver.get("device")
@@ -91,22 +78,7 @@ def _end(law: Law, period: float, device: Plant, near: float) -> float:
 
 
 def delay_margin(law: Law, period: float, device: Plant) -> float | None:
-    """How much longer the loop's delay may get until a stable loop is no longer stable.
-
-    Parameters
-    ----------
-    law : Law
-        The present law.
-    period : float
-        Sampling period T [s].
-    device : Plant
-        Mass, damping, delay and hand.
-
-    Returns
-    -------
-    float or None
-        Further delay [ticks], 0 for a loop that is unstable as it is; None when there is no limit up to `MOST_DELAY`.
-    """
+    """How much longer the loop's delay may get until a stable loop is no longer stable."""
     compiled = law.compile(period)
 
     def stable(delay: float) -> bool:
@@ -127,33 +99,7 @@ def delay_margin(law: Law, period: float, device: Plant) -> float | None:
 
 
 def stability_map(law: Law, period: float, plant: PlantParameters, delay: float) -> dict[str, Any]:
-    """Draw the (B, K) plane of a law's kind.
-
-    Parameters
-    ----------
-    law : Law
-        The present law; its other parameters (order, terms, taps) are kept.
-    period : float
-        Sampling period T [s].
-    plant : PlantParameters
-        The device as declared.
-    delay : float
-        Delay of the loop as measured; the plant's own goes before it [ticks].
-
-    Returns
-    -------
-    dict
-        ``delay_ticks`` and ``plant``; ``pole_radius`` and ``stable`` of the present law, and whether it has
-        ``own_code`` beside its taps, which no map tells; ``k_n_per_m``, ``k_max_n_per_m`` and
-        ``delay_margin_ticks`` where they can be told; and, for a law that has both ``stiffness`` and ``damping``,
-        ``b_n_s_per_m``, ``near`` (largest B of the near part) and ``edge``: rows of B, least and largest stable K, both None
-        where none is stable.
-
-    Raises
-    ------
-    ValueError
-        When the law cannot be realised.
-    """
+    """Draw the (B, K) plane of a law's kind."""
     delay = plant.loop_delay(delay)
     device = Plant(plant.mass, plant.damping, delay, plant.stiffness)
     compiled = law.compile(period)
@@ -187,26 +133,7 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
 def drawn_map(
     described: Mapping[str, Any], period: float, declared: Any, driver: Mapping[str, Any], delay: float
 ) -> dict[str, Any]:
-    """Draw the map for a page, or say why there is none.
-
-    Parameters
-    ----------
-    described : mapping
-        The present law: ``kind`` and parameters.
-    period : float
-        Sampling period T [s].
-    declared : mapping or None
-        ``plant`` of the coupling.
-    driver : mapping
-        Parameters of the driver.
-    delay : float
-        Delay of the loop as measured [ticks].
-
-    Returns
-    -------
-    dict
-        See `stability_map`; ``why`` when there is no map.
-    """
+    """Draw the map for a page, or say why there is none."""
     plant = plant_of(declared, driver)
     if plant is None:
         return {

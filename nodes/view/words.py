@@ -21,40 +21,14 @@ _STATES = {
 
 
 def size(vector: tuple[float, float, float]) -> float:
-    """Length of a vector.
-
-    Parameters
-    ----------
-    vector : tuple of float, shape (3,)
-        Any.
-
-    Returns
-    -------
-    float
-        In its unit.
-    """
+    """Length of a vector."""
     return math.sqrt(sum(part * part for part in vector))
 
 
 def explain(
     state: DeviceState | None, proxy: Proxy | None, force: Force | None, silent: float, told: str = ""
 ) -> tuple[str, str]:
-    """Say why there is a force or none.
-
-    Parameters
-    ----------
-    state, proxy, force : Message or None
-        The latest of each topic.
-    silent : float
-        How long ago the latest state came [s].
-    told : str
-        The driver's last word on its safety.
-
-    Returns
-    -------
-    tuple of str
-        How it stands (``ok``, ``rest``, ``warn`` or ``stop``), and one sentence.
-    """
+    """Say why there is a force or none."""
     if state is None:
         return "rest", "No force: the driver has not ticked yet."
     if silent > SILENT:

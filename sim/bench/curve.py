@@ -40,13 +40,7 @@ PATIENCE_MS = 5000
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the benchmark.
-    """
+    """Declare the arguments."""
     parser.add_argument("--rate", type=float, default=500.0, help="rate of the loop [Hz] (default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=10, help="rounds of each kind (default: %(default)s)")
     parser.add_argument("--ticks", type=int, default=250, help="ticks of a round (default: %(default)s)")
@@ -166,27 +160,7 @@ def _own_keys(folder: Path) -> Iterator[keys.Identity]:
 
 
 def measure(rate: float, rounds: int, ticks: int) -> dict[str, Any]:
-    """Measure both kinds in turn.
-
-    Parameters
-    ----------
-    rate : float
-        Rate of the loop [Hz].
-    rounds : int
-        Rounds of each kind.
-    ticks : int
-        Ticks of a round.
-
-    Returns
-    -------
-    dict
-        Responses in µs, and the ratio of their medians, round by round and over all.
-
-    Raises
-    ------
-    RefusedError
-        When the nodes do not answer.
-    """
+    """Measure both kinds in turn."""
     period = 1.0 / rate
     responses: dict[str, list[list[float]]] = {"ipc": [], "curve": []}
     with tempfile.TemporaryDirectory(prefix="haptic-bench-") as text, ExitStack() as stack:
@@ -225,18 +199,7 @@ def measure(rate: float, rounds: int, ticks: int) -> dict[str, Any]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the benchmark.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+    """Run the benchmark."""
     found = measure(arguments.rate, arguments.rounds, arguments.ticks)
     ipc, curve = found["response_us"]["ipc"], found["response_us"]["curve"]
     spread = found["ratio_of_rounds"]

@@ -21,13 +21,7 @@ LISTENERS = 4
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of this benchmark.
-    """
+    """Declare the arguments."""
     parser.add_argument("--rounds", type=int, default=5, help="rounds of without and with (default 5)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
     parser.add_argument("--rate", type=float, default=500.0, help="sampling rate [Hz] (default 500)")
@@ -62,24 +56,7 @@ def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[by
 
 
 def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dict[str, Any]:
-    """Run one launch and attach loggers in every second half of a round.
-
-    Parameters
-    ----------
-    rounds : int
-        How many rounds.
-    seconds : float
-        Length of each half [s].
-    rate : float
-        Sampling rate [Hz].
-    progress : Progress
-        Told after every half.
-
-    Returns
-    -------
-    dict
-        p50 and p99 of the response without and with listeners, their ratio, the spread from round to round.
-    """
+    """Run one launch and attach loggers in every second half of a round."""
     halves: list[tuple[str, float, float]] = []
     with Running("floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500") as launch:
         listeners: list[subprocess.Popen[bytes]] = []
@@ -130,18 +107,7 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the benchmark.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+    """Run the benchmark."""
     progress = Progress(2 * arguments.rounds)
     figures = measure(arguments.rounds, arguments.seconds, arguments.rate, progress)
     figures["machine"] = machine()

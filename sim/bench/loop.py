@@ -28,13 +28,7 @@ NAMES = {"compiled": "compiled", "plain": "plain", "bare": "bare pyzmq + msgpack
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of this benchmark.
-    """
+    """Declare the arguments."""
     parser.add_argument("--rounds", type=int, default=3, help="interleaved rounds of each (default 3)")
     parser.add_argument("--ticks", type=int, default=20000, help="ticks of a lockstep round (default 20000)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of a real-time round (default 4 s)")
@@ -66,24 +60,7 @@ def _loops(tick: Tick) -> dict[str, Callable[[int, str, bool], float]]:
 
 
 def lockstep(rounds: int, ticks: int, tick: Tick, progress: Progress) -> dict[str, Any]:
-    """Time lockstep against the bare loops, round by round, without a logger and with one.
-
-    Parameters
-    ----------
-    rounds : int
-        How many.
-    ticks : int
-        Ticks of one run.
-    tick : str
-        ``plain`` where the compiled tick cannot be had.
-    progress : Progress
-        Told after every run.
-
-    Returns
-    -------
-    dict
-        Medians, and the median of the ratios bare / ours pair by pair.
-    """
+    """Time lockstep against the bare loops, round by round, without a logger and with one."""
     core = str(quietest_processor())
     loops = _loops(tick)
     found: dict[str, list[float]] = {f"{name}{key}": [] for key in ("", "_with_logger") for name in loops}
@@ -103,25 +80,7 @@ def lockstep(rounds: int, ticks: int, tick: Tick, progress: Progress) -> dict[st
 
 
 def realtime(rounds: int, seconds: float, tick: Tick, progress: Progress) -> dict[str, Any]:
-    """Measure response and missed ticks at several rates, interleaved with the bare loops.
-
-    Parameters
-    ----------
-    rounds : int
-        How many rounds.
-    seconds : float
-        Length of one run [s].
-    tick : str
-        ``plain`` where the compiled tick cannot be had.
-    progress : Progress
-        Told after every run.
-
-    Returns
-    -------
-    dict
-        Per rate: median percentiles of the rounds, share of missed ticks; CPU and memory by node. Keys without a loop's name
-        are those of the tick that a launch takes by itself.
-    """
+    """Measure response and missed ticks at several rates, interleaved with the bare loops."""
     core = str(quietest_processor())
     fifo = 50 if fifo_granted() else 0
     in_c = c_loop()
@@ -163,18 +122,7 @@ def realtime(rounds: int, seconds: float, tick: Tick, progress: Progress) -> dic
 
 
 def text(figures: dict[str, Any]) -> str:
-    """Write the figures for people.
-
-    Parameters
-    ----------
-    figures : dict
-        As measured.
-
-    Returns
-    -------
-    str
-        Several lines.
-    """
+    """Write the figures for people."""
     low, high = figures["ratio_range"]
     lines = [figures["machine"] + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")]
     for key, told in (("", "without a logger"), ("_with_logger", "with one")):
@@ -201,18 +149,7 @@ def text(figures: dict[str, Any]) -> str:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the benchmark.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+    """Run the benchmark."""
     rounds = arguments.rounds
     tick = choose("compiled", KERNELS, lambda text: print(text, file=sys.stderr))
     loops = 2 + (tick == "compiled") + (c_loop() is not None)

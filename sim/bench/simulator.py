@@ -8,13 +8,7 @@ from nodes.cli.main import UsageError, add_json, answer
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the benchmark.
-    """
+    """Declare the arguments."""
     parser.add_argument("--rounds", type=int, default=101, help="interleaved rounds (default: %(default)s)")
     parser.add_argument("--ticks", type=int, default=2500, help="length of a run (default: %(default)s)")
     add_json(parser)
@@ -22,23 +16,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure, and print the ratios of the same run.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When there are no rounds or hardly any ticks.
-    """
+    """Measure, and print the ratios of the same run."""
     if arguments.rounds < 1:
         raise UsageError(f"--rounds {arguments.rounds}: at least 1")
     if arguments.ticks < 100:

@@ -88,24 +88,12 @@ class Speed:
 
 
 def scene() -> Scene:
-    """Give the scene that is timed.
-
-    Returns
-    -------
-    Scene
-        The floor drop: contact, clamped force, no delay, perfect sensor.
-    """
+    """Give the scene that is timed."""
     return drop_scene(DeviceModel(mass=0.1, damping=1.0), PERIOD, False, True)
 
 
 def laws() -> dict[int, CompiledLaw]:
-    """Give the laws that are timed.
-
-    Returns
-    -------
-    dict of int to CompiledLaw
-        By number of taps: PD, the paper's optimum, and one with a memory of 64 ticks.
-    """
+    """Give the laws that are timed."""
     paper = parse_law({"kind": "paper_optimum", "stiffness": 1000.0}).compile(PERIOD)
     long = parse_law(
         {"kind": "pd_alpha", "stiffness": 1000.0, "damping": 2.0, "order": 0.9, "taps": 64, "gains": "paper"}
@@ -114,20 +102,7 @@ def laws() -> dict[int, CompiledLaw]:
 
 
 def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:
-    """Prepare one run of our simulator.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        The law.
-    ticks : int
-        Length.
-
-    Returns
-    -------
-    callable
-        Plays and returns the positions, shape (ticks,) [m].
-    """
+    """Prepare one run of our simulator."""
     here = scene()
     motion, contact = motion_of(here, ticks), contact_of(here)
     none, positions = np.empty(0, dtype=np.int64), np.empty(ticks)
@@ -144,23 +119,7 @@ def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:
 
 
 def compile_c(folder: Path) -> Any:
-    """Compile the C loop.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-
-    Returns
-    -------
-    ctypes function
-        ``play`` of `SOURCE`.
-
-    Raises
-    ------
-    NoCompilerError
-        When there is no ``cc`` or ``gcc``, or it fails.
-    """
+    """Compile the C loop."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         raise NoCompilerError("neither cc nor gcc is in the PATH: install one to compare with C")
@@ -177,22 +136,7 @@ def compile_c(folder: Path) -> Any:
 
 
 def in_c(play: Any, law: CompiledLaw, ticks: int) -> Callable[[], Array]:
-    """Prepare one run of the C loop.
-
-    Parameters
-    ----------
-    play : ctypes function
-        From `compile_c`.
-    law : CompiledLaw
-        The law.
-    ticks : int
-        Length.
-
-    Returns
-    -------
-    callable
-        Plays and returns the positions, shape (ticks,) [m].
-    """
+    """Prepare one run of the C loop."""
     device = scene().device
     step = np.array(coefficients(device.mass, device.damping, 0.0, PERIOD))
     taps, positions, load = np.array(law.taps), np.empty(ticks), device.load(0, PERIOD)
@@ -223,28 +167,7 @@ def in_c(play: Any, law: CompiledLaw, ticks: int) -> Callable[[], Array]:
 
 
 def measure(ticks: int, rounds: int, step: Callable[[str], None] | None = None) -> Speed:
-    """Time ours against C, and one core against all, interleaved.
-
-    Parameters
-    ----------
-    ticks : int
-        Length of a run; short enough that its record stays in the cache, or memory is what is timed, and that it mostly ends
-        before another process of a shared machine cuts in.
-    rounds : int
-        Interleaved rounds.
-    step : callable, optional
-        Told after every round, twice as often as there are rounds.
-
-    Returns
-    -------
-    Speed
-        The timings.
-
-    Raises
-    ------
-    RuntimeError
-        When C gives other bits than ours: then there is nothing to compare.
-    """
+    """Time ours against C, and one core against all, interleaved."""
     jobs: dict[str, tuple[Callable[[], object], int]] = {}
     reason = ""
     with tempfile.TemporaryDirectory() as folder:

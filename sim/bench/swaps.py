@@ -72,13 +72,7 @@ class Asked:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of this benchmark.
-    """
+    """Declare the arguments."""
     parser.add_argument("--swaps", type=int, default=1000, help="swaps of laws (default %(default)s)")
     parser.add_argument("--sets", type=int, default=1000, help="sets of parameters (default %(default)s)")
     parser.add_argument(
@@ -141,29 +135,7 @@ def _equal_at_rest(ask: Callable[..., Any]) -> None:
 
 
 def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 500.0) -> dict[str, Any]:
-    """Run one launch and change it all the time.
-
-    Parameters
-    ----------
-    swaps, sets : int
-        How many of each.
-    blocks : int
-        Busy blocks, each followed by an idle one of the same length.
-    duration : float
-        Time for all [s]; longer when the answers do not come that fast.
-    rate : float
-        Rate of the loop [Hz].
-
-    Returns
-    -------
-    dict
-        The figures of ``--json``.
-
-    Raises
-    ------
-    MeasurementError
-        When the launch does not start, or ends early.
-    """
+    """Run one launch and change it all the time."""
     with Running("floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001") as launch:
 
         def ask(op: str, **args: Any) -> Any:
@@ -242,18 +214,7 @@ def _figures(recording: Recording, summary: dict[str, Any], asked: Asked, before
 
 
 def text(figures: dict[str, Any]) -> str:
-    """Tell the figures to people.
-
-    Parameters
-    ----------
-    figures : dict
-        Of `measure`.
-
-    Returns
-    -------
-    str
-        Several lines.
-    """
+    """Tell the figures to people."""
     lines = [
         f"{figures['machine']}, {figures['rate_hz']:.1f} Hz, {figures['ticks']} ticks",
         f"  requests {figures['requests']}, receipts {figures['receipts']}, refused {figures['refused']}, "
@@ -271,18 +232,7 @@ def text(figures: dict[str, Any]) -> str:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the benchmark.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0 when every request has its receipt.
-    """
+    """Run the benchmark."""
     figures = measure(arguments.swaps, arguments.sets, arguments.blocks, arguments.duration, arguments.rate)
     answer(arguments.json, figures, text(figures))
     return 0 if figures["requests"] == figures["receipts"] else 1

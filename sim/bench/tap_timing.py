@@ -44,18 +44,7 @@ class TapTimings:
     same_bits: bool
 
     def crossover(self, before: str, after: str) -> float | None:
-        """Find the number of taps from which one way is faster than another, for good.
-
-        Parameters
-        ----------
-        before, after : str
-            The way that is faster for few taps, and the one for many.
-
-        Returns
-        -------
-        float or None
-            Number of taps, interpolated on logarithmic scales; None when ``after`` is not faster at the longest.
-        """
+        """Find the number of taps from which one way is faster than another, for good."""
         lengths = sorted(self.timings)
         ratio = [math.log(self.timings[n][after].median / self.timings[n][before].median) for n in lengths]
         if ratio[-1] >= 0.0:
@@ -67,18 +56,7 @@ class TapTimings:
         return float(lengths[0])
 
     def fastest(self, taps: int) -> str:
-        """Name the fastest way that gives the kernel's bits.
-
-        Parameters
-        ----------
-        taps : int
-            One of the lengths that were timed.
-
-        Returns
-        -------
-        str
-            One of `WAYS`.
-        """
+        """Name the fastest way that gives the kernel's bits."""
         return min(WAYS[:-1], key=lambda way: self.timings[taps][way].median)
 
 
@@ -86,22 +64,7 @@ _fir_compiled = compiled()(fir)
 
 
 def evaluators(law: CompiledLaw, history: Sequence[float], ring: Any) -> dict[str, Callable[[int], float]]:
-    """Make the ways to add the taps of one law over one history.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        The taps.
-    history : sequence of float
-        Ring as the coupling keeps it.
-    ring : ndarray
-        The same memory, as numpy sees it.
-
-    Returns
-    -------
-    dict of str to function
-        From the head of the history to the force [N], for each of `WAYS`.
-    """
+    """Make the ways to add the taps of one law over one history."""
     taps, n = law.taps, len(law.taps)
     weights: Any = np.array(taps)
     products = np.empty(n)
@@ -121,22 +84,7 @@ def evaluators(law: CompiledLaw, history: Sequence[float], ring: Any) -> dict[st
 
 
 def time_taps(lengths: Sequence[int], rounds: int, step: Callable[[str], None]) -> TapTimings:
-    """Time all ways at all lengths, interleaved.
-
-    Parameters
-    ----------
-    lengths : sequence of int
-        Numbers of taps.
-    rounds : int
-        How many rounds.
-    step : callable
-        Told after every round.
-
-    Returns
-    -------
-    TapTimings
-        Seconds per tick.
-    """
+    """Time all ways at all lengths, interleaved."""
     jobs: dict[str, tuple[Callable[[], object], int]] = {}
     same = True
     for n in lengths:
@@ -162,18 +110,7 @@ def _repeat(evaluate: Callable[[int], float], length: int, calls: int) -> Callab
 
 
 def import_seconds(module: str) -> float:
-    """Time the import of a module in a process of its own: what a node pays at its start.
-
-    Parameters
-    ----------
-    module : str
-        Its name.
-
-    Returns
-    -------
-    float
-        Time [s], best of three.
-    """
+    """Time the import of a module in a process of its own: what a node pays at its start."""
     code = f"import time; t = time.perf_counter(); import {module}; print(time.perf_counter() - t)"
     return min(
         float(subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True, check=True).stdout)
@@ -182,21 +119,7 @@ def import_seconds(module: str) -> float:
 
 
 def as_json(found: TapTimings, machine: dict[str, Any]) -> dict[str, Any]:
-    """Put the timings into one JSON object.
-
-    Parameters
-    ----------
-    found : TapTimings
-        The timings.
-    machine : dict
-        As from `sim.measure.stopwatch.machine`.
-
-    Returns
-    -------
-    dict
-        ``points`` (``taps``, and ``<way>_us``, ``<way>_us_low``, ``<way>_us_high``), ``crossover_taps``, ``fastest``,
-        ``same_bits``, ``unrolled_taps`` (what the coupling does), ``import_s``, ``machine``.
-    """
+    """Put the timings into one JSON object."""
     points = []
     for n, ways in sorted(found.timings.items()):
         point: dict[str, Any] = {"taps": n}

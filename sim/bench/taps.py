@@ -11,13 +11,7 @@ from sim.results import fresh
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the benchmark.
-    """
+    """Declare the arguments."""
     parser.add_argument("--rounds", type=int, default=25, help="interleaved rounds (default: %(default)s)")
     parser.add_argument("--taps", type=_lengths, help="numbers of taps, separated by commas (default: 4 to 2000)")
     add_json(parser)
@@ -36,23 +30,7 @@ def _lengths(text: str) -> tuple[int, ...]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure, and say which way is fastest from where on.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When there are no rounds.
-    """
+    """Measure, and say which way is fastest from where on."""
     if arguments.rounds < 1:
         raise UsageError(f"--rounds {arguments.rounds}: at least 1")
     from sim.bench.tap_timing import LENGTHS, WAYS, as_json, time_taps

@@ -22,11 +22,5 @@ BENCHMARKS: dict[str, str] = {
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the benchmarks.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb ``bench``.
-    """
+    """Declare the benchmarks."""
     dispatch(parser, BENCHMARKS, "benchmark")

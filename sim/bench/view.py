@@ -37,13 +37,7 @@ SWITCH = """name => new Promise((done) => {
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of this benchmark.
-    """
+    """Declare the arguments."""
     parser.add_argument("--rounds", type=int, default=4, help="rounds of without and with (default 4)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
     parser.add_argument("--rate", type=float, default=500.0, help="sampling rate [Hz] (default 500)")
@@ -89,26 +83,7 @@ def _with_page(launch: Running, browser: Any, seconds: float, delays: dict[str, 
 
 
 def loop_cost(rounds: int, seconds: float, rate: float, browser: Any, progress: Progress) -> dict[str, Any]:
-    """Run one launch and open a page in every second half of a round.
-
-    Parameters
-    ----------
-    rounds : int
-        How many rounds.
-    seconds : float
-        Length of each half [s].
-    rate : float
-        Sampling rate [Hz].
-    browser : playwright.sync_api.Browser
-        A real one.
-    progress : Progress
-        Told after every half.
-
-    Returns
-    -------
-    dict
-        p50 and p99 of the response without and with a page by round, missed ticks, delays of the page, messages lost.
-    """
+    """Run one launch and open a page in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
     delays: dict[str, list[float]] = {"first_picture_s": [], "switch_s": []}
     with Running("touch_wall", f"rate:={rate}") as launch:
@@ -143,20 +118,7 @@ def loop_cost(rounds: int, seconds: float, rate: float, browser: Any, progress: 
 
 
 def memory(minutes: float, rate: float) -> dict[str, float]:
-    """Feed what a view keeps with minutes of ticks, as fast as it takes them.
-
-    Parameters
-    ----------
-    minutes : float
-        How long the run would last.
-    rate : float
-        Sampling rate [Hz].
-
-    Returns
-    -------
-    dict
-        ``after_one_minute_mb`` and ``at_the_end_mb``: resident memory.
-    """
+    """Feed what a view keeps with minutes of ticks, as fast as it takes them."""
     live = LiveRun(Facts("run", "scenario", "", 1.0 / rate, "realtime", "on_arrival", ["x"], "driver"))
     live.tick(0.0)
     after = 0.0
@@ -178,23 +140,7 @@ def memory(minutes: float, rate: float) -> dict[str, float]:
 
 
 def browsing(work: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-    """Do some work with a browser.
-
-    Parameters
-    ----------
-    work : callable
-        Takes a Playwright browser.
-
-    Returns
-    -------
-    dict
-        What it returned.
-
-    Raises
-    ------
-    UsageError
-        When there is no browser, or nothing to drive it with.
-    """
+    """Do some work with a browser."""
     path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     try:
         from playwright.sync_api import sync_playwright
@@ -211,18 +157,7 @@ def browsing(work: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the benchmark.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+    """Run the benchmark."""
     progress = Progress(2 * arguments.rounds)
     figures = browsing(
         lambda browser: loop_cost(arguments.rounds, arguments.seconds, arguments.rate, browser, progress)

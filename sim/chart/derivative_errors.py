@@ -91,72 +91,24 @@ class Analysis:
     bands: dict[str, BandError]
 
     def error(self, aligned: bool = True) -> float:
-        """One number for a chart: root mean square over the slow, hand and contact bands.
-
-        Parameters
-        ----------
-        aligned : bool
-            With the best pure delay removed, or raw.
-
-        Returns
-        -------
-        float
-            Relative error [1].
-        """
+        """One number for a chart: root mean square over the slow, hand and contact bands."""
         values = [self.bands[name].aligned if aligned else self.bands[name].raw for name in ("slow", "hand", "contact")]
         return math.sqrt(math.fsum(v * v for v in values) / len(values))
 
 
 def response(law: CompiledLaw, angles: Array) -> ComplexArray:
-    """Frequency response of taps and sections.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps and sections.
-    angles : ndarray, shape (f,)
-        ωT [rad].
-
-    Returns
-    -------
-    ndarray of complex, shape (f,)
-        H(e^{jωT}).
-    """
+    """Frequency response of taps and sections."""
     found: ComplexArray = law.response(np.exp(1j * np.asarray(angles, dtype=np.float64)))
     return found
 
 
 def largest_pole(law: CompiledLaw) -> float:
-    """Largest magnitude of the poles of the sections.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps and sections.
-
-    Returns
-    -------
-    float
-        0 for a finite impulse response.
-    """
+    """Largest magnitude of the poles of the sections."""
     return max((float(np.max(np.abs(np.roots([1.0, a1, a2])))) for _, _, a1, a2 in law.sections), default=0.0)
 
 
 def apply(law: CompiledLaw, samples: Array) -> Array:
-    """Output of a law from rest, by scipy's filters rather than the loop's kernels.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps and sections.
-    samples : ndarray, shape (n,)
-        Deflection at ticks 0, 1, ...
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Output at the same ticks.
-    """
+    """Output of a law from rest, by scipy's filters rather than the loop's kernels."""
     from scipy.signal import lfilter
 
     output: Array = np.asarray(lfilter(law.taps or (0.0,), [1.0], samples), dtype=np.float64)
@@ -166,18 +118,7 @@ def apply(law: CompiledLaw, samples: Array) -> Array:
 
 
 def multiplies(law: CompiledLaw) -> int:
-    """Multiplications per tick in the loop's kernels.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps and sections.
-
-    Returns
-    -------
-    int
-        One per tap, four per section.
-    """
+    """Multiplications per tick in the loop's kernels."""
     return len(law.taps) + 4 * len(law.sections)
 
 
@@ -186,18 +127,6 @@ def best_delay(relative: ComplexArray, angles: Array) -> float:
 
     The first guess is the phase's slope through the origin; then Gauss-Newton on |G e^{jθτ} − g| with the gain g free,
     so that a wrong gain does not pass for a delay.
-
-    Parameters
-    ----------
-    relative : ndarray of complex, shape (f,)
-        G = H/(jω)^α.
-    angles : ndarray, shape (f,)
-        θ = ωT [rad].
-
-    Returns
-    -------
-    float
-        τ [ticks]; positive when the realisation lags.
     """
     phase = np.unwrap(np.angle(relative))
     delay = -float(np.sum(phase * angles) / np.sum(angles * angles))
@@ -213,24 +142,7 @@ def best_delay(relative: ComplexArray, angles: Array) -> float:
 
 
 def lengths_taken(kind: str, order: float, period: float, upto: int = 2000) -> tuple[int, int] | None:
-    """Find the lengths at which a realisation can be had, by asking it.
-
-    Parameters
-    ----------
-    kind : str
-        Registered name.
-    order : float
-        α, in (0, 4).
-    period : float
-        Sampling period T [s].
-    upto : int, optional
-        How far to look.
-
-    Returns
-    -------
-    tuple of int, or None
-        Shortest and longest length that is not refused, the longest no more than ``upto``; None when all are refused.
-    """
+    """Find the lengths at which a realisation can be had, by asking it."""
 
     def taken(taps: int) -> bool:
         try:
@@ -252,29 +164,7 @@ def lengths_taken(kind: str, order: float, period: float, upto: int = 2000) -> t
 
 
 def analyse(kind: str, order: float, taps: int, period: float) -> Analysis:
-    """Measure one realisation.
-
-    Parameters
-    ----------
-    kind : str
-        Registered name.
-    order : float
-        α, in (0, 4).
-    taps : int
-        Length n + 1, as the realisation understands it.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    Analysis
-        Its figures.
-
-    Raises
-    ------
-    ValueError
-        When the realisation cannot be had at this order and length.
-    """
+    """Measure one realisation."""
     law = realise(kind, order, taps, period)
     angles = {
         name: math.pi * np.geomspace(low, high, _PER_BAND, dtype=np.float64) for name, (low, high) in BANDS.items()

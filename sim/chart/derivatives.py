@@ -61,20 +61,7 @@ _render_compiled = compiled()(_render)
 
 
 def candidates(order: float, quick: bool = False) -> Iterator[tuple[str, int, CompiledLaw]]:
-    """Go through all installed realisations at the lengths they take.
-
-    Parameters
-    ----------
-    order : float
-        α.
-    quick : bool, optional
-        Only lengths up to 64.
-
-    Yields
-    ------
-    tuple of str, int and CompiledLaw
-        Kind, length n + 1 and the realisation with unit gain.
-    """
+    """Go through all installed realisations at the lengths they take."""
     for kind in derivative_kinds():
         lengths = _LENGTHS.get(kind, _FINITE)
         for taps in lengths:
@@ -87,47 +74,13 @@ def candidates(order: float, quick: bool = False) -> Iterator[tuple[str, int, Co
 
 
 def with_stiffness(unit: CompiledLaw, stiffness: float, gain: float, order: float, period: float) -> CompiledLaw:
-    """Make a law that renders a stiffness and a derivative, whatever the derivative leaks.
-
-    Parameters
-    ----------
-    unit : CompiledLaw
-        D^α with unit gain.
-    stiffness : float
-        H(1) wanted [N/m].
-    gain : float
-        Normalised gain of the derivative [N s/m].
-    order : float
-        α.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        The law.
-    """
+    """Make a law that renders a stiffness and a derivative, whatever the derivative leaks."""
     physical = gain * (0.5 * period) ** (order - 1.0)
     return combine(stiffness - physical * unit.h1, [(physical, unit)])
 
 
 def largest_stable(radius: Callable[[float], float], low: float, high: float, precision: float = 0.005) -> float:
-    """Find where a loop becomes unstable as one of its parameters grows.
-
-    Parameters
-    ----------
-    radius : callable
-        From the parameter to the pole radius.
-    low, high : float
-        Where to look; 20 values on a logarithmic scale are tried, then the first change is narrowed down.
-    precision : float, optional
-        Relative precision.
-
-    Returns
-    -------
-    float
-        The parameter: 0 when none of the values is stable, ``high`` when it never becomes unstable.
-    """
+    """Find where a loop becomes unstable as one of its parameters grows."""
     before = 0.0
     for value in np.geomspace(low, high, 20).tolist():
         stable = radius(value) < 1.0
@@ -145,20 +98,7 @@ def largest_stable(radius: Callable[[float], float], low: float, high: float, pr
 
 
 def derivative_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
-    """Measure all realisations.
-
-    Parameters
-    ----------
-    step : callable
-        Told after every piece of work; `derivative_steps` times in all.
-    quick : bool, optional
-        Fewer lengths and rounds.
-
-    Returns
-    -------
-    list of Group
-        Three groups for each order: time, multiplies, stiffness.
-    """
+    """Measure all realisations."""
     groups = []
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     for order in ORDERS:
@@ -238,18 +178,7 @@ def derivative_groups(step: Callable[[str], None], quick: bool = False) -> list[
 
 
 def derivative_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `derivative_groups`.
-
-    Parameters
-    ----------
-    quick : bool, optional
-        As there.
-
-    Returns
-    -------
-    int
-        How often it reports.
-    """
+    """Count the pieces of work of `derivative_groups`."""
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     return sum(rounds + sum(1 for _ in candidates(order, quick)) for order in ORDERS)
 

@@ -29,13 +29,7 @@ Step = Callable[[float, float, float], tuple[float, float]]
 
 
 def integrators() -> dict[str, Step]:
-    """Collect the integrators of one tick.
-
-    Returns
-    -------
-    dict of str to function
-        Name to ``f(x [m], v [m/s], u [N]) -> (x, v)`` after one period with u held. MuJoCo's are there when it imports.
-    """
+    """Collect the integrators of one tick."""
     found: dict[str, Step] = {"exact map": _exact()}
     for count in (1, 2, 4, 10, 40, 100):
         found[f"semi-implicit Euler {count}"] = _euler(count, implicit=True)
@@ -53,13 +47,7 @@ def integrators() -> dict[str, Step]:
 
 
 def reference() -> Step:
-    """Give the exact map from scipy's matrix exponential.
-
-    Returns
-    -------
-    function
-        As in `integrators`.
-    """
+    """Give the exact map from scipy's matrix exponential."""
     from scipy.linalg import expm
 
     generator = np.array([[0.0, 1.0, 0.0], [0.0, -DAMPING / MASS, 1.0 / MASS], [0.0, 0.0, 0.0]])
@@ -72,20 +60,7 @@ def reference() -> Step:
 
 
 def drop(step: Step, ticks: int = _TICKS) -> NDArray[np.float64]:
-    """Drop the device on a floor rendered by a spring and a damper, forces held between ticks.
-
-    Parameters
-    ----------
-    step : function
-        Integrator of one tick.
-    ticks : int
-        How many.
-
-    Returns
-    -------
-    ndarray, shape (ticks,)
-        Height at the ticks [m].
-    """
+    """Drop the device on a floor rendered by a spring and a damper, forces held between ticks."""
     taps = _LAW.compile(PERIOD).taps
     x, v, before = _HEIGHT, 0.0, 0.0
     heights = np.empty(ticks)
@@ -99,18 +74,7 @@ def drop(step: Step, ticks: int = _TICKS) -> NDArray[np.float64]:
 
 
 def spring_limit(step: Step) -> float:
-    """Find the stiffest spring that a linear integrator lets be stable.
-
-    Parameters
-    ----------
-    step : function
-        Integrator of one tick; its map is read off unit states and a unit force.
-
-    Returns
-    -------
-    float
-        K_max [N/m], without delay.
-    """
+    """Find the stiffest spring that a linear integrator lets be stable."""
     columns = [np.array(step(*unit)) for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
     state, force = np.stack(columns[:2], axis=1), columns[2]
 
@@ -124,20 +88,7 @@ def spring_limit(step: Step) -> float:
 
 
 def integrator_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
-    """Measure all integrators.
-
-    Parameters
-    ----------
-    step : callable
-        Told after every piece of work, `integrator_steps` times in all.
-    quick : bool, optional
-        Fewer rounds.
-
-    Returns
-    -------
-    list of Group
-        Trajectory and K_max.
-    """
+    """Measure all integrators."""
     found = integrators()
     jobs: dict[str, tuple[Callable[[], object], int]] = {
         name: ((lambda f=f: drop(f)), _TICKS)  # type: ignore[misc]
@@ -187,18 +138,7 @@ def integrator_groups(step: Callable[[str], None], quick: bool = False) -> list[
 
 
 def integrator_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `integrator_groups`.
-
-    Parameters
-    ----------
-    quick : bool, optional
-        As there.
-
-    Returns
-    -------
-    int
-        How often it reports.
-    """
+    """Count the pieces of work of `integrator_groups`."""
     return (_QUICK_ROUNDS if quick else _ROUNDS) + len(integrators())
 
 

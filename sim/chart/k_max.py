@@ -32,20 +32,7 @@ Way = Callable[[], float]
 
 
 def poles(delay: float, precision: float) -> float:
-    """Find K_max from the pole radius.
-
-    Parameters
-    ----------
-    delay : float
-        Loop delay [ticks].
-    precision : float
-        Relative precision of the search.
-
-    Returns
-    -------
-    float
-        K_max [N/m].
-    """
+    """Find K_max from the pole radius."""
     return largest_stable(
         lambda k: pole_radius(PD(stiffness=k, damping=GAIN).compile(PERIOD), PERIOD, MASS, DAMPING, delay),
         10.0,
@@ -55,70 +42,24 @@ def poles(delay: float, precision: float) -> float:
 
 
 def solved(delay: float, method: str) -> float:
-    """Find K_max without a search: Jury's conditions, linear in K, or the crossings of the boundary curve (THEORY.md §3).
-
-    Parameters
-    ----------
-    delay : float
-        Loop delay [ticks].
-    method : {"closed_form", "pole_radius"}
-        The conditions, or the curve.
-
-    Returns
-    -------
-    float
-        K_max [N/m].
-    """
+    """Find K_max without a search: Jury's conditions, linear in K, or the crossings of the boundary curve (THEORY.md §3)."""
     derivative = without_spring(PD(stiffness=1.0, damping=GAIN), PERIOD)
     return k_max(derivative, PERIOD, Plant(MASS, DAMPING, delay), method).k_max_n_per_m or 0.0
 
 
 def light(_delay: float) -> float:
-    """Find K_max from the closed form for an undamped device without delay, κ = 2β(2−β)/(2+β) (THEORY.md §3).
-
-    Parameters
-    ----------
-    _delay : float
-        Not taken into account.
-
-    Returns
-    -------
-    float
-        K_max [N/m].
-    """
+    """Find K_max from the closed form for an undamped device without delay, κ = 2β(2−β)/(2+β) (THEORY.md §3)."""
     beta = GAIN * PERIOD / MASS
     return MASS / PERIOD**2 * 2.0 * beta * (2.0 - beta) / (2.0 + beta)
 
 
 def heavy(delay: float) -> float:
-    """Find K_max from the closed form for a heavy device, (b + B)/(T(½ + d)) (THEORY.md §3).
-
-    Parameters
-    ----------
-    delay : float
-        Loop delay [ticks].
-
-    Returns
-    -------
-    float
-        K_max [N/m].
-    """
+    """Find K_max from the closed form for a heavy device, (b + B)/(T(½ + d)) (THEORY.md §3)."""
     return (DAMPING + GAIN) / (PERIOD * (0.5 + delay))
 
 
 def passive(delay: float) -> float:
-    """Find the largest K with which the law is passive on this device (Colgate): safe for any hand, so lower.
-
-    Parameters
-    ----------
-    delay : float
-        Loop delay [ticks].
-
-    Returns
-    -------
-    float
-        K [N/m]; 0 when no spring is passive with this damping gain.
-    """
+    """Find the largest K with which the law is passive on this device (Colgate): safe for any hand, so lower."""
     low, high = 0.0, 1e4
 
     def needed(k: float) -> float:
@@ -134,20 +75,6 @@ def simulated(delay: float, horizon: float, dropped: bool) -> float:
     """Find K_max by playing the scene at each K and looking whether it settles.
 
     Settled means: in the last fifth of the run, the swing is less than a tenth of what it was after the start.
-
-    Parameters
-    ----------
-    delay : float
-        Loop delay [ticks].
-    horizon : float
-        Length of each run [s].
-    dropped : bool
-        A drop on a one-sided floor with gravity, or a two-sided spring released from 5 mm.
-
-    Returns
-    -------
-    float
-        K_max [N/m].
     """
     ticks = math.ceil(horizon / PERIOD)
     device = DeviceModel(
@@ -167,18 +94,7 @@ def simulated(delay: float, horizon: float, dropped: bool) -> float:
 
 
 def ways(delay: float) -> dict[str, Way]:
-    """Collect the ways that make sense at a delay.
-
-    Parameters
-    ----------
-    delay : float
-        Loop delay [ticks].
-
-    Returns
-    -------
-    dict of str to function
-        Name to a function that finds K_max [N/m].
-    """
+    """Collect the ways that make sense at a delay."""
     found: dict[str, Way] = {"closed form, heavy device": lambda: heavy(delay), "passivity": lambda: passive(delay)}
     if delay == 0.0:
         found["closed form, undamped device"] = lambda: light(delay)
@@ -194,20 +110,7 @@ def ways(delay: float) -> dict[str, Way]:
 
 
 def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
-    """Measure all ways to find K_max, without delay and with one tick.
-
-    Parameters
-    ----------
-    step : callable
-        Told after every piece of work, `kmax_steps` times in all.
-    quick : bool, optional
-        Fewer rounds.
-
-    Returns
-    -------
-    list of Group
-        One for each delay.
-    """
+    """Measure all ways to find K_max, without delay and with one tick."""
     groups = []
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     for delay in (0.0, 1.0):
@@ -242,17 +145,6 @@ def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
 
 
 def kmax_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `kmax_groups`.
-
-    Parameters
-    ----------
-    quick : bool, optional
-        As there.
-
-    Returns
-    -------
-    int
-        How often it reports.
-    """
+    """Count the pieces of work of `kmax_groups`."""
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     return sum(rounds + len(ways(delay)) for delay in (0.0, 1.0))

@@ -25,20 +25,7 @@ _FRONT, _REST, _SEED = "#1f5fa8", "#b9bec5", "#d9822b"
 
 
 def draw(group: Group, folder: Path) -> list[Path]:
-    """Draw one group: every choice as a dot, the front joined and named, the paper's Grünwald–Letnikov marked.
-
-    Parameters
-    ----------
-    group : Group
-        With its front marked.
-    folder : Path
-        Where to.
-
-    Returns
-    -------
-    list of Path
-        A PNG and an SVG file.
-    """
+    """Draw one group: every choice as a dot, the front joined and named, the paper's Grünwald–Letnikov marked."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
@@ -121,18 +108,7 @@ def _beaten(points: Sequence[Point]) -> list[Point]:
 
 
 def conclusions(groups: Sequence[Group]) -> list[str]:
-    """Say in a few lines what the points show.
-
-    Parameters
-    ----------
-    groups : sequence of Group
-        Any of the chart's groups, fronts marked.
-
-    Returns
-    -------
-    list of str
-        One sentence per question that the groups answer.
-    """
+    """Say in a few lines what the points show."""
     named = {group.name: group for group in groups}
     lines = []
     for name, group in named.items():
@@ -271,22 +247,7 @@ def _realisations(groups: Sequence[Group]) -> list[str]:
 
 
 def page(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> str:
-    """Write the page that reads the chart.
-
-    Parameters
-    ----------
-    groups : sequence of Group
-        All groups, fronts marked.
-    machine : dict
-        As from `sim.measure.stopwatch.machine`.
-    seconds : float
-        How long the chart took [s].
-
-    Returns
-    -------
-    str
-        Markdown; its figures are the PNG files of `draw`.
-    """
+    """Write the page that reads the chart."""
     text = [
         "# Speed against accuracy",
         "",

@@ -76,20 +76,7 @@ class Group:
 
 
 def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
-    """Mark the Pareto front.
-
-    Parameters
-    ----------
-    costs : sequence of float, shape (n,)
-        Less is better.
-    errors : sequence of float, shape (n,)
-        Less is better; not-a-number and infinity are never on the front.
-
-    Returns
-    -------
-    list of bool, length n
-        Whether no other point is at least as good in both and better in one.
-    """
+    """Mark the Pareto front."""
     order = sorted(range(len(costs)), key=lambda i: (costs[i], errors[i]))
     marks = [False] * len(costs)
     best = float("inf")
@@ -106,41 +93,14 @@ def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
 
 
 def with_front(group: Group) -> Group:
-    """Mark the front of a group.
-
-    Parameters
-    ----------
-    group : Group
-        Points in any order.
-
-    Returns
-    -------
-    Group
-        The same points, cheapest first, with ``on_front`` set.
-    """
+    """Mark the front of a group."""
     marks = on_front([p.cost for p in group.points], [p.error for p in group.points])
     marked = [replace(point, on_front=mark) for point, mark in zip(group.points, marks, strict=True)]
     return replace(group, points=tuple(sorted(marked, key=lambda p: (p.cost, p.error))))
 
 
 def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """Put all groups into one JSON object.
-
-    Parameters
-    ----------
-    groups : sequence of Group
-        All groups.
-    machine : dict
-        As from `sim.measure.stopwatch.machine`.
-    seconds : float
-        How long the chart took [s].
-
-    Returns
-    -------
-    dict
-        ``points`` (each with ``group name cost error on_front family detail``), ``groups`` (axes), ``machine``,
-        ``duration_s``.
-    """
+    """Put all groups into one JSON object."""
     return {
         "points": [
             {
@@ -165,24 +125,7 @@ def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) ->
 
 
 def save(groups: Sequence[Group], machine: dict[str, Any], seconds: float, folder: Path) -> list[Path]:
-    """Write the data of a chart: one JSON file, and one CSV file with a column for every figure of any point.
-
-    Parameters
-    ----------
-    groups : sequence of Group
-        All groups.
-    machine : dict
-        As from `sim.measure.stopwatch.machine`.
-    seconds : float
-        How long the chart took [s].
-    folder : Path
-        Where to; made if it is not there.
-
-    Returns
-    -------
-    list of Path
-        The files.
-    """
+    """Write the data of a chart: one JSON file, and one CSV file with a column for every figure of any point."""
     data = as_json(groups, machine, seconds)
     whole, table = fresh(folder / "chart.json"), fresh(folder / "chart.csv")
     whole.write_text(json.dumps(data, indent=1, allow_nan=True) + "\n")

@@ -69,29 +69,7 @@ class Launched:
 
 
 def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime") -> Launched:
-    """Drop the device through the real processes.
-
-    Parameters
-    ----------
-    rate : float
-        Rate of the loop [Hz].
-    apply : str
-        ``on_arrival`` or ``next_tick``.
-    stiffness : float
-        K of the floor [N/m].
-    pace : str, optional
-        ``realtime``, or ``lockstep`` for a run without jitter.
-
-    Returns
-    -------
-    Launched
-        Forces and heights from the recording.
-
-    Raises
-    ------
-    MeasurementError
-        When the launch ends with an error.
-    """
+    """Drop the device through the real processes."""
     values = {
         "rate": rate,
         "apply": apply,
@@ -132,18 +110,7 @@ def _with_one_law() -> dict[str, Any]:
 
 
 def continuous(stiffness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Drop the device on a floor without sampling, near enough.
-
-    Parameters
-    ----------
-    stiffness : float
-        K of the floor [N/m].
-
-    Returns
-    -------
-    tuple of ndarray, shapes (n,) and (n,)
-        Time [s] and force [N].
-    """
+    """Drop the device on a floor without sampling, near enough."""
     device = DeviceModel(mass=MASS, damping=DAMPING, gravity=GRAVITY, position=HEIGHT)
     scene = Scene(device=device, surface=Surface("plane"), period=1.0 / _FINE, raw=False, clamp=True)
     trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), round(_SECONDS * _FINE))
@@ -153,20 +120,7 @@ def continuous(stiffness: float) -> tuple[NDArray[np.float64], NDArray[np.float6
 def force_error(
     onset: NDArray[np.float64], force: NDArray[np.float64], time: NDArray[np.float64], wanted: NDArray[np.float64]
 ) -> float:
-    """Compare a force held between its onsets with a continuous one.
-
-    Parameters
-    ----------
-    onset, force : ndarray, shape (n,)
-        When each force took effect [s], and the forces [N].
-    time, wanted : ndarray, shape (m,)
-        The reference.
-
-    Returns
-    -------
-    float
-        Root mean square of the difference over that of the reference; 1 when there was no force at all.
-    """
+    """Compare a force held between its onsets with a continuous one."""
     if len(onset) == 0:
         return 1.0
     order = np.argsort(onset, kind="stable")
@@ -176,37 +130,13 @@ def force_error(
 
 
 def settles(height: NDArray[np.float64]) -> bool:
-    """Tell whether a drop came to rest.
-
-    Parameters
-    ----------
-    height : ndarray, shape (n,)
-        Height at the ticks [m].
-
-    Returns
-    -------
-    bool
-        Whether the swing in the last fifth is below a tenth of the height of the drop.
-    """
+    """Tell whether a drop came to rest."""
     end = height[-max(2, len(height) // 5) :]
     return bool(np.isfinite(end).all() and np.ptp(end) < 0.1 * HEIGHT)
 
 
 def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
-    """Measure all rates and delays.
-
-    Parameters
-    ----------
-    step : callable
-        Told after every piece of work, `rate_steps` times in all.
-    quick : bool, optional
-        Only 500 and 1000 Hz.
-
-    Returns
-    -------
-    list of Group
-        Force and stiffness.
-    """
+    """Measure all rates and delays."""
     time, wanted = continuous(STIFFNESS)
     choices = [(apply, rate) for apply in APPLY for rate in (_QUICK_RATES if quick else RATES)]
     rounds = 1 if quick else _ROUNDS
@@ -279,16 +209,5 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
 
 
 def rate_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `rate_groups`.
-
-    Parameters
-    ----------
-    quick : bool, optional
-        As there.
-
-    Returns
-    -------
-    int
-        How often it reports.
-    """
+    """Count the pieces of work of `rate_groups`."""
     return len(_QUICK_RATES if quick else RATES) * len(APPLY) * ((1 if quick else _ROUNDS) + 1)

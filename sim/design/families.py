@@ -22,6 +22,25 @@ from nodes.stability.k_max import Plant, tolerance
 from sim.design.robust import Demand, Robust, stiffest
 from sim.device.model import DeviceModel
 
+__all__ = [
+    "ORDERS",
+    "REFINED",
+    "Tuned",
+    "Vector",
+    "best_paper_optimum",
+    "best_pd",
+    "best_pd_alpha",
+    "certificate",
+    "certified",
+    "compare",
+    "designed",
+    "drops",
+    "fir",
+    "landing",
+    "latest_delay",
+    "to_yaml",
+]
+
 Vector = NDArray[np.float64]
 
 ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))

@@ -46,25 +46,7 @@ class Measured:
 
 
 def measure(path: Path) -> Measured:
-    """Read period, delay and jitter from a recording.
-
-    Parameters
-    ----------
-    path : Path
-        Recording of a launch.
-
-    Returns
-    -------
-    Measured
-        The delay of the loop as the driver measured it tick by tick, and the virtual device's own on top.
-
-    Raises
-    ------
-    ValueError
-        When the recording holds fewer than 100 ticks or tells no rate.
-    RecordError
-        When it cannot be read.
-    """
+    """Read period, delay and jitter from a recording."""
     recording = Recording(path)
     states = recording.messages(DEVICE_STATE)
     if len(states) < 100:

@@ -16,30 +16,7 @@ from sim.device.model import advance, coefficients
 
 
 def replayed_radius(law: CompiledLaw, period: float, device: Plant, delays: Sequence[float]) -> float:
-    """Measure by how much a released deflection grows or decays per tick, the delay of each force as given.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps only.
-    period : float
-        Sampling period T [s].
-    device : Plant
-        Mass, damping and hand; its own delay is not used.
-    delays : sequence of float, length at least 40
-        Delay of the force of each tick, from its sample until it takes effect [ticks]; infinite for one that never does.
-
-    Returns
-    -------
-    float
-        Mean factor per tick between the first and the last quarter, of the largest deflection in each; comparable with a
-        pole radius. Infinite when the run overflows.
-
-    Raises
-    ------
-    ValueError
-        When the law has sections, or there are fewer than 40 delays.
-    """
+    """Measure by how much a released deflection grows or decays per tick, the delay of each force as given."""
     if law.sections:
         raise ValueError("law: only taps can be replayed")
     if len(delays) < 40:

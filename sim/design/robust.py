@@ -19,6 +19,14 @@ from numpy.typing import NDArray
 from nodes.stability.held_plant import held_plant
 from nodes.stability.roots import largest_roots
 
+__all__ = [
+    "Demand",
+    "Robust",
+    "Vector",
+    "stiffest",
+    "verified_cases",
+]
+
 Vector = NDArray[np.float64]
 
 _MASSES = 5

@@ -73,18 +73,7 @@ class DraggedHand:
         self._target: float | None = None
 
     def target(self, seq: int) -> float:
-        """Move the target by one tick.
-
-        Parameters
-        ----------
-        seq : int
-            The tick.
-
-        Returns
-        -------
-        float
-            Where the hand pulls to during this tick [m].
-        """
+        """Move the target by one tick."""
         rest = self._point(seq * self._period)
         held = self._reader.read()
         if held is None and self._target is None:
@@ -160,18 +149,7 @@ class TimedDevice:
         """Nothing to connect."""
 
     def read_position(self, seq: int) -> Vector:
-        """Let the time up to a tick pass, then read the encoder.
-
-        Parameters
-        ----------
-        seq : int
-            Tick number.
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            Measured position [m].
-        """
+        """Let the time up to a tick pass, then read the encoder."""
         if not self._lockstep:
             if self.tick < 0:
                 # Respawned, or started late: the device is put there now, it was not falling all the time.
@@ -209,17 +187,7 @@ class TimedDevice:
         self.tick += 1
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Hand over a force.
-
-        Parameters
-        ----------
-        force : tuple of float, shape (3,)
-            Force [N].
-        seq : int
-            Tick during which it arrives.
-        offset : float
-            Where in that tick [ticks].
-        """
+        """Hand over a force."""
         value = force[self.axis]
         if self._lockstep:
             # The model itself knows about ``next_tick``: the whole tick passes here, on exactly the one-process path.
@@ -239,36 +207,14 @@ class SimDriver(Driver):
     kernel_module: ClassVar[str] = "sim.device.tick.kernel"
 
     def compiled_ticks(self, kernel: Kernel) -> DriverTicks:
-        """Make the compiled ticks.
-
-        Parameters
-        ----------
-        kernel : callable
-            What does them.
-
-        Returns
-        -------
-        DriverTicks
-            Of this node.
-        """
+        """Make the compiled ticks."""
         from sim.device.tick.ticks import DriverTicks
 
         return DriverTicks(self, kernel)
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check that it has one axis, and a pointer a hand to drag, beside what every driver checks.
-
-        Parameters
-        ----------
-        setup : Setup
-            The node as it would be started.
-
-        Raises
-        ------
-        ParameterError
-            With path, value, limit and remedy.
-        """
+        """Check that it has one axis, and a pointer a hand to drag, beside what every driver checks."""
         super().check(setup)
         if len(setup.axes) > 1:
             raise ParameterError(
@@ -283,13 +229,7 @@ class SimDriver(Driver):
             )
 
     def make_device(self) -> Device:
-        """Make the virtual device.
-
-        Returns
-        -------
-        Device
-            In the driver's time.
-        """
+        """Make the virtual device."""
         parameters: SimDriverParameters = self.store.current
         hand = parameters.device.hand
         dragged = None

@@ -16,28 +16,6 @@ def halt_time(x: float, v: float, u: float, direction: float, mass: float, dampi
 
     With a the acceleration now, s = b/2m and w = a + s v, the velocity is e^{−st}(v cos ωt + w sin(ωt)/ω) (hyperbolic
     when overdamped): its first zero is one arctangent away.
-
-    Parameters
-    ----------
-    x : float
-        Position now [m].
-    v : float
-        Velocity now [m/s].
-    u : float
-        Force held, dry friction included [N].
-    direction : float
-        +1 or −1: sign of the velocity now, or just after now when it is zero.
-    mass : float
-        m > 0 [kg].
-    damping : float
-        b ≥ 0 [N s/m].
-    stiffness : float
-        k ≥ 0 [N/m], towards x = 0.
-
-    Returns
-    -------
-    float
-        Time from now [s], infinite when the velocity never returns to zero.
     """
     s = damping / (2.0 * mass)
     speed = v * direction
@@ -66,34 +44,7 @@ def slide(
     stiffness: float,
     friction: float,
 ) -> tuple[float, float]:
-    """One exact step with Coulomb friction: split wherever the velocity crosses zero, stuck where friction holds.
-
-    Parameters
-    ----------
-    x : float
-        Position [m].
-    v : float
-        Velocity [m/s]; exactly 0 while stuck.
-    u : float
-        Force held during the step, without friction [N].
-    duration : float
-        Length of the step [s].
-    coefs : tuple of float, shape (6,)
-        `coefficients` of the whole step.
-    mass : float
-        m > 0 [kg].
-    damping : float
-        b ≥ 0 [N s/m].
-    stiffness : float
-        k ≥ 0 [N/m], towards x = 0.
-    friction : float
-        Coulomb friction f_c ≥ 0, sliding and static alike [N].
-
-    Returns
-    -------
-    tuple of float, shape (2,)
-        Position [m] and velocity [m/s] at the end of the step.
-    """
+    """One exact step with Coulomb friction: split wherever the velocity crosses zero, stuck where friction holds."""
     remaining = duration
     whole = True
     while True:
@@ -127,34 +78,7 @@ def move(
     stiffness: float,
     friction: float | None,
 ) -> tuple[float, float]:
-    """One exact step, with or without Coulomb friction.
-
-    Parameters
-    ----------
-    x : float
-        Position [m].
-    v : float
-        Velocity [m/s].
-    u : float
-        Force held during the step, without friction [N].
-    duration : float
-        Length of the step [s].
-    coefs : tuple of float, shape (6,)
-        `coefficients` of this very step.
-    mass : float
-        Moving mass, that of a hand included [kg].
-    damping : float
-        Viscous damping, that of a hand included [N s/m].
-    stiffness : float
-        Stiffness of the hand [N/m], 0 without one.
-    friction : float or None
-        Coulomb friction [N]; None for a device without.
-
-    Returns
-    -------
-    tuple of float, shape (2,)
-        Position [m] and velocity [m/s] at the end of the step.
-    """
+    """One exact step, with or without Coulomb friction."""
     if friction is None:
         return advance(x, v, u, coefs)
     return slide(x, v, u, duration, coefs, mass, damping, stiffness, friction)

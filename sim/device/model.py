@@ -18,6 +18,21 @@ from typing import Annotated
 
 import msgspec
 
+__all__ = [
+    "Coefficients",
+    "DeviceModel",
+    "Hand",
+    "NonNegative",
+    "Positive",
+    "advance",
+    "coefficients",
+    "decay_mean",
+    "path_position",
+    "quantise",
+    "saturate",
+    "split_delay",
+]
+
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 

@@ -95,36 +95,14 @@ PRESETS: dict[str, Preset] = {
 
 
 def preset(name: str) -> dict[str, float]:
-    """Give the known values of a device.
-
-    Parameters
-    ----------
-    name : str
-        One of `PRESETS`.
-
-    Returns
-    -------
-    dict of str to float
-        Fields of `sim.device.model.DeviceModel`.
-
-    Raises
-    ------
-    ValueError
-        When there is none of that name; the text lists what there is.
-    """
+    """Give the known values of a device."""
     if name not in PRESETS:
         raise ValueError(f"preset is {name!r}, expected none or one of {', '.join(PRESETS)} (haptic device presets)")
     return {field: fact.value for field, fact in PRESETS[name].model.items()}
 
 
 def figures() -> list[dict[str, Any]]:
-    """Tell all presets with their sources.
-
-    Returns
-    -------
-    list of dict
-        ``name``, ``title``, ``model`` and ``limits``: per field ``value``, ``source`` and ``remembered``.
-    """
+    """Tell all presets with their sources."""
 
     def facts(given: Mapping[str, Fact]) -> dict[str, Any]:
         return {
@@ -139,13 +117,7 @@ def figures() -> list[dict[str, Any]]:
 
 
 def text() -> str:
-    """Tell all presets to people.
-
-    Returns
-    -------
-    str
-        A line per value.
-    """
+    """Tell all presets to people."""
     lines = []
     for name, one in PRESETS.items():
         lines.append(f"{name}: {one.title}")

@@ -63,34 +63,17 @@ class VirtualDevice:
         self.late_map = coefficients(self._mass, self._damping, self._grip, self.late)
 
     def measured(self) -> float:
-        """Read the encoder.
-
-        Returns
-        -------
-        float
-            Position as the sensor of the model gives it [m].
-        """
+        """Read the encoder."""
         return quantise(self.position, self.model.resolution)
 
     def load(self) -> float:
-        """Give the force on the device that is not the motor's, during the present tick.
-
-        Returns
-        -------
-        float
-            Force [N].
-        """
+        """Give the force on the device that is not the motor's, during the present tick."""
         return self.model.load(self.ticks, self.period, self.target) if self._weight is None else self._weight
 
     def tick(self, force: float) -> None:
         """Go through one whole tick with the model's own delay.
 
         For lockstep, where the force that answers a tick is known before the tick passes.
-
-        Parameters
-        ----------
-        force : float
-            Force commanded in answer to this tick's sample [N].
         """
         self.commands.appendleft(force)
         peak = self.model.peak_force
@@ -109,13 +92,6 @@ class VirtualDevice:
         """Hold one force for part of a tick: real time, where the split is the measured arrival.
 
         Call `end_tick` when the parts of a tick add up to the period.
-
-        Parameters
-        ----------
-        force : float
-            Commanded force that acts now [N].
-        duration : float
-            For how long [s].
         """
         if duration <= 0.0:
             return

@@ -111,13 +111,7 @@ class Fault:
 
 
 def scene() -> dict[str, Any]:
-    """Write the launch file of the drill.
-
-    Returns
-    -------
-    dict
-        A hand (500 N/m) that presses 5 mm into a wall of 1000 N/m, every limit set, every node respawned.
-    """
+    """Write the launch file of the drill."""
     again = {"respawn": True, "respawn_delay": 0.1, "respawn_max": -1}
     return {
         "summary": "A hand pressing into a wall, for drills",
@@ -161,20 +155,7 @@ def scene() -> dict[str, Any]:
 
 
 def time_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
-    """Find the longest time for which an old force, or damping, acted.
-
-    Parameters
-    ----------
-    states : sequence of DeviceState
-        Of one driver after the other.
-    hold_ticks : float
-        After so many ticks without its driver the device lets go by itself.
-
-    Returns
-    -------
-    int
-        Ticks from the last fresh force to zero force, to the next fresh force, or to the device's own deadline.
-    """
+    """Find the longest time for which an old force, or damping, acted."""
     longest = 0
     since = states[0].seq if states else 0
     for before, state in pairwise(states):
@@ -191,18 +172,7 @@ def time_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
 
 
 def energy_given_out(states: Sequence[DeviceState]) -> float:
-    """Find the most energy given out since the first of some states.
-
-    Parameters
-    ----------
-    states : sequence of DeviceState
-        Of one driver after the other; each counts from zero.
-
-    Returns
-    -------
-    float
-        Energy [J].
-    """
+    """Find the most energy given out since the first of some states."""
     most, total = 0.0, 0.0
     for before, state in pairwise(states):
         fresh = state.force_seq < before.force_seq
@@ -212,18 +182,7 @@ def energy_given_out(states: Sequence[DeviceState]) -> float:
 
 
 def overdamped(states: Sequence[DeviceState]) -> float:
-    """Find by how much damping was stronger than a damper is.
-
-    Parameters
-    ----------
-    states : sequence of DeviceState
-        What the driver published.
-
-    Returns
-    -------
-    float
-        Most force beyond damping times velocity, where the force was not already on its way down [N]; 0 when there was none.
-    """
+    """Find by how much damping was stronger than a damper is."""
     most = 0.0
     for first, second, third in zip(states, states[1:], states[2:], strict=False):
         ticks = second.seq - first.seq
@@ -239,36 +198,14 @@ def overdamped(states: Sequence[DeviceState]) -> float:
 
 
 def in_order(states: Sequence[DeviceState]) -> bool:
-    """Whether the last ticks all went as they should.
-
-    Parameters
-    ----------
-    states : sequence of DeviceState
-        What the driver published.
-
-    Returns
-    -------
-    bool
-        True after CALM ticks of which nearly all were answered by fresh forces (a busy machine may cost one in five).
-    """
+    """Whether the last ticks all went as they should."""
     last = states[-CALM:]
     fresh = sum(later.force_seq > earlier.force_seq for earlier, later in pairwise(last))
     return len(last) == CALM and last[-1].safety == "active" and fresh >= 0.8 * (CALM - 1)
 
 
 def kill(node: str) -> Callable[[Rig], None]:
-    """Make a strike that kills a node and waits for another in its place.
-
-    Parameters
-    ----------
-    node : str
-        Its name.
-
-    Returns
-    -------
-    callable
-        Does it.
-    """
+    """Make a strike that kills a node and waits for another in its place."""
 
     def strike(rig: Rig) -> None:
         before = rig.kill(node)
@@ -278,42 +215,14 @@ def kill(node: str) -> Callable[[Rig], None]:
 
 
 def another(rig: Rig, node: str, before: int) -> bool:
-    """Whether another process answers in a node's place.
-
-    Parameters
-    ----------
-    rig : Rig
-        The launch.
-    node : str
-        The node.
-    before : int
-        Number of the process that was there.
-
-    Returns
-    -------
-    bool
-        True when it answers.
-    """
+    """Whether another process answers in a node's place."""
     with contextlib.suppress(ControlError):
         return int(rig.call(node, "status", timeout=0.3)["pid"]) != before
     return False
 
 
 def drill(fault: Fault, patience: float = 15.0) -> Outcome:
-    """Do one drill.
-
-    Parameters
-    ----------
-    fault : Fault
-        What to do.
-    patience : float
-        Longest wait for the recovery [s].
-
-    Returns
-    -------
-    Outcome
-        What came of it.
-    """
+    """Do one drill."""
     outcome = Outcome(fault=fault.name, what=fault.what)
     content = scene()
     try:

@@ -189,13 +189,7 @@ class _Clock:
 
 
 def faults() -> list[Fault]:
-    """List the faults of the drill.
-
-    Returns
-    -------
-    list of Fault
-        In the order of the table.
-    """
+    """List the faults of the drill."""
     chain = ("driver", "environment", "coupling", "logger")
     disk, clock = _SmallDisk(), _Clock()
 

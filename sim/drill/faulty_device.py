@@ -58,34 +58,13 @@ class FaultyDevice:
         self._device.open()
 
     def read_position(self, seq: int) -> Vector:
-        """Sample the position; when so ordered, another one.
-
-        Parameters
-        ----------
-        seq : int
-            Tick number.
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            Position [m].
-        """
+        """Sample the position; when so ordered, another one."""
         position = self._device.read_position(seq)
         order = self._ordered()
         return (float(order),) * 3 if order not in ("", HANG) else position
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Hand over a force; when so ordered, never come back.
-
-        Parameters
-        ----------
-        force : tuple of float, shape (3,)
-            Force [N].
-        seq : int
-            Tick.
-        offset : float
-            Where in it [ticks].
-        """
+        """Hand over a force; when so ordered, never come back."""
         while self._ordered() == HANG:
             time.sleep(0.1)
         self._device.write_force(force, seq, offset)
@@ -101,12 +80,6 @@ class FaultyDriver(SimDriver):
     Parameters: ClassVar[type[msgspec.Struct]] = FaultyDriverParameters
 
     def make_device(self) -> Device:
-        """Make the virtual device, and what stands before it.
-
-        Returns
-        -------
-        Device
-            In the driver's time.
-        """
+        """Make the virtual device, and what stands before it."""
         parameters: Any = self.store.current
         return FaultyDevice(super().make_device(), parameters.order)

@@ -156,13 +156,7 @@ def _exhaust(rig: Rig) -> None:
 
 
 def faults() -> list[Fault]:
-    """List the faults that come from somebody else.
-
-    Returns
-    -------
-    list of Fault
-        In the order of the table.
-    """
+    """List the faults that come from somebody else."""
     impostor, revoked = _Elsewhere(), _Elsewhere()
 
     def with_link(content: dict[str, Any]) -> None:

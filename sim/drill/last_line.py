@@ -85,13 +85,7 @@ def _kill_at_start(rig: Rig) -> None:
 
 
 def faults() -> list[Fault]:
-    """List them.
-
-    Returns
-    -------
-    list of Fault
-        In the order of the table.
-    """
+    """List them."""
     return [
         Fault(
             name="blocked stderr",

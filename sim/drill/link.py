@@ -68,18 +68,7 @@ class Link(Node):
         self._oversize = self._now.oversize
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Take other faults.
-
-        Parameters
-        ----------
-        parameters : LinkParameters
-            The parameters after the change.
-
-        Returns
-        -------
-        callable
-            Puts them in place between two messages.
-        """
+        """Take other faults."""
 
         def apply(seq: int) -> dict[str, Any]:
             self._now, self._oversize = parameters, parameters.oversize

@@ -124,22 +124,7 @@ def _pass_time(rig: Rig, seconds: float, memory: _Memory) -> None:
 
 
 def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_LIMIT) -> Soak:
-    """Run for a long time under use.
-
-    Parameters
-    ----------
-    seconds : float
-        How long [s].
-    round_seconds : float
-        Length of a round; one node is killed in each [s].
-    miss_limit : float
-        Largest share of missed ticks outside respawns; 1 does not look at them, on a machine that has no time of its own.
-
-    Returns
-    -------
-    Soak
-        What came of it.
-    """
+    """Run for a long time under use."""
     content = scene()
     content["nodes"]["logger"]["respawn"] = False
     content["nodes"]["coupling"]["parameters"]["laws"]["soft"] = {"kind": "pd", "stiffness": 500.0, "damping": 2.0}
@@ -293,18 +278,7 @@ def _explain(rig: Rig, found: Soak, excused: list[tuple[int, int]], witness: Wit
 
 
 def text(found: Soak) -> str:
-    """Write what came of a long run for people.
-
-    Parameters
-    ----------
-    found : Soak
-        What came of it.
-
-    Returns
-    -------
-    str
-        A few lines.
-    """
+    """Write what came of a long run for people."""
     sent = sum(one["sent"] for one in found.accounts.values())
     growth = ", ".join(f"{node} {value / 1e6:+.1f}" for node, value in found.growth_bytes.items())
     lines = [

@@ -16,13 +16,7 @@ from sim.drill.soak import MISS_LIMIT, soak, text
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb.
-    """
+    """Declare the arguments."""
     parser.add_argument(
         "faults",
         nargs="*",
@@ -42,23 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the drills.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0 when all passed (or were skipped), else 1.
-
-    Raises
-    ------
-    UsageError
-        When there is no such fault.
-    """
+    """Run the drills."""
     # Ended by SIGTERM, it ends its launch first, as after Ctrl-C.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     if arguments.faults == ["soak"]:
@@ -100,20 +78,7 @@ HEADS = ("fault", "what was done", "safe after [ticks]", "ticks lost", "given ou
 
 
 def table(outcomes: list[Outcome], markdown: bool = False) -> str:
-    """Write the table of a drill.
-
-    Parameters
-    ----------
-    outcomes : list of Outcome
-        What came of each fault.
-    markdown : bool
-        Whether to write Markdown, for a page, instead of columns.
-
-    Returns
-    -------
-    str
-        One line per fault; below, why one failed or was skipped, and what the columns mean.
-    """
+    """Write the table of a drill."""
     rows = [HEADS, *map(_row, outcomes)]
     if markdown:
         lines = [f"| {' | '.join(row)} |" for row in rows]

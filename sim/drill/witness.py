@@ -67,18 +67,7 @@ class Witness:
         self._thread.join()
 
     def cause(self, begun: float, ended: float) -> str:
-        """Find what was counted during a stall.
-
-        Parameters
-        ----------
-        begun, ended : float
-            When it began and ended, on the monotonic clock [s].
-
-        Returns
-        -------
-        str
-            The most of what is enough to make an answer late; `UNEXPLAINED` when nothing is.
-        """
+        """Find what was counted during a stall."""
         first = max(bisect_left(self._times, begun) - 1, 0)
         last = min(bisect_right(self._times, ended), len(self._times) - 1)
         if not 0 <= first < last:
@@ -92,22 +81,7 @@ def largest(
     seconds: float,
     period: float,
 ) -> str:
-    """Find what explains a stall best.
-
-    Parameters
-    ----------
-    before, after : mapping of tuple to float
-        Two looks: who, its process, what; and how long [s].
-    seconds : float
-        Time between them [s].
-    period : float
-        Sampling period T of the loop [s].
-
-    Returns
-    -------
-    str
-        Who and what. Waiting and stolen time count in full, computing only beyond half of the time, which no tick needs.
-    """
+    """Find what explains a stall best."""
     found: list[tuple[float, str]] = []
     for key, value in after.items():
         if key in before:

@@ -25,6 +25,16 @@ from sim.scene.compiled import compiled, kernel
 from sim.scene.loop import Array, Scene, Surface, contact_of, motion_of, run
 from sim.scene.tick_loop import Contact, Laws, Motion, Records, play_compiled
 
+__all__ = [
+    "Criterion",
+    "drop_scene",
+    "free_scene",
+    "press_scene",
+    "rest_position",
+    "settled",
+    "settles",
+]
+
 
 @dataclass(frozen=True)
 class Criterion:

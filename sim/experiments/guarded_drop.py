@@ -49,24 +49,7 @@ class Drop:
 
 
 def measure(trace: Trace, stiffness: float, guarded: bool, delay: float) -> Drop:
-    """Measure a drop on a floor at height 0.
-
-    Parameters
-    ----------
-    trace : Trace
-        What happened.
-    stiffness : float
-        Nominal stiffness [N/m].
-    guarded : bool
-        Whether the guard was on.
-    delay : float
-        From handing a force over until it acts, ``next_tick`` and the device's own latency together [ticks].
-
-    Returns
-    -------
-    Drop
-        Its figures.
-    """
+    """Measure a drop on a floor at height 0."""
     whole, part = int(delay), delay - int(delay)
     # What acts during tick k: the force of tick k−i−1 for its fraction, then that of k−i.
     late = np.concatenate((np.zeros(whole + 1), trace.force))
@@ -94,28 +77,7 @@ def compare(
     next_tick: bool,
     ticks: int,
 ) -> list[Drop]:
-    """Drop a mass on walls of several stiffnesses, with and without the guard.
-
-    Parameters
-    ----------
-    device : DeviceModel
-        The mass, with gravity and the height that it is dropped from.
-    laws : dict of float to CompiledLaw
-        Nominal stiffness [N/m] to law.
-    period : float
-        Sampling period T [s].
-    guard : PassivityParameters
-        The guard; its stiffness is set to each wall's own.
-    next_tick : bool
-        Whether forces take effect one tick later.
-    ticks : int
-        Length of each drop.
-
-    Returns
-    -------
-    list of Drop
-        Two per stiffness, without the guard first.
-    """
+    """Drop a mass on walls of several stiffnesses, with and without the guard."""
     found = []
     for stiffness, law in laws.items():
         for on in (False, True):

@@ -122,20 +122,7 @@ class Needs:
 
 
 def outcome(scene: LaunchedScene, trace: Trace) -> Outcome:
-    """Work out what came of a run.
-
-    Parameters
-    ----------
-    scene : LaunchedScene
-        The scene.
-    trace : Trace
-        Its run.
-
-    Returns
-    -------
-    Outcome
-        The figures.
-    """
+    """Work out what came of a run."""
     position = np.asarray(trace.position)
     force = np.asarray(trace.force)
     tail = max(2, len(position) // _TAIL)
@@ -166,21 +153,7 @@ def _stiffest(scene: LaunchedScene) -> float | None:
 
 
 def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]:
-    """Compare two outcomes, each figure in its own measure.
-
-    Parameters
-    ----------
-    before, after : Outcome
-        Of the scene as it is, and as it was changed.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    dict of str to float
-        Relative movement by outcome, as named in ``model.outcome``. Settling is relative to itself but at
-        least 50 ticks, forces to themselves but at least 0.01 N, a swing to the larger one but at least `BUZZ`.
-    """
+    """Compare two outcomes, each figure in its own measure."""
 
     def relative(a: float, b: float, least: float) -> float:
         if not (math.isfinite(a) and math.isfinite(b)):
@@ -210,24 +183,7 @@ def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]
 
 
 def needs(scene: LaunchedScene, model: Model, rounds: int = 5, step: Callable[[str], None] | None = None) -> Needs:
-    """Switch every term of a scene.
-
-    Parameters
-    ----------
-    scene : LaunchedScene
-        The scene as its launch file declares it.
-    model : Model
-        What it is for, what it leaves out on purpose, and the tolerance.
-    rounds : int, optional
-        How often each variant is timed, interleaved.
-    step : callable, optional
-        Told after every round.
-
-    Returns
-    -------
-    Needs
-        Findings in the order of `sim.experiments.terms.TERMS`, then pairs, then conventions.
-    """
+    """Switch every term of a scene."""
     variants = _variants(scene)
     jobs: dict[str, tuple[Callable[[], object], int]] = {"": (lambda: scene.play(interpreted=True), scene.ticks)}
     for label, (_, changed, _) in variants.items():

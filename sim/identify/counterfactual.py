@@ -22,6 +22,14 @@ from sim.identify.recorded_scene import RecordedScene
 from sim.scene.loop import Swap, run
 from sim.scene.tick_loop import evaluate, respond
 
+__all__ = [
+    "STILL",
+    "Array",
+    "Felt",
+    "missing_force",
+    "replay",
+]
+
 Array = NDArray[np.float64]
 
 STILL = Criterion().tolerance

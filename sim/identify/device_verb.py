@@ -17,13 +17,7 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the sub-verbs.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb ``device``.
-    """
+    """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|presets|identify", required=True)
     listed = sub.add_parser("list", help="which devices can be driven from here")
     add_json(listed)
@@ -41,13 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def add_push(parser: argparse.ArgumentParser) -> None:
-    """Declare how the device is pushed.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of a verb that identifies.
-    """
+    """Declare how the device is pushed."""
     parser.add_argument("--duration", type=float, default=8.0, help="of one push [s] (default: %(default)s)")
     parser.add_argument("--amplitude", type=float, default=0.7, help="largest push [N] (default: %(default)s)")
     parser.add_argument("--reach", type=float, default=0.03, help="how far it is pushed [m] (default: %(default)s)")
@@ -113,35 +101,13 @@ def _identify(arguments: argparse.Namespace) -> int:
 
 
 def say(words: str) -> None:
-    """Tell how it goes: one line that is written over, on a terminal only.
-
-    Parameters
-    ----------
-    words : str
-        What to tell.
-    """
+    """Tell how it goes: one line that is written over, on a terminal only."""
     if sys.stderr.isatty():
         print(f"\r\x1b[K{words}", end="", file=sys.stderr, flush=True)
 
 
 def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Describe the excitation that was asked for.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With those of `add_push`.
-
-    Returns
-    -------
-    dict
-        A law of kind ``excitation``.
-
-    Raises
-    ------
-    UsageError
-        When it is refused.
-    """
+    """Describe the excitation that was asked for."""
     from nodes.laws.parse import LawRefusedError, parse_law
 
     law = {name: getattr(arguments, name) for name in ("duration", "amplitude", "reach")}
@@ -153,25 +119,7 @@ def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pushed, Identified]]:
-    """Push the device of a running launch at each place, and identify it there on each axis.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With those of `add_push` and `add_run`.
-    tell : callable
-        Told how it goes.
-
-    Returns
-    -------
-    list of tuple of Pushed and Identified
-        One per place and axis.
-
-    Raises
-    ------
-    RefusedError
-        When nothing could be identified.
-    """
+    """Push the device of a running launch at each place, and identify it there on each axis."""
     from nodes.cli.ask import chosen_run
     from sim.identify.push import Loop, push
 
@@ -204,27 +152,7 @@ def _axes(loop: Loop, pushed: Pushed, held: bool | None) -> list[Identified]:
 def identify_scenario(
     arguments: argparse.Namespace, scenario: str, assignments: list[str]
 ) -> list[tuple[Pushed, Identified]]:
-    """Start a scenario that pushes by itself, and identify its recording.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With those of `add_push`.
-    scenario : str
-        A launch file whose law is an excitation.
-    assignments : list of str
-        Its arguments.
-
-    Returns
-    -------
-    list of tuple of Pushed and Identified
-        One per axis.
-
-    Raises
-    ------
-    RefusedError
-        When the launch fails or its recording tells nothing.
-    """
+    """Start a scenario that pushes by itself, and identify its recording."""
     import json
     import subprocess
 

@@ -41,13 +41,7 @@ class Kind:
 
 
 def devices() -> list[Kind]:
-    """Look for every kind of device.
-
-    Returns
-    -------
-    list of Kind
-        The virtual one first.
-    """
+    """Look for every kind of device."""
     return [Kind("sim_driver", True, None, (), "closed forms and lockstep runs (no hardware)"), _touch()]
 
 
@@ -63,24 +57,12 @@ def _touch() -> Kind:
 
 
 def figures() -> list[dict[str, Any]]:
-    """Give all kinds as figures.
-
-    Returns
-    -------
-    list of dict
-        ``kind``, ``found``, ``library``, ``searched``, ``checked``.
-    """
+    """Give all kinds as figures."""
     return [{**asdict(kind), "searched": list(kind.searched)} for kind in devices()]
 
 
 def text() -> str:
-    """Give all kinds as lines.
-
-    Returns
-    -------
-    str
-        One line each, and where a missing library was looked for.
-    """
+    """Give all kinds as lines."""
     lines = []
     for kind in devices():
         state = "ready" if kind.found else f"{kind.library} not found"

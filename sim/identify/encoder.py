@@ -35,18 +35,7 @@ class Encoder:
 
 
 def encoder(position: Array) -> Encoder:
-    """Find the grid that all positions lie on.
-
-    Parameters
-    ----------
-    position : ndarray, shape (N,)
-        Measured positions [m].
-
-    Returns
-    -------
-    Encoder
-        The coarsest grid that fits them all.
-    """
+    """Find the grid that all positions lie on."""
     values = np.unique(position)
     if len(values) < LEAST_VALUES:
         return Encoder(

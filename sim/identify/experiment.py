@@ -50,43 +50,13 @@ class Experiment:
     axis: str = "x"
 
     def between(self, start: int, end: int) -> Experiment:
-        """Cut out a stretch of time.
-
-        Parameters
-        ----------
-        start, end : int
-            First tick and end, as indices into `position`.
-
-        Returns
-        -------
-        Experiment
-            The same with other segments; forces stay, for they act on.
-        """
+        """Cut out a stretch of time."""
         kept = [(max(first, start), min(last, end)) for first, last in self.segments]
         return replace(self, segments=tuple((first, last) for first, last in kept if last > first))
 
 
 def lockstep(period: float, position: Array, force: Array, delay: float = 0.0, axis: str = "x") -> Experiment:
-    """Make an experiment of a run in which every tick was answered.
-
-    Parameters
-    ----------
-    period : float
-        Sampling period T [s].
-    position : ndarray, shape (N,)
-        Measured positions [m].
-    force : ndarray, shape (N,)
-        Force that answers each of them [N].
-    delay : float
-        Delay that the loop is known to have [ticks]: 1 for ``apply: next_tick``.
-    axis : str
-        Its axis.
-
-    Returns
-    -------
-    Experiment
-        One segment.
-    """
+    """Make an experiment of a run in which every tick was answered."""
     ticks = len(position)
     return Experiment(
         period,
@@ -100,27 +70,7 @@ def lockstep(period: float, position: Array, force: Array, delay: float = 0.0, a
 
 
 def read(path: Path, axis: str | None = None) -> Experiment:
-    """Read one axis of a recording.
-
-    Parameters
-    ----------
-    path : Path
-        Recording of a launch.
-    axis : str or None
-        Which axis; None takes the one that was pushed hardest.
-
-    Returns
-    -------
-    Experiment
-        Its positions and forces.
-
-    Raises
-    ------
-    ValueError
-        When it holds no stretch that is long enough, or tells no rate.
-    RecordError
-        When it cannot be read.
-    """
+    """Read one axis of a recording."""
     recording = Recording(path)
     rate = float(recording.manifest.get("rate_hz", 0.0))
     if not rate > 0.0:

@@ -21,20 +21,7 @@ DELAYS = np.arange(0.0, 12.01, 0.5)
 
 
 def first_guess(experiment: Experiment, held: bool) -> Array:
-    """Solve the linear equations at every delay and take the one that fits best.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The run.
-    held : bool
-        Whether a stiffness is among the unknowns.
-
-    Returns
-    -------
-    ndarray, shape (6,)
-        1/m [1/kg], b/m [1/s], c/m [m/s²], k/m [1/s²], load/m [m/s²], delay [ticks].
-    """
+    """Solve the linear equations at every delay and take the one that fits best."""
     period = experiment.period
     s = np.linspace(-1.0, 1.0, 2 * HALF_WIDTH + 1)
     unit = HALF_WIDTH * period

@@ -13,6 +13,17 @@ from sim.identify.experiment import Experiment
 from sim.identify.first_guess import first_guess
 from sim.identify.output_error import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS, Fit, fit, windows
 
+__all__ = [
+    "CONFIDENCE",
+    "HELD_OUT",
+    "WINDOW",
+    "Array",
+    "Estimate",
+    "Identified",
+    "identify",
+    "initial_state",
+]
+
 Array = NDArray[np.float64]
 
 WINDOW = 100

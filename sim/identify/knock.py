@@ -80,22 +80,7 @@ class Edge:
 
 
 def judge(position: Array, knock: float, factor: float) -> Verdict:
-    """Judge one window.
-
-    Parameters
-    ----------
-    position : ndarray, shape (n,)
-        Measured positions after the knock [m].
-    knock : float
-        How far the point jumped [m].
-    factor : float
-        For the verdict.
-
-    Returns
-    -------
-    Verdict
-        Whether the motion has died down.
-    """
+    """Judge one window."""
     last = position[-max(2, len(position) // 3) :]
     with np.errstate(invalid="ignore", over="ignore"):
         left = float(np.ptp(last)) / knock
@@ -104,18 +89,7 @@ def judge(position: Array, knock: float, factor: float) -> Verdict:
 
 
 def factors(low: float, high: float) -> list[float]:
-    """List the steps of stiffness.
-
-    Parameters
-    ----------
-    low, high : float
-        First factor, and the one that the last goes up to.
-
-    Returns
-    -------
-    list of float
-        Each `STEP` times the one before.
-    """
+    """List the steps of stiffness."""
     count = max(1, int(np.ceil(np.log(high / low) / np.log(STEP))) + 1)
     return [low * STEP**n for n in range(count)]
 
@@ -129,28 +103,7 @@ def predicted_edge(
     peak: float | None,
     slew: float | None,
 ) -> Edge:
-    """Knock on a model at rising stiffness until it does not come to rest.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps at factor 1.
-    model : DeviceModel
-        The device, with the whole delay of the loop.
-    period : float
-        Sampling period [s].
-    knock : float
-        How far the point jumps [m].
-    tried : sequence of float
-        Rising factors.
-    peak, slew : float or None
-        Limits of the driver: force [N], change per tick [N].
-
-    Returns
-    -------
-    Edge
-        All steps up to the first that does not rest.
-    """
+    """Knock on a model at rising stiffness until it does not come to rest."""
     import msgspec
 
     device = msgspec.structs.replace(model, position=-knock, velocity=0.0, gravity=None)
@@ -174,35 +127,7 @@ def measured_edge(
     say: Callable[[str], None],
     steps: list[Verdict],
 ) -> str:
-    """Knock on the device of a running launch at rising stiffness; stop at the first sign.
-
-    Parameters
-    ----------
-    loop : Loop
-        The launch, its device held by `LAW` at `place`.
-    taps : sequence of float
-        The law at factor 1 [N/m].
-    place : sequence of float, shape (3,)
-        Where the device is held [m].
-    knock : float
-        How far the point jumps [m].
-    tried : sequence of float
-        Rising factors.
-    say : callable
-        Told how it goes.
-    steps : list of Verdict
-        Taken further step by step, so that what is known survives an interruption.
-
-    Returns
-    -------
-    str
-        Why it ended.
-
-    Raises
-    ------
-    RefusedError
-        When a node refuses.
-    """
+    """Knock on the device of a running launch at rising stiffness; stop at the first sign."""
     axis = loop.axes[0]
     centre = list(place)
     knocks = 0

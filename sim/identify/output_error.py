@@ -21,6 +21,23 @@ from sim.device.model import coefficients
 from sim.identify.experiment import Experiment
 from sim.scene.compiled import compiled
 
+__all__ = [
+    "DAMPING",
+    "DELAY",
+    "FRICTION",
+    "LEAST",
+    "LOAD",
+    "MOBILITY",
+    "MOST",
+    "NAMES",
+    "STIFFNESS",
+    "Array",
+    "Fit",
+    "first_states",
+    "fit",
+    "windows",
+]
+
 Array = NDArray[np.float64]
 
 MOBILITY, DAMPING, FRICTION, STIFFNESS, LOAD, DELAY = range(6)

@@ -28,19 +28,7 @@ SPREAD = 1.25
 
 
 def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Draw, push and identify one device; tune a law for it and one for the truth.
-
-    Parameters
-    ----------
-    job : mapping
-        ``number`` and ``seed`` of the device, ``held``, ``seconds`` of the push, ``rate`` [Hz], ``tune``.
-
-    Returns
-    -------
-    dict
-        Per parameter ``truth, value, low, high, why``; residuals; of the tuning the H(1) of the three laws, their pole radius
-        with the true device.
-    """
+    """Draw, push and identify one device; tune a law for it and one for the truth."""
     period = 1.0 / job["rate"]
     model = draw(job["number"], job["seed"], job["held"])
     found = identify(excite(model, period, job["seconds"], job["number"]))
@@ -99,19 +87,7 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Count over a population.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        From `study_device`.
-
-    Returns
-    -------
-    dict
-        Per parameter how many intervals hold the truth, how often it could not be told, median relative error and relative
-        width; of the tuning the ratios of H(1) and how many are unstable.
-    """
+    """Count over a population."""
     told: dict[str, Any] = {"devices": len(rows), "parameters": {}}
     for name in PARAMETERS:
         known = [row[name] for row in rows if row[name]["value"] is not None]

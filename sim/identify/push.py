@@ -115,13 +115,7 @@ class Loop:
         self.slew = None if safety["slew"] is None else safety["slew"] * self.period
 
     def progress(self) -> dict[str, Any]:
-        """Ask the driver how it goes.
-
-        Returns
-        -------
-        dict
-            ``tick``, ``position_m``, ``force_n``, ``safety`` and more.
-        """
+        """Ask the driver how it goes."""
         told: dict[str, Any] = ask(self.run, self.driver, "progress")
         return told
 
@@ -133,31 +127,7 @@ def push(
     place: Sequence[float] | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Pushed:
-    """Push the device once, record it, and put everything back.
-
-    Parameters
-    ----------
-    loop : Loop
-        The running launch.
-    law : dict
-        The excitation: ``kind`` and parameters of `nodes.laws.excitation.Excitation`.
-    out : Path
-        Recording to write.
-    place : sequence of float, shape (3,), optional
-        Where to centre the device [m]; where it is when left out.
-    say : callable
-        Told how it goes.
-
-    Returns
-    -------
-    Pushed
-        Recording and why it ended. Ctrl-C ends the push early and is no error: what was recorded counts.
-
-    Raises
-    ------
-    RefusedError
-        When a node refuses, or the device is not in its workspace.
-    """
+    """Push the device once, record it, and put everything back."""
     start = loop.progress()
     if start["safety"] in ("fault",):
         raise RefusedError(f"{loop.driver}: the device is outside its workspace; bring it back first")

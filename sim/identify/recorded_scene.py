@@ -74,27 +74,7 @@ class RecordedScene:
 
 
 def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
-    """Rebuild the scene of a recording.
-
-    Parameters
-    ----------
-    path : Path
-        Recording of a launch.
-    device : DeviceModel or None
-        What stands for the device; None takes the virtual device that was recorded.
-
-    Returns
-    -------
-    RecordedScene
-        The scene, and what was recorded.
-
-    Raises
-    ------
-    ParameterError
-        When it was recorded without its launch file, or one process cannot play it.
-    ValueError
-        When there are no ticks, or one is missing, or no device is known.
-    """
+    """Rebuild the scene of a recording."""
     recording = Recording(path)
     launch = _launch(recording, {})
     states = recording.messages(DEVICE_STATE)
@@ -189,25 +169,7 @@ def _law_of(text: str, period: float) -> CompiledLaw:
 
 
 def another_law(recorded: RecordedScene, given: Mapping[str, Any]) -> tuple[CompiledLaw, dict[str, Any]]:
-    """Make the law that is asked for instead of the recorded one.
-
-    Parameters
-    ----------
-    recorded : RecordedScene
-        The recording.
-    given : mapping of str to object
-        ``law``: a name of the coupling's laws, a preset, a kind, or a whole description; and parameters of it.
-
-    Returns
-    -------
-    tuple of CompiledLaw and dict
-        The law, and its description.
-
-    Raises
-    ------
-    ParameterError
-        When it is refused.
-    """
+    """Make the law that is asked for instead of the recorded one."""
     coupling = next(spec.parameters for spec in recorded.launch.nodes.values() if spec.kind == "coupling")
     changes = dict(given)
     wanted = changes.pop("law", coupling.get("law"))

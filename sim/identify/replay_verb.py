@@ -18,13 +18,7 @@ EXPLAINED = 1e-5
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of ``haptic bag replay``.
-    """
+    """Declare the arguments."""
     parser.add_argument("file", type=Path, help="recording of a launch")
     parser.add_argument(
         "assignments", nargs="*", metavar="name:=value", help="law:=NAME or a description, and its parameters"
@@ -39,25 +33,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Replay the same law, then the other.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When the recording cannot be read or the law is refused.
-    RefusedError
-        When the recording cannot be replayed.
-    """
+    """Replay the same law, then the other."""
     import numpy as np
 
     from nodes.launcher.launch_file import parse_assignments

@@ -28,18 +28,7 @@ def _told(estimate: Estimate) -> dict[str, Any]:
 
 
 def figures(found: Identified) -> dict[str, Any]:
-    """Give an identified device as figures.
-
-    Parameters
-    ----------
-    found : Identified
-        The device.
-
-    Returns
-    -------
-    dict
-        Each parameter as ``{value, low, high}``, null with ``why`` where it cannot be told; residuals in encoder steps.
-    """
+    """Give an identified device as figures."""
     return {
         "axis": found.axis,
         "rate_hz": 1.0 / found.period,
@@ -57,18 +46,7 @@ def figures(found: Identified) -> dict[str, Any]:
 
 
 def from_figures(told: Mapping[str, Any]) -> Identified:
-    """Read back what `figures` gave: the inverse, for a step that is run alone.
-
-    Parameters
-    ----------
-    told : mapping
-        Figures of an identified device.
-
-    Returns
-    -------
-    Identified
-        The device.
-    """
+    """Read back what `figures` gave: the inverse, for a step that is run alone."""
     estimates = {
         name: Estimate(told[key]["value"], told[key]["low"], told[key]["high"], told[key].get("why", ""))
         for key, name, _, _ in ROWS
@@ -89,18 +67,7 @@ def from_figures(told: Mapping[str, Any]) -> Identified:
 
 
 def text(found: Identified) -> str:
-    """Give an identified device as a table.
-
-    Parameters
-    ----------
-    found : Identified
-        The device.
-
-    Returns
-    -------
-    str
-        A line per parameter.
-    """
+    """Give an identified device as a table."""
     lines = [f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals"]
     for _, name, label, unit in ROWS:
         estimate: Estimate = getattr(found, name)
@@ -120,23 +87,7 @@ def text(found: Identified) -> str:
 
 
 def device_parameters(found: Identified) -> dict[str, Any]:
-    """Describe an identified device as the sim driver's parameter ``device``.
-
-    Parameters
-    ----------
-    found : Identified
-        The device; what could not be told is left out.
-
-    Returns
-    -------
-    dict
-        Fields of `sim.device.model.DeviceModel`.
-
-    Raises
-    ------
-    ValueError
-        When not even the mass is known.
-    """
+    """Describe an identified device as the sim driver's parameter ``device``."""
     mass, _, _ = found.mass.known()
     optional = {
         "damping": found.damping.value,

@@ -22,6 +22,17 @@ from sim.device.model import DeviceModel
 from sim.identify.identify import Identified
 from sim.identify.knock import Edge, factors, predicted_edge
 
+__all__ = [
+    "Wanted",
+    "demand",
+    "design",
+    "edge_error",
+    "knock_size",
+    "linear_edge",
+    "model",
+    "predict",
+]
+
 
 @dataclass(frozen=True)
 class Wanted:

@@ -12,18 +12,7 @@ from sim.identify.report import ROWS
 
 
 def page(told: Mapping[str, Any]) -> str:
-    """Write a tuning as HTML that needs no other file.
-
-    Parameters
-    ----------
-    told : mapping
-        What ``tune.json`` holds, complete or not.
-
-    Returns
-    -------
-    str
-        The page.
-    """
+    """Write a tuning as HTML that needs no other file."""
     parts = ["<h1>From a device to its law</h1>"]
     if told.get("interrupted"):
         parts.append(

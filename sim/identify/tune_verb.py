@@ -30,13 +30,7 @@ SOFT, SOFT_LAW = "soft", {"kind": "pd", "stiffness": 20.0, "damping": 0.5}
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of this verb.
-    """
+    """Declare the arguments."""
     parser.add_argument("scenario", nargs="?", help="start this launch file for it; left out: the running launch")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument(
@@ -61,18 +55,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Go through the steps; whatever happens, leave the device safe and write what is known.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0; 1 when a step did not succeed; 130 after Ctrl-C.
-    """
+    """Go through the steps; whatever happens, leave the device safe and write what is known."""
     if not (1 <= arguments.taps <= 12 and arguments.spread >= 1.0 and 0.0 < arguments.radius <= 1.0):
         raise UsageError("--taps 1 to 12, --spread at least 1, --radius above 0 and at most 1")
     excitation(arguments)

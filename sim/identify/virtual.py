@@ -65,26 +65,7 @@ def _push(
 
 
 def excite(model: DeviceModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:
-    """Push a virtual device and note what its encoder reads.
-
-    Parameters
-    ----------
-    model : DeviceModel
-        The device; a hand must hold still.
-    period : float
-        Sampling period T [s].
-    seconds : float
-        How long [s].
-    seed : int
-        Of the excitation.
-    peak : float
-        Driver's limit of the force [N].
-
-    Returns
-    -------
-    Experiment
-        In lockstep.
-    """
+    """Push a virtual device and note what its encoder reads."""
     ticks = round(seconds / period)
     positions, forces = np.zeros(ticks), np.zeros(ticks)
     whole, part = split_delay(model.delay)
@@ -124,24 +105,7 @@ class Range:
 
 
 def draw(number: int, seed: int, held: bool, ranges: Range | None = None) -> DeviceModel:
-    """Draw one device.
-
-    Parameters
-    ----------
-    number : int
-        Which one of the population.
-    seed : int
-        Of the population.
-    held : bool
-        Whether a hand holds it: 50 to 200 g, 1 to 5 N s/m, 100 to 600 N/m.
-    ranges : Range or None
-        What to draw from.
-
-    Returns
-    -------
-    DeviceModel
-        The device.
-    """
+    """Draw one device."""
     ranges = ranges or Range()
     rng = np.random.default_rng([seed, number, int(held)])
 

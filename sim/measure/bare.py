@@ -24,13 +24,7 @@ BARE = (*PYTHON, "-m", "sim.measure.bare_loop")
 
 @cache
 def c_loop() -> tuple[str, ...] | None:
-    """Compile the yardstick in C.
-
-    Returns
-    -------
-    tuple of str or None
-        The command without its arguments; None where there is no compiler, or pyzmq's libzmq is not to be found.
-    """
+    """Compile the yardstick in C."""
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     try:
         libzmq = library_of_pyzmq()
@@ -48,28 +42,7 @@ def c_loop() -> tuple[str, ...] | None:
 def bare_loop(
     ticks: int, core: str, fifo: int = 0, rate: float = 0.0, logger: bool = False, program: Sequence[str] = BARE
 ) -> dict[str, Any]:
-    """Run a yardstick.
-
-    Parameters
-    ----------
-    ticks : int
-        How many ticks.
-    core : str
-        Core of all three processes, or ``any``.
-    fifo : int
-        SCHED_FIFO priority, 0 for none.
-    rate : float
-        Ticks per second; 0 for lockstep.
-    logger : bool
-        Whether a fourth process, off the core, receives everything.
-    program : sequence of str
-        The command without its arguments: `BARE`, or `c_loop`.
-
-    Returns
-    -------
-    dict
-        ``ticks_per_s``, ``missed``, ``response_us``.
-    """
+    """Run a yardstick."""
     from sim.measure.bare_loop import ROLES
 
     with tempfile.TemporaryDirectory(prefix="haptic-bare-") as folder:

@@ -178,19 +178,7 @@ def _drive(folder: str, ticks: int, rate: float, listeners: int) -> dict[str, An
 
 
 def main(arguments: list[str]) -> int:
-    """Run one role.
-
-    Parameters
-    ----------
-    arguments : list of str
-        Role, folder of the sockets, ticks, core (or ``any``), SCHED_FIFO priority (0 for none), rate [Hz] (0 for lockstep),
-        how many loggers listen.
-
-    Returns
-    -------
-    int
-        0.
-    """
+    """Run one role."""
     role, folder, ticks, core, fifo, rate, listeners = arguments
     if core != "any":
         os.sched_setaffinity(0, [int(core)])

@@ -34,27 +34,7 @@ class MeasurementError(HapticError):
 
 
 def last_line(command: list[str], folder: Path, timeout: float) -> dict[str, Any]:
-    """Run a command that answers with one JSON object on its last line.
-
-    Parameters
-    ----------
-    command : list of str
-        Program and arguments.
-    folder : Path
-        Where it runs.
-    timeout : float
-        Longest time [s].
-
-    Returns
-    -------
-    dict
-        The object.
-
-    Raises
-    ------
-    MeasurementError
-        When it fails or answers something else.
-    """
+    """Run a command that answers with one JSON object on its last line."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, check=False)
     try:
         figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
@@ -66,24 +46,7 @@ def last_line(command: list[str], folder: Path, timeout: float) -> dict[str, Any
 
 
 def launch(scenario: str, *words: str, folder: Path | None = None, timeout: float = 300.0) -> dict[str, Any]:
-    """Run a scenario to its end.
-
-    Parameters
-    ----------
-    scenario : str
-        Name or path of a launch file.
-    *words : str
-        Further arguments of ``haptic launch``.
-    folder : Path, optional
-        Where it runs and leaves its recording; one that is removed again when left out.
-    timeout : float
-        Longest time [s].
-
-    Returns
-    -------
-    dict
-        What ``haptic launch --json`` answers.
-    """
+    """Run a scenario to its end."""
     with contextlib.ExitStack() as held:
         if folder is None:
             folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-bench-")))
@@ -147,37 +110,13 @@ class Running:
         self._place.cleanup()
 
     def ask(self, node: str, op: str, **args: Any) -> Any:
-        """Ask a node.
-
-        Parameters
-        ----------
-        node, op : str
-            Node and operation.
-        **args : object
-            Arguments of the operation.
-
-        Returns
-        -------
-        object
-            The result.
-        """
+        """Ask a node."""
         found = next(iter((self.folder / "run").glob("runs/*/run.json")))
         info = msgspec.json.decode(found.read_bytes(), type=RunInfo)
         return call(self._context, info.nodes[node].control, op, timeout=10.0, **args)
 
     def await_tick(self, tick: int) -> None:
-        """Wait until the driver has come to a tick.
-
-        Parameters
-        ----------
-        tick : int
-            Tick number.
-
-        Raises
-        ------
-        MeasurementError
-            When it does not within 30 s, or the launch ends.
-        """
+        """Wait until the driver has come to a tick."""
         deadline = time.monotonic() + START
         while time.monotonic() < deadline and self._launcher.poll() is None:
             with contextlib.suppress(StopIteration, ControlError):
@@ -188,13 +127,7 @@ class Running:
         raise MeasurementError(f"the launch did not come to tick {tick} within {START:g} s: {said[-2000:]}")
 
     def end(self) -> dict[str, Any]:
-        """End the launch as Ctrl-C does.
-
-        Returns
-        -------
-        dict
-            What ``haptic launch --json`` answers.
-        """
+        """End the launch as Ctrl-C does."""
         self._launcher.send_signal(signal.SIGINT)
         out, _ = self._launcher.communicate(timeout=60.0)
         figures: dict[str, Any] = json.loads(out.splitlines()[-1])
@@ -202,25 +135,13 @@ class Running:
 
 
 def machine() -> str:
-    """Name the machine that a figure was measured on.
-
-    Returns
-    -------
-    str
-        Processor, number of cores, kernel, Python.
-    """
+    """Name the machine that a figure was measured on."""
     here = stopwatch.machine()
     cores = len(os.sched_getaffinity(0))
     return f"{here['cpu']}, {cores} cores, {here['system']}, Python {here['python']}"
 
 
 def fifo_granted() -> bool:
-    """Whether this user may have real-time priority.
-
-    Returns
-    -------
-    bool
-        True when the kernel grants SCHED_FIFO.
-    """
+    """Whether this user may have real-time priority."""
     code = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))"
     return subprocess.run([*PYTHON, "-c", code], capture_output=True, check=False).returncode == 0

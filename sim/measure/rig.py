@@ -43,13 +43,7 @@ class RigError(MeasurementError):
 
 
 def full_pipe() -> tuple[int, int]:
-    """Make a pipe that nobody reads: whoever writes to it waits.
-
-    Returns
-    -------
-    tuple of int, shape (2,)
-        Descriptors to read from and to write to, the second one blocking as a terminal's.
-    """
+    """Make a pipe that nobody reads: whoever writes to it waits."""
     reading, writing = os.pipe()
     # A description of its own: the pipe is filled without making the writer's end non-blocking.
     filling = os.open(f"/proc/self/fd/{writing}", os.O_WRONLY | os.O_NONBLOCK)
@@ -176,20 +170,7 @@ class Rig:
         return self._info
 
     def wait(self, condition: Callable[[], Any], longest: float) -> bool:
-        """Wait for a condition.
-
-        Parameters
-        ----------
-        condition : callable
-            Looked at a hundred times a second.
-        longest : float
-            When to give up [s].
-
-        Returns
-        -------
-        bool
-            Whether it came about.
-        """
+        """Wait for a condition."""
         until = time.monotonic() + longest
         while not condition():
             if time.monotonic() > until:
@@ -198,71 +179,21 @@ class Rig:
         return True
 
     def call(self, node: str, op: str, timeout: float = 5.0, **args: object) -> Any:
-        """Ask a node.
-
-        Parameters
-        ----------
-        node, op : str
-            Node and operation.
-        timeout : float
-            Longest wait [s].
-        **args : object
-            Arguments of the operation.
-
-        Returns
-        -------
-        object
-            The result.
-        """
+        """Ask a node."""
         return call(self._context, self.info.nodes[node].control, op, timeout=timeout, **args)
 
     def pid(self, node: str) -> int:
-        """Find a node's process.
-
-        Parameters
-        ----------
-        node : str
-            Its name.
-
-        Returns
-        -------
-        int
-            Process number.
-        """
+        """Find a node's process."""
         return int(self.call(node, "status")["pid"])
 
     def kill(self, node: str, number: signal.Signals = signal.SIGKILL) -> int:
-        """Send a signal to a node.
-
-        Parameters
-        ----------
-        node : str
-            Its name.
-        number : signal.Signals
-            The signal.
-
-        Returns
-        -------
-        int
-            Its process number.
-        """
+        """Send a signal to a node."""
         pid = self.pid(node)
         os.kill(pid, number)
         return pid
 
     def beside(self, *words: str) -> subprocess.Popen[bytes]:
-        """Start another ``haptic`` command beside the launch, in its folder.
-
-        Parameters
-        ----------
-        *words : str
-            Its arguments.
-
-        Returns
-        -------
-        subprocess.Popen
-            The process; who started it ends it.
-        """
+        """Start another ``haptic`` command beside the launch, in its folder."""
         return subprocess.Popen(
             [*HAPTIC, *words],
             cwd=self.folder,
@@ -273,13 +204,7 @@ class Rig:
         )
 
     def processes(self) -> list[str]:
-        """List the live processes of the run, its guard included.
-
-        Returns
-        -------
-        list of str
-            Number and command line of each.
-        """
+        """List the live processes of the run, its guard included."""
         found = []
         for entry in os.listdir("/proc"):
             with contextlib.suppress(FileNotFoundError, ProcessLookupError, ValueError):
@@ -289,13 +214,7 @@ class Rig:
         return found
 
     def end(self, look: Callable[[], None] | None = None) -> None:
-        """Interrupt the launch, wait for its end, and see what it has left behind.
-
-        Parameters
-        ----------
-        look : callable, optional
-            Called after the end, before the folder with its recordings is removed.
-        """
+        """Interrupt the launch, wait for its end, and see what it has left behind."""
         if self._ending.is_set():
             return
         try:

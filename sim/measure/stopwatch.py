@@ -55,15 +55,7 @@ class Progress:
         self._shown = -1
 
     def step(self, what: str, count: int = 1) -> None:
-        """Go on.
-
-        Parameters
-        ----------
-        what : str
-            What has just been done.
-        count : int, optional
-            How many steps that was.
-        """
+        """Go on."""
         self._done = min(self._total, self._done + count)
         tenths = 10 * self._done // self._total
         if self._terminal:
@@ -84,22 +76,7 @@ def interleaved(
     rounds: int,
     step: Callable[[str], None] | None = None,
 ) -> dict[str, Timing]:
-    """Time several jobs against each other.
-
-    Parameters
-    ----------
-    jobs : mapping of str to (callable, int)
-        What to run, and how many units of work one run is.
-    rounds : int
-        How many rounds, after one that only warms up (compilation, caches).
-    step : callable, optional
-        Told after every round what was done, for a progress bar.
-
-    Returns
-    -------
-    dict of str to Timing
-        Seconds per unit of work.
-    """
+    """Time several jobs against each other."""
     names = list(jobs)
     seconds: dict[str, list[float]] = {name: [] for name in names}
     for name in names:
@@ -124,13 +101,7 @@ def _summary(values: list[float]) -> Timing:
 
 
 def machine() -> dict[str, Any]:
-    """Name the machine that figures were taken on.
-
-    Returns
-    -------
-    dict
-        ``cpu``, ``cores``, ``system``, ``python``, ``numpy``, ``numba``, ``load_1min``.
-    """
+    """Name the machine that figures were taken on."""
     from importlib.metadata import version
 
     cpu = platform.processor() or platform.machine()

@@ -32,13 +32,7 @@ RETRIES = 3
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
-    """Declare where a sweep runs.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of a study that sweeps.
-    """
+    """Declare where a sweep runs."""
     parser.add_argument("--workers", type=int, default=0, help="processes on this machine (default: one per core)")
     parser.add_argument(
         "--cluster", metavar="ADDRESS", help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786"
@@ -49,25 +43,7 @@ def add_cluster(parser: argparse.ArgumentParser) -> None:
 
 @contextlib.contextmanager
 def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
-    """Open what the jobs run on.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With those of `add_cluster`.
-
-    Yields
-    ------
-    Executor
-        Processes, or the workers of the cluster.
-
-    Raises
-    ------
-    UsageError
-        When the cluster's address is refused, or Dask is not installed.
-    RefusedError
-        When the cluster does not answer.
-    """
+    """Open what the jobs run on."""
     if arguments.cluster is None:
         # Spawned, not forked: this process may have threads of its own by now.
         with ProcessPoolExecutor(
@@ -92,23 +68,7 @@ def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
 
 
 def check_cluster(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Refuse a cluster that is reached over a network without TLS: its workers run whatever they are sent.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With those of `add_cluster`.
-
-    Returns
-    -------
-    dict
-        What Dask's ``Security`` takes; empty on this machine.
-
-    Raises
-    ------
-    UsageError
-        With what is wrong and what to do.
-    """
+    """Refuse a cluster that is reached over a network without TLS: its workers run whatever they are sent."""
     address = urlsplit(arguments.cluster)
     if address.scheme not in ("tcp", "tls") or not address.hostname or not address.port:
         raise UsageError(f"--cluster {arguments.cluster}: expected tcp://127.0.0.1:PORT or tls://HOST:PORT")
@@ -141,34 +101,12 @@ def _loopback(host: str) -> bool:
 
 
 def key_of(parameters: Mapping[str, Any]) -> str:
-    """Name a job by its parameters.
-
-    Parameters
-    ----------
-    parameters : mapping
-        JSON-able.
-
-    Returns
-    -------
-    str
-        The same for the same parameters in any order.
-    """
+    """Name a job by its parameters."""
     return json.dumps(dict(parameters), sort_keys=True)
 
 
 def read_ledger(path: Path) -> dict[str, Row]:
-    """Read the results that there are.
-
-    Parameters
-    ----------
-    path : Path
-        The ledger; need not exist.
-
-    Returns
-    -------
-    dict of str to dict
-        Key of a job to its figures. A last line that was cut off is left out: its job is done again.
-    """
+    """Read the results that there are."""
     found: dict[str, Row] = {}
     if path.exists():
         for line in path.read_text(encoding="utf-8").splitlines():
@@ -181,20 +119,7 @@ def read_ledger(path: Path) -> dict[str, Row]:
 
 
 def run_chunk(job: Job, chunk: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """Do some jobs one after another, in one process.
-
-    Parameters
-    ----------
-    job : callable
-        The job.
-    chunk : sequence of mapping
-        Parameters of each.
-
-    Returns
-    -------
-    list of dict
-        Figures of each.
-    """
+    """Do some jobs one after another, in one process."""
     return [job(parameters) for parameters in chunk]
 
 
@@ -206,28 +131,7 @@ def sweep(
     chunk: int = 1,
     step: Callable[[str, int], None] | None = None,
 ) -> list[Row]:
-    """Do all jobs that the ledger has no result of.
-
-    Parameters
-    ----------
-    job : callable
-        A function of a module.
-    jobs : sequence of mapping
-        Parameters of each job, JSON-able and all different.
-    pool : Executor
-        What runs them.
-    ledger : Path
-        Where results are kept as they come.
-    chunk : int
-        Jobs that go to a worker together: a second of work or more.
-    step : callable, optional
-        Told what was done, and how many jobs that was.
-
-    Returns
-    -------
-    list of dict
-        Figures of each job, in the order of `jobs`.
-    """
+    """Do all jobs that the ledger has no result of."""
     done = read_ledger(ledger)
     left = [parameters for parameters in jobs if key_of(parameters) not in done]
     if step is not None and len(left) < len(jobs):

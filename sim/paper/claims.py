@@ -39,36 +39,12 @@ class Claim:
 
 
 def verdict(true: bool, condition: bool | None = None) -> str:
-    """Choose a verdict.
-
-    Parameters
-    ----------
-    true : bool
-        Whether the claim was found true as it stands.
-    condition : bool or None
-        Whether it is true at least under the condition told with it; None when none is told.
-
-    Returns
-    -------
-    str
-        The verdict.
-    """
+    """Choose a verdict."""
     return HOLDS if true else ONLY_IF if condition else FAILS
 
 
 def table(claims: Sequence[Claim]) -> str:
-    """Lay claims out for people.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-        The claims.
-
-    Returns
-    -------
-    str
-        One block of two lines each.
-    """
+    """Lay claims out for people."""
     width = max(len(HOLDS), len(ONLY_IF), len(FAILS))
     return "\n".join(
         f"{claim.verdict:{width}}  {claim.claim}  [{claim.source}]\n{'':{width}}  {claim.number}" for claim in claims
@@ -78,26 +54,7 @@ def table(claims: Sequence[Claim]) -> str:
 def save(
     name: str, figures: Mapping[str, Any], claims: Sequence[Claim], picture: Figure, folder: Path
 ) -> dict[str, Any]:
-    """Write a study's figures and picture.
-
-    Parameters
-    ----------
-    name : str
-        Name of the study and of its files.
-    figures : mapping of str to object
-        What was computed, ready for JSON.
-    claims : sequence of Claim
-        The claims.
-    picture : matplotlib.figure.Figure
-        The picture.
-    folder : Path
-        Where the files go; made when missing.
-
-    Returns
-    -------
-    dict
-        Figures, ``claims``, and ``plot`` and ``data``, the paths written.
-    """
+    """Write a study's figures and picture."""
     plot, data = fresh(folder / f"{name}.png"), fresh(folder / f"{name}.json")
     picture.savefig(plot, dpi=150)
     whole = {**figures, "claims": [asdict(claim) for claim in claims]}

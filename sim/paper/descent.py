@@ -59,18 +59,7 @@ class Descent:
 
 
 def paper_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
-    """Targets of the paper: −1 at low and middle frequencies, +1 at ω_N.
-
-    Parameters
-    ----------
-    fractions : tuple of float
-        The low and middle frequencies in units of ω_N; the paper does not print its own.
-
-    Returns
-    -------
-    Targets
-        Those, and ω_N last.
-    """
+    """Targets of the paper: −1 at low and middle frequencies, +1 at ω_N."""
     return Targets(
         np.pi * np.array([*fractions, 1.0]),
         np.array([-1.0] * len(fractions) + [1.0]),
@@ -78,26 +67,7 @@ def paper_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
 
 
 def term_damping(theta: Vector, order: float, taps: int, leak: bool = True) -> tuple[Vector, Vector]:
-    """Compute f of one Grünwald–Letnikov term with f(ω_N) = 1, and its slope along the order.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (k,)
-        Frequencies as ωT.
-    order : float
-        α.
-    taps : int
-        n + 1.
-    leak : bool
-        Whether the stiffness D(1) that truncation leaves counts as damping, as it does in the paper.
-
-    Returns
-    -------
-    f : ndarray, shape (k,)
-        T·Re{D/(1−z)} (paper, eq. 9), or that of D − D(1); in units of f(ω_N) with the leak.
-    slope : ndarray, shape (k,)
-        df/dα.
-    """
+    """Compute f of one Grünwald–Letnikov term with f(ω_N) = 1, and its slope along the order."""
     c, dc = np.ones(taps), np.zeros(taps)
     for m in range(1, taps):
         c[m] = c[m - 1] * (m - 1.0 - order) / m
@@ -112,45 +82,13 @@ def term_damping(theta: Vector, order: float, taps: int, leak: bool = True) -> t
 
 
 def damping_curve(theta: Vector, gains: Vector, orders: Vector, taps: int, leak: bool = True) -> Vector:
-    """Compute f of a multi-term law, normalised.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (k,)
-        Frequencies as ωT.
-    gains, orders : ndarray, shape (t,)
-        A_i and α_i.
-    taps : int
-        n + 1 of each term.
-    leak : bool
-        As in `term_damping`.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Σ A_i f_i.
-    """
+    """Compute f of a multi-term law, normalised."""
     parts = np.array([term_damping(theta, order, taps, leak)[0] for order in orders.tolist()])
     return np.asarray(gains @ parts, dtype=np.float64)
 
 
 def cost(gains: Vector, orders: Vector, targets: Targets, taps: int) -> float:
-    """J of eq. (13): the sum of the squared misses.
-
-    Parameters
-    ----------
-    gains, orders : ndarray, shape (t,)
-        A_i and α_i.
-    targets : Targets
-        What is wanted.
-    taps : int
-        n + 1 of each term.
-
-    Returns
-    -------
-    float
-        J.
-    """
+    """J of eq. (13): the sum of the squared misses."""
     miss = damping_curve(targets.theta, gains, orders, taps) - targets.value
     return float(miss @ miss)
 
@@ -158,26 +96,7 @@ def cost(gains: Vector, orders: Vector, targets: Targets, taps: int) -> float:
 def steepest_descent(
     gains: Vector, orders: Vector, targets: Targets, taps: int = 4, rate: float = 0.01, steps: int = 5000
 ) -> Descent:
-    """Follow −∇J with a fixed rate, gains (14) and orders (15) in the same step.
-
-    Parameters
-    ----------
-    gains, orders : ndarray, shape (t,)
-        Where to start.
-    targets : Targets
-        What is wanted.
-    taps : int
-        n + 1 of each term.
-    rate : float
-        Step per unit of gradient.
-    steps : int
-        At most so many.
-
-    Returns
-    -------
-    Descent
-        Where it ended and how.
-    """
+    """Follow −∇J with a fixed rate, gains (14) and orders (15) in the same step."""
     gains, orders = np.array(gains, dtype=np.float64), np.array(orders, dtype=np.float64)
     history: list[float] = []
     outcome = "slow"
@@ -204,28 +123,7 @@ def steepest_descent(
 
 
 def survey(targets: Targets, taps: int, rate: float, steps: int, starts: int, terms: int = 2) -> list[Descent]:
-    """Run the descent from a grid of starts: unit gains, all pairs of orders.
-
-    Parameters
-    ----------
-    targets : Targets
-        What is wanted.
-    taps : int
-        n + 1 of each term.
-    rate : float
-        Step per unit of gradient.
-    steps : int
-        At most so many per run.
-    starts : int
-        Orders per axis, spread evenly over (0, 4).
-    terms : int
-        Number of terms.
-
-    Returns
-    -------
-    list of Descent
-        One per start, orders increasing within a start.
-    """
+    """Run the descent from a grid of starts: unit gains, all pairs of orders."""
     from itertools import combinations
 
     axis = 4.0 * (np.arange(starts) + 0.5) / starts

@@ -70,13 +70,7 @@ class Edge:
 
 
 def edges() -> Iterator[Edge]:
-    """Look at every boundary from both sides.
-
-    Yields
-    ------
-    Edge
-        One after the other: PD, PDα (FIR and recursive), the paper's optimum, at whole and fractional delays.
-    """
+    """Look at every boundary from both sides."""
     spring = CompiledLaw((0.0,))
     recursive = without_spring(
         PDAlpha(stiffness=1.0, damping=2.0, order=0.8, taps=6, gains="paper", derivative="oustaloup_matched"),
@@ -109,13 +103,7 @@ def edges() -> Iterator[Edge]:
 
 
 def traps() -> list[Claim]:
-    """Make every named trap spring.
-
-    Returns
-    -------
-    list of Claim
-        What THEORY.md says goes wrong, and by how much it does.
-    """
+    """Make every named trap spring."""
     biases = {n: euler_bias(n) for n in (2, 4, 10, 50)}
     worst = max(abs(found / predicted - 1.0) for found, predicted in biases.values())
     first = next(m for m in range(1, 400) if gamma_coefficient(0.5, m) == 0.0)

@@ -31,20 +31,7 @@ MIDDLE = 0.5
 
 
 def term_curve(theta: Vector, order: float) -> Vector:
-    """Give f of one term with unlimited memory, normalised: (sin(θ/2))^{α−1} cos((α+1)(π−θ)/2).
-
-    Parameters
-    ----------
-    theta : ndarray
-        ωT, 0 < ωT ≤ π.
-    order : float
-        α.
-
-    Returns
-    -------
-    ndarray, shape of theta
-        f, 1 at ω_N.
-    """
+    """Give f of one term with unlimited memory, normalised: (sin(θ/2))^{α−1} cos((α+1)(π−θ)/2)."""
     shape = np.sin(theta / 2.0) ** (order - 1.0) * np.cos(0.5 * (order + 1.0) * (math.pi - theta))
     return np.asarray(shape, dtype=np.float64)
 
@@ -72,20 +59,7 @@ class Term:
 
 
 def figure_2(taps: int, points: int = 400) -> tuple[Vector, list[Term], list[Term]]:
-    """Compute f(ω) of single terms.
-
-    Parameters
-    ----------
-    taps : int
-        n + 1.
-    points : int
-        Frequencies.
-
-    Returns
-    -------
-    tuple of ndarray, list of Term and list of Term
-        ωT of the points, and the curves of (a) and (b).
-    """
+    """Compute f(ω) of single terms."""
     theta = np.pi * np.arange(1, points + 1) / points
 
     def term(order: float) -> Term:
@@ -96,22 +70,7 @@ def figure_2(taps: int, points: int = 400) -> tuple[Vector, list[Term], list[Ter
 
 
 def one_term(theta: Vector, order: float, taps: int) -> Vector:
-    """Give f of one term of n + 1 taps, normalised by its own f(ω_N).
-
-    Parameters
-    ----------
-    theta : ndarray
-        ωT.
-    order : float
-        α.
-    taps : int
-        n + 1.
-
-    Returns
-    -------
-    ndarray, shape of theta
-        f.
-    """
+    """Give f of one term of n + 1 taps, normalised by its own f(ω_N)."""
     return damping_curve(theta, np.ones(1), np.array([order]), taps)
 
 
@@ -146,18 +105,7 @@ def _by_memory(source: str, claim: str, judge: Callable[[int], bool], unlimited:
 
 
 def claims_2(taps: int) -> list[Claim]:
-    """Judge what the paper's section 3.2 says about figure 2, and what THEORY.md adds.
-
-    Parameters
-    ----------
-    taps : int
-        n + 1 of the figure, for the numbers told.
-
-    Returns
-    -------
-    list of Claim
-        The claims; each is judged for n from 1 to 1000 and for unlimited memory.
-    """
+    """Judge what the paper's section 3.2 says about figure 2, and what THEORY.md adds."""
     theta, low, high = figure_2(taps)
     curves = {(a, n): one_term(theta, a, n + 1) for a in {*LOW_ORDERS, *HIGH_ORDERS} for n in MEMORIES}
     pd = -np.cos(theta)
@@ -296,32 +244,13 @@ def _leak_sign(order: float, leak: float) -> bool:
 
 
 def optimum_terms() -> tuple[Vector, Vector]:
-    """Gains and orders of the paper's optimum, normalised.
-
-    Returns
-    -------
-    tuple of ndarray, shape (2,) each
-        A = [1.69, 1.32] and α = [1.50, 3.47].
-    """
+    """Gains and orders of the paper's optimum, normalised."""
     terms = PRESETS["paper_optimum"]["terms"]
     return np.array([t["gain"] for t in terms]), np.array([t["order"] for t in terms])
 
 
 def figure_3(taps: int, points: int = 400) -> dict[str, Vector]:
-    """Compute f(ω) of the paper's optimum and of PD.
-
-    Parameters
-    ----------
-    taps : int
-        n + 1; the paper prints no n, flatness of f says 4.
-    points : int
-        Frequencies.
-
-    Returns
-    -------
-    dict of str to ndarray
-        ``theta``, ``optimum``, ``pd``, and the optimum's two ``terms`` (2, points).
-    """
+    """Compute f(ω) of the paper's optimum and of PD."""
     theta = np.pi * np.arange(1, points + 1) / points
     gains, orders = optimum_terms()
     parts = [damping_curve(theta, gains[i : i + 1], orders[i : i + 1], taps) for i in range(2)]
@@ -329,40 +258,14 @@ def figure_3(taps: int, points: int = 400) -> dict[str, Vector]:
 
 
 def ripple(taps: int, upper: float) -> float:
-    """Largest |f + 1| of the paper's optimum over the low and middle range.
-
-    Parameters
-    ----------
-    taps : int
-        n + 1.
-    upper : float
-        End of the range [ω_N]; it starts at 0.02.
-
-    Returns
-    -------
-    float
-        Ripple.
-    """
+    """Largest |f + 1| of the paper's optimum over the low and middle range."""
     gains, orders = optimum_terms()
     theta = np.pi * np.linspace(0.02, upper, 400)
     return float(np.abs(damping_curve(theta, gains, orders, taps) + 1.0).max())
 
 
 def claims_3(taps: int, period: float) -> list[Claim]:
-    """Judge what the paper says about figure 3, and what THEORY.md adds.
-
-    Parameters
-    ----------
-    taps : int
-        n + 1.
-    period : float
-        Sampling period T of the claim about units [s].
-
-    Returns
-    -------
-    list of Claim
-        Against PD; flatness and the inferred n; the normalisation; the waterbed.
-    """
+    """Judge what the paper says about figure 3, and what THEORY.md adds."""
     figure = figure_3(taps)
     theta, gains, orders = figure["theta"], *optimum_terms()
 

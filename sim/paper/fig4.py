@@ -56,36 +56,12 @@ class Setting:
     criterion: Criterion = field(default_factory=Criterion)
 
     def device(self, delay: float, touch: bool) -> DeviceModel:
-        """Describe the device.
-
-        Parameters
-        ----------
-        delay : float
-            Of the loop [ticks].
-        touch : bool
-            Whether it has the Touch X's resolution and friction.
-
-        Returns
-        -------
-        DeviceModel
-            The device.
-        """
+        """Describe the device."""
         resolution, friction = (self.resolution, self.friction) if touch else (None, None)
         return DeviceModel(mass=self.mass, damping=self.damping, delay=delay, resolution=resolution, friction=friction)
 
     def held(self, delay: float) -> Plant:
-        """Describe the same as the linear loop sees it.
-
-        Parameters
-        ----------
-        delay : float
-            Of the loop [ticks].
-
-        Returns
-        -------
-        Plant
-            Mass, damping and delay.
-        """
+        """Describe the same as the linear loop sees it."""
         return Plant(self.mass, self.damping, delay)
 
 
@@ -115,18 +91,7 @@ class Curve:
 
 
 def published(setting: Setting) -> dict[str, Family]:
-    """Give the derivative part of PD and of the paper's optimum as functions of B.
-
-    Parameters
-    ----------
-    setting : Setting
-        For its period.
-
-    Returns
-    -------
-    dict of str to callable
-        From B [N s/m] to the law without its spring.
-    """
+    """Give the derivative part of PD and of the paper's optimum as functions of B."""
     period = setting.period
     return {
         "pd": lambda gain: without_spring(PD(stiffness=1.0, damping=gain), period),
@@ -135,21 +100,7 @@ def published(setting: Setting) -> dict[str, Family]:
 
 
 def families(setting: Setting, delay: float) -> dict[str, Family]:
-    """Give the derivative part of each law as a function of B.
-
-    Parameters
-    ----------
-    setting : Setting
-        Device and period.
-    delay : float
-        That the designed law is designed for [ticks].
-
-    Returns
-    -------
-    dict of str to callable
-        From B [N s/m] to the law without its spring. A designed law has taps and no B: its derivative part is scaled until
-        its damping at low frequency, −T Σ m h_m, is B.
-    """
+    """Give the derivative part of each law as a function of B."""
     from sim.design.families import designed
     from sim.design.robust import Demand
 
@@ -173,23 +124,7 @@ def _spring_on(derivative: CompiledLaw) -> Family:
 
 
 def boundaries(setting: Setting, step: Step) -> tuple[list[Curve], bool]:
-    """Find all boundaries of the figure.
-
-    Parameters
-    ----------
-    setting : Setting
-        What is dropped.
-    step : callable
-        Told what has been done, and how many gains that was.
-
-    Returns
-    -------
-    curves : list of Curve
-        Law by law, delay by delay, without and with the Touch X's sensor; fewer, or a shorter last one, after Ctrl-C. There
-        is no designed law where no law keeps its demand.
-    complete : bool
-        False after Ctrl-C.
-    """
+    """Find all boundaries of the figure."""
     curves: list[Curve] = []
     try:
         _fill(curves, setting, step)
@@ -216,33 +151,12 @@ def _fill(curves: list[Curve], setting: Setting, step: Step) -> None:
 
 
 def steps() -> int:
-    """Count the boundaries of the figure and of the conventions, in curves.
-
-    Returns
-    -------
-    int
-        Curves; times the gains it is the length of the progress bar.
-    """
+    """Count the boundaries of the figure and of the conventions, in curves."""
     return 2 * len(LAWS) * len(DELAYS) + 2 * (len(CONVENTIONS) - 1)
 
 
 def spread_of_conventions(setting: Setting, curves: list[Curve], step: Step) -> list[tuple[float, str, float]]:
-    """How much the conventions of contact move K_max, d = 0, perfect sensor.
-
-    Parameters
-    ----------
-    setting : Setting
-        What is dropped.
-    curves : list of Curve
-        With the first convention, from `boundaries`.
-    step : callable
-        Told what has been done.
-
-    Returns
-    -------
-    list of tuple of float, str and float
-        (max − min)/max of K_max over the conventions, law and gain [N s/m], for PD and the paper's optimum.
-    """
+    """How much the conventions of contact move K_max, d = 0, perfect sensor."""
     spreads = []
     for name in ("pd", "paper_optimum"):
         family = published(setting)[name]
@@ -260,20 +174,7 @@ def spread_of_conventions(setting: Setting, curves: list[Curve], step: Step) -> 
 
 
 def best(curve: Curve, felt: bool) -> tuple[float, int]:
-    """Stiffest point of a boundary.
-
-    Parameters
-    ----------
-    curve : Curve
-        The boundary.
-    felt : bool
-        By H(1) rather than nominal K.
-
-    Returns
-    -------
-    tuple of float and int
-        Stiffness [N/m] and index of the gain; 0 and −1 when nothing settled.
-    """
+    """Stiffest point of a boundary."""
     top = (0.0, -1)
     for i, found in enumerate(curve.found):
         value = found.h1_max_n_per_m if felt else found.k_max_n_per_m
@@ -283,20 +184,7 @@ def best(curve: Curve, felt: bool) -> tuple[float, int]:
 
 
 def as_json(setting: Setting, curves: list[Curve]) -> dict[str, Any]:
-    """Prepare the boundaries for JSON.
-
-    Parameters
-    ----------
-    setting : Setting
-        What was dropped.
-    curves : list of Curve
-        All boundaries.
-
-    Returns
-    -------
-    dict
-        Setting, conventions, and per curve the columns.
-    """
+    """Prepare the boundaries for JSON."""
 
     def finite(value: float | None) -> float | None:
         return value if value is not None and math.isfinite(value) else None

@@ -13,22 +13,7 @@ from sim.paper.fig4 import DELAYS, LAWS, Curve, Setting, best, published
 
 
 def claims_4(setting: Setting, curves: list[Curve], spreads: list[tuple[float, str, float]]) -> list[Claim]:
-    """Judge what the paper and THEORY.md state about the drop test.
-
-    Parameters
-    ----------
-    setting : Setting
-        What was dropped.
-    curves : list of Curve
-        All boundaries.
-    spreads : list of tuple of float, str and float
-        From `spread_of_conventions`.
-
-    Returns
-    -------
-    list of Claim
-        The claims.
-    """
+    """Judge what the paper and THEORY.md state about the drop test."""
     by = {(c.law, c.delay, c.touch): c for c in curves}
     mass, period = setting.mass, setting.period
     pd, optimum = by["pd", 0.0, False], by["paper_optimum", 0.0, False]

@@ -38,48 +38,14 @@ class Shape:
 
 
 def least_squares(orders: Vector, targets: Targets, taps: int) -> Vector:
-    """Gains with the least cost (13) for given orders; of several, the shortest.
-
-    Parameters
-    ----------
-    orders : ndarray, shape (t,)
-        α_i.
-    targets : Targets
-        What is wanted.
-    taps : int
-        n + 1 of each term.
-
-    Returns
-    -------
-    ndarray, shape (t,)
-        A_i.
-    """
+    """Gains with the least cost (13) for given orders; of several, the shortest."""
     basis = np.array([term_damping(targets.theta, order, taps)[0] for order in orders.tolist()])
     gains, *_ = np.linalg.lstsq(basis.T, targets.value, rcond=None)
     return np.asarray(gains, dtype=np.float64)
 
 
 def minimax(orders: Vector, band: tuple[float, float], nyquist: float, taps: int, points: int = 61) -> Shape | None:
-    """Gains with the least ripple about f = −1 over a band, f(ω_N) bounded: a linear programme.
-
-    Parameters
-    ----------
-    orders : ndarray, shape (t,)
-        α_i.
-    band : tuple of float, shape (2,)
-        From and to, in units of ω_N.
-    nyquist : float
-        Largest |f(ω_N)| allowed.
-    taps : int
-        n + 1 of each term.
-    points : int
-        Frequencies in the band; the ripple is then measured on ten times as many.
-
-    Returns
-    -------
-    Shape or None
-        None when nothing meets the bound.
-    """
+    """Gains with the least ripple about f = −1 over a band, f(ω_N) bounded: a linear programme."""
     from scipy.optimize import linprog
 
     theta = np.pi * np.linspace(band[0], band[1], points)
@@ -99,53 +65,14 @@ def minimax(orders: Vector, band: tuple[float, float], nyquist: float, taps: int
 
 
 def measured(gains: Vector, orders: Vector, band: tuple[float, float], taps: int) -> Shape:
-    """Measure the f of a multi-term law.
-
-    Parameters
-    ----------
-    gains, orders : ndarray, shape (t,)
-        A_i and α_i.
-    band : tuple of float, shape (2,)
-        From and to, in units of ω_N.
-    taps : int
-        n + 1 of each term.
-
-    Returns
-    -------
-    Shape
-        With ripple and f(ω_N).
-    """
+    """Measure the f of a multi-term law."""
     fine = np.pi * np.linspace(band[0], band[1], 601)
     ripple = float(np.abs(damping_curve(fine, gains, orders, taps, False) + 1.0).max())
     return Shape(gains, orders, ripple, float(damping_curve(np.array([np.pi]), gains, orders, taps, False)[0]))
 
 
 def free_taps(taps: int, band: tuple[float, float], nyquist: float, points: int = 61) -> tuple[Vector, float]:
-    """Find the least ripple that any derivative part of this length can have: the same programme over the taps themselves.
-
-    Parameters
-    ----------
-    taps : int
-        n + 1.
-    band : tuple of float, shape (2,)
-        From and to, in units of ω_N.
-    nyquist : float
-        Largest |f(ω_N)| allowed.
-    points : int
-        Frequencies in the band.
-
-    Returns
-    -------
-    taps : ndarray, shape (n + 1,)
-        Taps at T = 2, summing to zero.
-    ripple : float
-        Largest |f + 1| at those frequencies: no choice of terms, gains and orders gets below.
-
-    Raises
-    ------
-    ValueError
-        When nothing meets the bound.
-    """
+    """Find the least ripple that any derivative part of this length can have: the same programme over the taps themselves."""
     from scipy.optimize import linprog
 
     # f = 2 Σ t_j cos (j+1)θ with the tail sums t_j free: leak-free by construction.
@@ -165,33 +92,7 @@ def free_taps(taps: int, band: tuple[float, float], nyquist: float, points: int 
 
 
 def best_orders(terms: int, band: tuple[float, float], nyquist: float, taps: int, grid: int = 14) -> tuple[Shape, int]:
-    """Search the orders globally, the gains by linear programme: every combination on a grid, then the best polished.
-
-    Parameters
-    ----------
-    terms : int
-        Number of terms.
-    band : tuple of float, shape (2,)
-        From and to, in units of ω_N.
-    nyquist : float
-        Largest |f(ω_N)| allowed.
-    taps : int
-        n + 1 of each term.
-    grid : int
-        Orders per axis, spread evenly over (0, 4).
-
-    Returns
-    -------
-    shape : Shape
-        The best one found.
-    programmes : int
-        How many linear programmes it took.
-
-    Raises
-    ------
-    ValueError
-        When no combination of orders meets the bound.
-    """
+    """Search the orders globally, the gains by linear programme: every combination on a grid, then the best polished."""
     from scipy.optimize import minimize
 
     solved = 0

@@ -53,25 +53,7 @@ class Swing:
 
 
 def ringing(position: Vector) -> tuple[float, float]:
-    """Fit one decaying swing about a constant: x[k] = a x[k−1] + b x[k−2] + c.
-
-    Parameters
-    ----------
-    position : ndarray, shape (ticks,)
-        Evenly sampled [m].
-
-    Returns
-    -------
-    theta : float
-        Angle per tick [rad].
-    decay : float
-        Factor per tick.
-
-    Raises
-    ------
-    ValueError
-        When there is nothing that swings.
-    """
+    """Fit one decaying swing about a constant: x[k] = a x[k−1] + b x[k−2] + c."""
     centred = position - position.mean()
     size = float(np.abs(centred).max())
     if len(position) < _SHORTEST or size < 1e-9:
@@ -88,25 +70,7 @@ def ringing(position: Vector) -> tuple[float, float]:
 
 
 def recorded_swing(path: Path, damping: float | None = None) -> Swing:
-    """Measure the swing of the longest contact of a recording, and what it says of K_max.
-
-    Parameters
-    ----------
-    path : Path
-        Recording of a launch with one law from its first contact to its last.
-    damping : float or None
-        Of the device; None takes the virtual device's own [N s/m].
-
-    Returns
-    -------
-    Swing
-        Frequency and prediction.
-
-    Raises
-    ------
-    ValueError
-        When it holds no swinging contact, no law, or the damping is not known.
-    """
+    """Measure the swing of the longest contact of a recording, and what it says of K_max."""
     loop = measure(path)
     known = loop.damping if damping is None else damping
     if known is None:

@@ -27,73 +27,23 @@ PERIOD = 0.002
 
 
 def optimum(damping: float) -> CompiledLaw:
-    """Give the derivative part of the paper's optimum.
-
-    Parameters
-    ----------
-    damping : float
-        B, normalised [N s/m].
-
-    Returns
-    -------
-    CompiledLaw
-        Taps without the spring.
-    """
+    """Give the derivative part of the paper's optimum."""
     return without_spring(parse_law({"kind": "paper_optimum", "damping": damping}), PERIOD)
 
 
 def radius(law: CompiledLaw, device: Plant) -> float:
-    """Pole radius of a law on a device.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        The law.
-    device : Plant
-        Device, hand and delay.
-
-    Returns
-    -------
-    float
-        Pole radius.
-    """
+    """Pole radius of a law on a device."""
     return pole_radius(law, PERIOD, device.mass, device.damping, device.delay, device.stiffness)
 
 
 def model(device: Plant) -> DeviceModel:
-    """Virtual device of a linear one, a hand held where it is.
-
-    Parameters
-    ----------
-    device : Plant
-        Device, hand and delay.
-
-    Returns
-    -------
-    DeviceModel
-        The same for simulation.
-    """
+    """Virtual device of a linear one, a hand held where it is."""
     hand = Hand(stiffness=device.stiffness, path=[(0.0, 0.0)]) if device.stiffness > 0.0 else None
     return DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay, hand=hand)
 
 
 def euler_k_max(substeps: int, mass: float, damping: float, period: float) -> float:
-    """K_max of a spring when the device is integrated by semi-implicit Euler: by the pole radius of its own recurrence.
-
-    Parameters
-    ----------
-    substeps : int
-        Sub-steps between ticks.
-    mass, damping : float
-        Device [kg], [N s/m].
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    float
-        K_max [N/m], infinite when no K up to 4 m/T² makes it unstable.
-    """
+    """K_max of a spring when the device is integrated by semi-implicit Euler: by the pole radius of its own recurrence."""
     h = period / substeps
     # v⁺ = v + h(u − b v)/m, x⁺ = x + h v⁺, u held over all sub-steps.
     once = np.array(
@@ -118,18 +68,7 @@ def euler_k_max(substeps: int, mass: float, damping: float, period: float) -> fl
 
 
 def euler_bias(substeps: int) -> tuple[float, float]:
-    """Overstatement of K_max by semi-implicit Euler on a heavy device, found and predicted.
-
-    Parameters
-    ----------
-    substeps : int
-        n_sub, at least 2.
-
-    Returns
-    -------
-    tuple of float, shape (2,)
-        Found: Euler's K_max over the exact one; predicted: 1/(1 − 1/n_sub) (THEORY.md §3).
-    """
+    """Overstatement of K_max by semi-implicit Euler on a heavy device, found and predicted."""
     mass, damping = 10.0, 1.0
     exact = k_max(CompiledLaw((0.0,)), PERIOD, Plant(mass, damping)).k_max_n_per_m
     assert exact is not None  # noqa: S101 - a spring on a damped mass always has a limit
@@ -137,20 +76,7 @@ def euler_bias(substeps: int) -> tuple[float, float]:
 
 
 def gamma_coefficient(order: float, m: int) -> float:
-    """Grünwald–Letnikov coefficient by the Gamma ratio that the paper prints, in floating point.
-
-    Parameters
-    ----------
-    order : float
-        α, not an integer.
-    m : int
-        Index.
-
-    Returns
-    -------
-    float
-        Γ(m − α)/(Γ(−α) Γ(m + 1)): 0 once Γ(m + 1) has overflowed.
-    """
+    """Grünwald–Letnikov coefficient by the Gamma ratio that the paper prints, in floating point."""
     from scipy.special import gamma
 
     with np.errstate(over="ignore", invalid="ignore"):
@@ -158,20 +84,7 @@ def gamma_coefficient(order: float, m: int) -> float:
 
 
 def recursive_coefficient(order: float, m: int) -> float:
-    """Grünwald–Letnikov coefficient by the recursion c_m = c_{m−1}(1 − (α+1)/m).
-
-    Parameters
-    ----------
-    order : float
-        α.
-    m : int
-        Index.
-
-    Returns
-    -------
-    float
-        c_m.
-    """
+    """Grünwald–Letnikov coefficient by the recursion c_m = c_{m−1}(1 − (α+1)/m)."""
     c = 1.0
     for j in range(1, m + 1):
         c *= 1.0 - (order + 1.0) / j
@@ -179,56 +92,17 @@ def recursive_coefficient(order: float, m: int) -> float:
 
 
 def leak_law(damping: float, stiffness: float = 1000.0) -> CompiledLaw:
-    """Give a PDα whose short memory leaks: α = 1.5, 4 taps, normalised gain.
-
-    Parameters
-    ----------
-    damping : float
-        B [N s/m].
-    stiffness : float
-        Nominal K [N/m].
-
-    Returns
-    -------
-    CompiledLaw
-        The law.
-    """
+    """Give a PDα whose short memory leaks: α = 1.5, 4 taps, normalised gain."""
     return PDAlpha(stiffness=stiffness, damping=damping, order=1.5, taps=4, gains="paper").compile(PERIOD)
 
 
 def leak_boundary(stiffness: float = 1000.0) -> float:
-    """Find the B at which the leak of `leak_law` eats all of the nominal stiffness: H(1) = 0.
-
-    Parameters
-    ----------
-    stiffness : float
-        Nominal K [N/m].
-
-    Returns
-    -------
-    float
-        B [N s/m].
-    """
+    """Find the B at which the leak of `leak_law` eats all of the nominal stiffness: H(1) = 0."""
     return stiffness / (stiffness - leak_law(1.0, stiffness).h1)
 
 
 def tustin_whole(stiffness: float, gain: float, order: float = 1.5) -> CompiledLaw:
-    """Build a PDα whose Tustin-CFE of degree 2 is expanded for the whole α: what must not be done beyond α = 1.
-
-    Parameters
-    ----------
-    stiffness : float
-        K [N/m].
-    gain : float
-        B [N s^α/m].
-    order : float
-        α, not an integer.
-
-    Returns
-    -------
-    CompiledLaw
-        One tap and one section.
-    """
+    """Build a PDα whose Tustin-CFE of degree 2 is expanded for the whole α: what must not be done beyond α = 1."""
     zeros, poles = whole_order(order, 2, 1.0)
     n1, n0 = -(zeros[0] + zeros[1]).real, (zeros[0] * zeros[1]).real
     a1, a2 = -(poles[0] + poles[1]).real, (poles[0] * poles[1]).real
@@ -238,40 +112,12 @@ def tustin_whole(stiffness: float, gain: float, order: float = 1.5) -> CompiledL
 
 
 def tustin_split(stiffness: float, gain: float, order: float = 1.5) -> CompiledLaw:
-    """Build the same PDα with the integer part split off.
-
-    Parameters
-    ----------
-    stiffness : float
-        K [N/m].
-    gain : float
-        B [N s^α/m].
-    order : float
-        α.
-
-    Returns
-    -------
-    CompiledLaw
-        The law.
-    """
+    """Build the same PDα with the integer part split off."""
     return combine(stiffness, [(gain, realise("tustin_cfe", order, 3, PERIOD))])
 
 
 def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, tuple[float, bool]]]:
-    """Tune PD and the paper's optimum to a share of their K_max at 0.1 kg and no delay, then change the loop.
-
-    Parameters
-    ----------
-    damping : float
-        B of both [N s/m].
-    share : float
-        Of their K_max.
-
-    Returns
-    -------
-    dict of str to dict of str to tuple of float and bool
-        Law to loop to pole radius and whether the drop settled.
-    """
+    """Tune PD and the paper's optimum to a share of their K_max at 0.1 kg and no delay, then change the loop."""
     loops = {
         "as tuned": Plant(0.1, 1.0),
         "one tick of delay": Plant(0.1, 1.0, 1.0),
@@ -293,60 +139,21 @@ def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, 
 
 
 def chatter(law: CompiledLaw, friction: float, resolution: float = 2.3e-5, ticks: int = 5000) -> bool:
-    """See whether a device at rest on a floor keeps chattering across an encoder edge.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        The law.
-    friction : float
-        Coulomb friction [N].
-    resolution : float
-        Of the encoder [m].
-    ticks : int
-        How long it is given to come to a dead stop.
-
-    Returns
-    -------
-    bool
-        Whether it still moves in the last quarter.
-    """
+    """See whether a device at rest on a floor keeps chattering across an encoder edge."""
     model = DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=resolution)
     trace = run(drop_scene(model, PERIOD, False, True, height=1e-4), law, ticks)
     return bool(np.ptp(trace.position[-(ticks // 4) :]) > 0.0)
 
 
 def descent_outcomes(rate: float) -> dict[str, int]:
-    """Count how the paper's steepest descent ends, from a grid of starts.
-
-    Parameters
-    ----------
-    rate : float
-        Step per unit of gradient.
-
-    Returns
-    -------
-    dict of str to int
-        Outcome to number of starts.
-    """
+    """Count how the paper's steepest descent ends, from a grid of starts."""
     found = survey(paper_targets(), 4, rate, 1000, 5)
     outcomes = sorted({descent.outcome for descent in found})
     return {outcome: sum(descent.outcome == outcome for descent in found) for outcome in outcomes}
 
 
 def chatter_bound(name: str) -> tuple[float, float, float]:
-    """Compare the friction that stops chatter with the bound Δ·H(−1)/2.
-
-    Parameters
-    ----------
-    name : str
-        ``pd`` or ``optimum``, B = 3 N s/m on 1000 N/m.
-
-    Returns
-    -------
-    tuple of float, shape (3,)
-        H(−1) [N/m], the smallest friction without chatter by bisection [N], and that over the bound.
-    """
+    """Compare the friction that stops chatter with the bound Δ·H(−1)/2."""
     derivative = optimum(3.0) if name == "optimum" else without_spring(PD(stiffness=1.0, damping=3.0), PERIOD)
     law = with_spring(derivative, 1000.0)
     bound = 0.5 * 2.3e-5 * law.h_nyquist

@@ -55,18 +55,7 @@ KERNELS: tuple[Callable[..., Any], ...] = (
 
 
 def kernel(function: Function) -> Function:
-    """Let compiled functions call a plain function, which itself stays as it is.
-
-    Parameters
-    ----------
-    function : callable
-        Plain function on numbers and arrays.
-
-    Returns
-    -------
-    callable
-        The same function.
-    """
+    """Let compiled functions call a plain function, which itself stays as it is."""
     same: Function = register_jitable(function)
     return same
 
@@ -99,11 +88,6 @@ def compiled() -> Callable[[Function], Function]:
     """Decorate a function to be compiled on first use, for each combination of argument types (None is a type).
 
     Compiled code runs without the interpreter's lock.
-
-    Returns
-    -------
-    callable
-        The decorator. The interpreted function stays available as ``.py_func``.
     """
 
     def decorate(function: Function) -> Function:

@@ -22,6 +22,11 @@ from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDriverParameters
 from sim.scene.loop import Scene, Surface, Swap, Trace, run
 
+__all__ = [
+    "LaunchedScene",
+    "from_launch",
+]
+
 
 @dataclass(frozen=True)
 class LaunchedScene:

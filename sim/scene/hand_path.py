@@ -12,23 +12,6 @@ def target_path(recording: Recording, axis: str) -> list[tuple[float, float]]:
     """Read where a hand pulled to, tick by tick.
 
     As ``device.hand.path`` of a sim driver it gives the same target at every tick, to the bit.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of a run whose device had a hand.
-    axis : str
-        Axis that the scene computes.
-
-    Returns
-    -------
-    list of tuple of float, shape (n, 2)
-        Time since tick 0 [s] and target [m], one per recorded tick.
-
-    Raises
-    ------
-    RecordError
-        When its manifest tells no rate, or it holds no ticks.
     """
     try:
         period = 1.0 / float(recording.manifest["rate_hz"])

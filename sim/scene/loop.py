@@ -19,6 +19,17 @@ from nodes.laws import CompiledLaw
 from sim.device.model import DeviceModel, coefficients, split_delay
 from sim.scene.tick_loop import ANCHOR, FREE, PLANE, Contact, Guard, Laws, Motion, Records, play, play_compiled
 
+__all__ = [
+    "Array",
+    "Scene",
+    "Surface",
+    "Swap",
+    "Trace",
+    "contact_of",
+    "motion_of",
+    "run",
+]
+
 Array = NDArray[np.float64]
 
 

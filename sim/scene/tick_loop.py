@@ -32,32 +32,7 @@ def respond(
     head: int,
     length: int,
 ) -> tuple[int, float, bool]:
-    """Environment and first half of the coupling: from the sample to the newest deflection in the history.
-
-    Parameters
-    ----------
-    measured : float
-        Measured position [m].
-    kind : int
-        `FREE`, `PLANE` or `ANCHOR`.
-    surface : float
-        Coordinate of the surface [m].
-    normal : float
-        ±1 for a plane, else 0.
-    raw : bool
-        As in `Scene`.
-    history : sequence of float, shape (2 * length,)
-        Ring of deflections, changed in place.
-    head : int
-        Index of the newest value so far.
-    length : int
-        How many values the ring remembers.
-
-    Returns
-    -------
-    tuple of int, float and bool
-        New head, deflection [m], whether there is contact.
-    """
+    """Environment and first half of the coupling: from the sample to the newest deflection in the history."""
     distance = 0.0
     contact = kind == ANCHOR
     if kind == PLANE:
@@ -76,26 +51,7 @@ def evaluate(
     history: Numbers,
     head: int,
 ) -> float:
-    """Force of one law over the history.
-
-    Parameters
-    ----------
-    taps : sequence of float, shape (n + 1,)
-        Taps [N/m].
-    recursive : sequence of float, shape (4 * s,), or None
-        Coefficients of recursive sections; None when no law of the run has any.
-    state : sequence of float, shape (2 * s,)
-        State of the sections, changed in place.
-    history : sequence of float
-        Ring of deflections.
-    head : int
-        Index of the newest value.
-
-    Returns
-    -------
-    float
-        Force [N].
-    """
+    """Force of one law over the history."""
     force = fir(taps, history, head)
     if recursive is not None and len(recursive) > 0:
         force += sections(recursive, state, history[head], history[head + 1])
@@ -235,36 +191,7 @@ def play(
     guard: Guard | None = None,
     own: Callable[[Sequence[float], int], float] | None = None,
 ) -> tuple[float, float]:
-    """Play a scene from rest; `sim.scene.loop.run` prepares it and reads what was written down.
-
-    Parameters
-    ----------
-    ticks : int
-        How many.
-    motion : Motion
-        The device.
-    contact : Contact
-        What it touches.
-    laws : Laws
-        What is rendered.
-    states : numbers
-        State of all recursive sections, zero; changed in place.
-    history : numbers
-        Ring of deflections, twice as long as it remembers, zero; changed in place.
-    commands : numbers, shape (motion.waiting,)
-        Forces under way, zero; changed in place.
-    records : Records
-        What is written down.
-    guard : Guard, optional
-        The passivity guard.
-    own : callable, optional
-        Code of its own that the law has; only interpreted.
-
-    Returns
-    -------
-    tuple of float
-        Position [m] and velocity [m/s] after the last tick.
-    """
+    """Play a scene from rest; `sim.scene.loop.run` prepares it and reads what was written down."""
     x, v = motion.position, motion.velocity
     length = len(history) // 2
     waiting = motion.waiting

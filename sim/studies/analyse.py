@@ -20,13 +20,7 @@ from sim.studies import arguments as shared
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("law", help="kind, preset or YAML mapping, e.g. '{kind: pd, stiffness: 1000, damping: 3}'")
     parser.add_argument("--gain", type=shared.not_negative, help="damping gain of the law")
     shared.add_law(parser)
@@ -46,23 +40,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Analyse one law on one device.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When the law is refused.
-    """
+    """Analyse one law on one device."""
     device, period = shared.device(arguments), 1.0 / arguments.rate
     law = shared.law(arguments, arguments.law, arguments.gain)
     try:

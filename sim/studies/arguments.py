@@ -16,23 +16,7 @@ from nodes.stability.k_max import Plant
 
 
 def positive(text: str) -> float:
-    """Read a positive, finite number.
-
-    Parameters
-    ----------
-    text : str
-        As typed.
-
-    Returns
-    -------
-    float
-        The number.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        When it is not one.
-    """
+    """Read a positive, finite number."""
     value = _number(text)
     if not value > 0.0:
         raise argparse.ArgumentTypeError(f"{text}: must be positive")
@@ -40,23 +24,7 @@ def positive(text: str) -> float:
 
 
 def not_negative(text: str) -> float:
-    """Read a finite number that is at least 0.
-
-    Parameters
-    ----------
-    text : str
-        As typed.
-
-    Returns
-    -------
-    float
-        The number.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        When it is not one.
-    """
+    """Read a finite number that is at least 0."""
     value = _number(text)
     if not value >= 0.0:
         raise argparse.ArgumentTypeError(f"{text}: must be at least 0")
@@ -64,23 +32,7 @@ def not_negative(text: str) -> float:
 
 
 def interval(text: str) -> tuple[float, float]:
-    """Read ``low..high``, or one number that is both.
-
-    Parameters
-    ----------
-    text : str
-        As typed.
-
-    Returns
-    -------
-    tuple of float, shape (2,)
-        Low and high, low ≤ high, both at least 0.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        When it is not an interval.
-    """
+    """Read ``low..high``, or one number that is both."""
     low, _, high = text.partition("..")
     ends = not_negative(low), not_negative(high or low)
     if ends[0] > ends[1]:
@@ -99,15 +51,7 @@ def _number(text: str) -> float:
 
 
 def add_device(parser: argparse.ArgumentParser, ranges: bool = False) -> None:
-    """Declare the device and its loop.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    ranges : bool
-        Whether the mass may be an interval.
-    """
+    """Declare the device and its loop."""
     parser.add_argument(
         "--mass", type=interval if ranges else positive, default=(0.1, 0.1) if ranges else 0.1, help="moving mass [kg]"
     )
@@ -118,13 +62,7 @@ def add_device(parser: argparse.ArgumentParser, ranges: bool = False) -> None:
 
 
 def add_law(parser: argparse.ArgumentParser) -> None:
-    """Declare a law and the parameters that are most often varied.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study; the law's name itself is declared by the study.
-    """
+    """Declare a law and the parameters that are most often varied."""
     parser.add_argument("--stiffness", type=positive, help="nominal K [N/m]")
     parser.add_argument("--order", type=positive, help="α of pd_alpha")
     parser.add_argument("--taps", type=int, help="length of the derivative's tap vector, n + 1")
@@ -133,13 +71,7 @@ def add_law(parser: argparse.ArgumentParser) -> None:
 
 
 def add_answer(parser: argparse.ArgumentParser) -> None:
-    """Declare --json and --out.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare --json and --out."""
     add_json(parser)
     parser.add_argument(
         "--out-dir",
@@ -152,43 +84,12 @@ def add_answer(parser: argparse.ArgumentParser) -> None:
 
 
 def device(arguments: argparse.Namespace) -> Plant:
-    """Collect the device from parsed arguments.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With the arguments of `add_device`, the mass a single number.
-
-    Returns
-    -------
-    Plant
-        Mass, damping, delay and hand.
-    """
+    """Collect the device from parsed arguments."""
     return Plant(arguments.mass, arguments.damping, arguments.delay, arguments.hand)
 
 
 def law(arguments: argparse.Namespace, name: str, gain: float | None = None) -> Law:
-    """Build the law that was asked for.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With the arguments of `add_law`.
-    name : str
-        A kind, a preset, or a YAML mapping such as ``{kind: pd, stiffness: 1000, damping: 3}``.
-    gain : float, optional
-        Damping gain [N s/m, or N s^α/m].
-
-    Returns
-    -------
-    Law
-        The law. Where no stiffness is given, 1 N/m stands in for it.
-
-    Raises
-    ------
-    UsageError
-        When the law is refused.
-    """
+    """Build the law that was asked for."""
     data: Any = {"kind": name}
     if name.lstrip().startswith("{"):
         try:

@@ -19,13 +19,7 @@ PARTS = ("derivatives", "integrators", "kmax", "rates")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument(
         "--parts",
         default=",".join(PARTS),
@@ -37,23 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure, save and draw the chart.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0; 1 when a part could not be measured.
-
-    Raises
-    ------
-    UsageError
-        When a part does not exist.
-    """
+    """Measure, save and draw the chart."""
     parts = [part for part in arguments.parts.split(",") if part]
     for part in parts:
         if part not in PARTS:

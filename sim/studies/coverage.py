@@ -17,13 +17,7 @@ WANTED = 0.90
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("--devices", type=int, default=200, help="how many, half of them held (default: %(default)s)")
     parser.add_argument("--seconds", type=shared.positive, default=8.0, help="of each push (default: %(default)s)")
     parser.add_argument("--rate", type=shared.positive, default=500.0, help="of the loop [Hz] (default: %(default)s)")
@@ -36,23 +30,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Sweep over the devices.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0 when every parameter's intervals hold the truth often enough and no tuned law is unstable; else 1.
-
-    Raises
-    ------
-    UsageError
-        When the number of devices is out of range.
-    """
+    """Sweep over the devices."""
     from sim.identify.population import study_device, summary
     from sim.measure.stopwatch import Progress
     from sim.measure.sweep import executor, sweep
@@ -113,15 +91,7 @@ def _text(found: Mapping[str, Any], ledger: Path, picture: Path) -> str:
 
 
 def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw estimates against the truth, and errors in units of their own interval.
-
-    Parameters
-    ----------
-    path : Path
-        PNG to write.
-    rows : sequence of mapping
-        From `sim.identify.population.study_device`.
-    """
+    """Draw estimates against the truth, and errors in units of their own interval."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
 

@@ -40,13 +40,7 @@ _REPLAYED = 2000
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("--mass", type=shared.interval, default=(0.05, 0.2), help="LOW..HIGH [kg] (default: 0.05..0.2)")
     parser.add_argument(
         "--damping",
@@ -92,23 +86,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Design, or compare.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0; 1 when no law keeps the demand.
-
-    Raises
-    ------
-    UsageError
-        When the demand is out of range or the recording cannot be used.
-    """
+    """Design, or compare."""
     if not 1 <= arguments.taps <= 12:
         raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
     if arguments.compare and arguments.taps < 2:

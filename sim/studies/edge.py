@@ -24,13 +24,7 @@ LAWS: dict[str, dict[str, Any]] = {
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument(
         "recording", nargs="?", type=Path, help="predict K_max from the swing of its longest contact, without the mass"
     )
@@ -47,23 +41,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compare laws, or predict from a recording.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When there is no range of gains, or the recording holds no swing.
-    """
+    """Compare laws, or predict from a recording."""
     if arguments.recording is not None:
         return _predict(arguments)
     low, high = arguments.gain

@@ -17,30 +17,13 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Look at all boundaries, spring all traps.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0; 1 when the two methods disagree anywhere.
-    """
+    """Look at all boundaries, spring all traps."""
     from sim.paper.claims import save, table
     from sim.paper.failures import MARGIN, edges, traps
     from sim.paper.traps import euler_bias

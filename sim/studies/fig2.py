@@ -9,13 +9,7 @@ from sim.studies import arguments as shared
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument(
         "--taps", type=int, default=4, help="taps of each term, n + 1; the paper prints none (default: %(default)s)"
     )
@@ -24,23 +18,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Draw the figure and check the claims.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When the filters would have no memory.
-    """
+    """Draw the figure and check the claims."""
     from matplotlib.figure import Figure
 
     from sim.paper.claims import save, table

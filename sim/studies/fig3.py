@@ -9,13 +9,7 @@ from sim.studies import arguments as shared
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("--taps", type=int, default=4, help="taps of each term, n + 1 (default: %(default)s)")
     parser.add_argument("--rate", type=shared.positive, default=500.0, help="rate, for the claim about units [Hz]")
     shared.add_answer(parser)
@@ -23,23 +17,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Draw the figure and check the claims.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When the filters would have no memory.
-    """
+    """Draw the figure and check the claims."""
     from matplotlib.figure import Figure
 
     from sim.paper.claims import save, table

@@ -15,13 +15,7 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("--mass", type=shared.positive, default=0.1, help="dropped mass [kg] (default: %(default)s)")
     parser.add_argument(
         "--damping", type=shared.positive, default=1.0, help="of the device [N s/m] (default: %(default)s)"
@@ -41,23 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Drop, draw, and check the claims.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0; 130 when interrupted: what was done until then is written.
-
-    Raises
-    ------
-    UsageError
-        When there is no range of gains, or the horizon is too short.
-    """
+    """Drop, draw, and check the claims."""
     import numpy as np
 
     from sim.experiments.drop import Criterion

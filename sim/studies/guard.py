@@ -16,13 +16,7 @@ from sim.studies.arguments import not_negative, positive
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("--mass", type=positive, default=0.1, help="mass dropped [kg] (default: %(default)s)")
     parser.add_argument(
         "--damping", type=not_negative, default=1.0, help="its own damping b [N s/m] (default: %(default)s)"
@@ -49,23 +43,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compare, draw and tell.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When the walls asked for make no range.
-    """
+    """Compare, draw and tell."""
     if arguments.points < 2 or not arguments.low < arguments.high:
         raise UsageError(
             f"--low {arguments.low:g} --high {arguments.high:g} --points {arguments.points}: expected a range and 2 points"

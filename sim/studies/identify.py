@@ -10,13 +10,7 @@ from nodes.recording.writer import RecordError
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("recording", type=Path, help="of a launch, best of haptic launch identify")
     parser.add_argument("--axis", choices=("x", "y", "z"), help="which axis (default: the one that was pushed hardest)")
     hand = parser.add_mutually_exclusive_group()
@@ -28,25 +22,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Identify.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0; 1 when the recording does not even tell the mass.
-
-    Raises
-    ------
-    UsageError
-        When the recording cannot be read.
-    RefusedError
-        When it is too short.
-    """
+    """Identify."""
     from sim.identify.experiment import read
     from sim.identify.identify import identify
     from sim.identify.report import figures, text

@@ -19,13 +19,7 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("--law", default="pd", help="kind, preset or YAML mapping (default: %(default)s)")
     parser.add_argument("--gain", type=shared.interval, help="damping gain of the law; LOW..HIGH draws the boundary")
     parser.add_argument("--points", type=int, default=41, help="points of a range of gains (default: %(default)s)")
@@ -57,23 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Find K_max, or its boundary over a range of gains.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0; 1 when no stiffness is stable, or when the processes and one process do not agree.
-
-    Raises
-    ------
-    UsageError
-        When the law or the method cannot be had.
-    """
+    """Find K_max, or its boundary over a range of gains."""
     device, period = shared.device(arguments), 1.0 / arguments.rate
     if arguments.gain is not None and arguments.gain[0] < arguments.gain[1]:
         if arguments.method == "lockstep":

@@ -13,13 +13,7 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("scenario", help="name of a launch file, or the path of one")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of timing (default: %(default)s)")
@@ -28,23 +22,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Say whether a scene models enough and no more.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0 when nothing is superfluous or missing, else 1.
-
-    Raises
-    ------
-    UsageError
-        When the scene cannot be read or played in one process.
-    """
+    """Say whether a scene models enough and no more."""
     if arguments.rounds < 1:
         raise UsageError(f"--rounds {arguments.rounds}: at least 1")
     from nodes.launcher import launch_file

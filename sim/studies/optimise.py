@@ -24,13 +24,7 @@ OUTCOMES = ("converged", "slow", "out_of_range", "diverged")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("--taps", type=int, default=4, help="taps of each term, n + 1 (default: %(default)s)")
     parser.add_argument("--terms", type=int, default=2, help="number of terms (default: %(default)s)")
     parser.add_argument("--at", type=float, nargs="+", default=[0.1, 0.5], help="frequencies of the targets [ω_N]")
@@ -48,23 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Reproduce the descent, then do better.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When taps, terms or frequencies are out of range, or no law meets a bound.
-    """
+    """Reproduce the descent, then do better."""
     if arguments.taps < 2 or arguments.terms < 1 or arguments.starts < arguments.terms:
         raise UsageError("--taps must be at least 2, --terms at least 1 and --starts at least --terms")
     if not all(0.0 < at < 1.0 for at in arguments.at) or arguments.band[1] >= 1.0:

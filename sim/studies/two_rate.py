@@ -9,13 +9,7 @@ from sim.studies import arguments as shared
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the study.
-    """
+    """Declare the arguments."""
     parser.add_argument("--mass", type=shared.positive, default=0.1, help="of the device [kg] (default: %(default)s)")
     parser.add_argument("--damping", type=shared.not_negative, default=1.0, help="of the device [N s/m] (default: 1)")
     parser.add_argument(
@@ -29,23 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compare servo rates.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        As declared by `add`.
-
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    UsageError
-        When a ratio is below 1.
-    """
+    """Compare servo rates."""
     from nodes.laws import CompiledLaw
     from nodes.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max
 

@@ -30,11 +30,5 @@ STUDIES: dict[str, str] = {
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the studies.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the verb ``study``.
-    """
+    """Declare the studies."""
     dispatch(parser, STUDIES, "study")

@@ -106,13 +106,7 @@ class TouchDevice:
         return self._limits
 
     def connect(self) -> None:
-        """Load the vendor's library, take hold of the device, and read its limits; no force yet.
-
-        Raises
-        ------
-        OSError
-            When the library, the compiler or the device is missing; the text says what to do.
-        """
+        """Load the vendor's library, take hold of the device, and read its limits; no force yet."""
         self._hd: Any = load_library(self._parameters.library)
         self._code: Any = ctypes.CDLL(str(build_servo()))
         self._code.servo_size.restype = ctypes.c_size_t
@@ -163,13 +157,7 @@ class TouchDevice:
         )
 
     def open(self) -> None:
-        """Start the servo thread, calibrate with forces off, then let forces through, at zero.
-
-        Raises
-        ------
-        OSError
-            When the servo thread does not run or the calibration does not succeed; the text says what to do.
-        """
+        """Start the servo thread, calibrate with forces off, then let forces through, at zero."""
         hd, parameters = self._hd, self._parameters
         hd.hdSetSchedulerRate(parameters.servo_rate)
         refused = self._errors()
@@ -241,23 +229,7 @@ class TouchDevice:
         self._last_ticks, self._last_change = self._servo.ticks, time.monotonic()
 
     def read_position(self, seq: int) -> Vector:
-        """Take the newest sample of the servo thread.
-
-        Parameters
-        ----------
-        seq : int
-            Tick number; not used: hardware lives in real time.
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            Position [m].
-
-        Raises
-        ------
-        OSError
-            When the device reported a fault, or its servo thread stands still: forces are off then.
-        """
+        """Take the newest sample of the servo thread."""
         del seq
         servo = self._servo
         if servo.fault:
@@ -279,17 +251,7 @@ class TouchDevice:
         return to_ours((values[0], values[1], values[2]))
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Hand a force to the servo thread.
-
-        Parameters
-        ----------
-        force : tuple of float, shape (3,)
-            Force, after all limits [N].
-        seq : int
-            Not used.
-        offset : float
-            Not used.
-        """
+        """Hand a force to the servo thread."""
         del seq, offset
         self._code.servo_write(ctypes.byref(self._servo), (ctypes.c_double * 3)(*to_theirs(force)))
 
@@ -321,13 +283,7 @@ class TouchDriver(Driver):
     Parameters: ClassVar[type[msgspec.Struct]] = TouchDriverParameters
 
     def make_device(self) -> Device:
-        """Take hold of the device, forces off.
-
-        Returns
-        -------
-        Device
-            Connected.
-        """
+        """Take hold of the device, forces off."""
         device = TouchDevice(self.store.current.touch)
         device.connect()
         return device

@@ -61,52 +61,19 @@ class Servo(ctypes.Structure):
 
 
 def to_ours(vector: tuple[float, float, float]) -> Vector:
-    """Turn a position of HDAPI into ours.
-
-    Parameters
-    ----------
-    vector : tuple of float, shape (3,)
-        Right, up, towards the user [mm].
-
-    Returns
-    -------
-    tuple of float, shape (3,)
-        Forward, left, up [m].
-    """
+    """Turn a position of HDAPI into ours."""
     x, y, z = vector
     return (-z * 1e-3, -x * 1e-3, y * 1e-3)
 
 
 def to_theirs(force: Vector) -> tuple[float, float, float]:
-    """Turn a force of ours into HDAPI's axes.
-
-    Parameters
-    ----------
-    force : tuple of float, shape (3,)
-        Forward, left, up [N].
-
-    Returns
-    -------
-    tuple of float, shape (3,)
-        Right, up, towards the user [N].
-    """
+    """Turn a force of ours into HDAPI's axes."""
     x, y, z = force
     return (-y, z, -x)
 
 
 def build_servo() -> Path:
-    """Compile the servo loop, once per version of its source.
-
-    Returns
-    -------
-    Path
-        The library, in the user's cache.
-
-    Raises
-    ------
-    OSError
-        When there is no C compiler or it fails; the text says what to install.
-    """
+    """Compile the servo loop, once per version of its source."""
     source = Path(__file__).with_name("servo.c")
     digest = hashlib.sha256(source.read_bytes()).hexdigest()[:16]
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "haptic-nodes"
@@ -128,23 +95,7 @@ def build_servo() -> Path:
 
 
 def load_library(name: str) -> Any:
-    """Load the vendor's library and declare what is used of it.
-
-    Parameters
-    ----------
-    name : str
-        A name that the dynamic linker finds, or a path.
-
-    Returns
-    -------
-    ctypes.CDLL
-        With result and argument types set.
-
-    Raises
-    ------
-    OSError
-        When it is missing or is not HDAPI's; the text says what to do.
-    """
+    """Load the vendor's library and declare what is used of it."""
     try:
         library: Any = ctypes.CDLL(name)
     except OSError as error:

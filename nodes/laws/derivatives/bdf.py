@@ -15,29 +15,7 @@ from nodes.laws import CompiledLaw
 
 
 def lubich(order: float, taps: int, period: float, degree: int) -> CompiledLaw:
-    """D^α as the power α of the backward differentiation formula of degree p.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, at least p⌈α⌉ + 1.
-    period : float
-        Sampling period T [s].
-    degree : int
-        p, 2 to 6.
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps, no sections.
-
-    Raises
-    ------
-    ValueError
-        When p or the number of taps is out of range.
-    """
+    """D^α as the power α of the backward differentiation formula of degree p."""
     if not 2 <= degree <= 6:
         raise ValueError(
             f"degree = {degree}: Lubich's quadrature takes BDF 2 to 6; beyond 6 the BDF is not zero-stable and "
@@ -68,100 +46,25 @@ def lubich(order: float, taps: int, period: float, degree: int) -> CompiledLaw:
 
 
 def bdf2(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 2.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, at least 2⌈α⌉ + 1.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps, no sections.
-    """
+    """`lubich` with p = 2."""
     return lubich(order, taps, period, 2)
 
 
 def bdf3(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 3.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, at least 3⌈α⌉ + 1.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps, no sections.
-    """
+    """`lubich` with p = 3."""
     return lubich(order, taps, period, 3)
 
 
 def bdf4(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 4.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, at least 4⌈α⌉ + 1.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps, no sections.
-    """
+    """`lubich` with p = 4."""
     return lubich(order, taps, period, 4)
 
 
 def bdf5(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 5.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, at least 5⌈α⌉ + 1.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps, no sections.
-    """
+    """`lubich` with p = 5."""
     return lubich(order, taps, period, 5)
 
 
 def bdf6(order: float, taps: int, period: float) -> CompiledLaw:
-    """`lubich` with p = 6.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, at least 6⌈α⌉ + 1.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps, no sections.
-    """
+    """`lubich` with p = 6."""
     return lubich(order, taps, period, 6)

@@ -22,31 +22,7 @@ MAX_DEGREE = 200
 
 
 def mapped_fraction(order: float, taps: int, period: float, gain: float, left: float) -> CompiledLaw:
-    """Realise D^α from s ≈ g (z − 1)/(z + a), as k backward differences and the n-th convergent of s^β.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, at most 201: n poles.
-    period : float
-        Sampling period T [s].
-    gain : float
-        g [1/s]: 2/T for Tustin, 8/(7T) for Al-Alaoui.
-    left : float
-        a: 1 for Tustin, 1/7 for Al-Alaoui.
-
-    Returns
-    -------
-    CompiledLaw
-        A few taps and about n/2 sections (whole orders: taps only).
-
-    Raises
-    ------
-    ValueError
-        When the degree is beyond what has been checked.
-    """
+    """Realise D^α from s ≈ g (z − 1)/(z + a), as k backward differences and the n-th convergent of s^β."""
     degree = taps - 1
     if degree > MAX_DEGREE:
         raise ValueError(
@@ -72,25 +48,6 @@ def whole_order(order: float, degree: int, left: float) -> tuple[list[complex], 
 
     Only for showing what goes wrong for α > 1: with a = 1 (Tustin) a pole lies outside the unit circle, with a = 1/7
     (Al-Alaoui) all is stable, but no longer α-fold small at z = 1.
-
-    Parameters
-    ----------
-    order : float
-        α > 0, not an integer.
-    degree : int
-        n, at most 12 (the polynomials are expanded here).
-    left : float
-        a: 1 for Tustin, 1/7 for Al-Alaoui.
-
-    Returns
-    -------
-    tuple of list of complex, each of length n
-        Zeros and poles in the z plane; the leading coefficients are 1.
-
-    Raises
-    ------
-    ValueError
-        When the degree is too high for expanded polynomials.
     """
     if degree > 12:
         raise ValueError(f"degree = {degree}: the expanded form is accurate up to 12 only; take a lower degree")

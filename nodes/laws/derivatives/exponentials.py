@@ -27,27 +27,7 @@ _FASTEST = 12.0
 
 
 def exponentials(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α with GL's weights up to a memory of N ticks, as a sum of exponentials.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        N: ticks of memory, at least 8.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        Some six taps and about ln(N)/2 sections.
-
-    Raises
-    ------
-    ValueError
-        When the memory is too short.
-    """
+    """D^α with GL's weights up to a memory of N ticks, as a sum of exponentials."""
     if taps < MIN_MEMORY:
         raise ValueError(
             f"taps = {taps}: a sum of exponentials needs a memory of at least {MIN_MEMORY} ticks; use gl, which is "

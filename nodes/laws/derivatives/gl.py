@@ -11,20 +11,7 @@ from nodes.laws import CompiledLaw
 
 
 def coefficients(order: float, taps: int) -> list[float]:
-    """Binomial coefficients of (1 − w)^α by the recursion c_m = c_{m−1}(1 − (α+1)/m).
-
-    Parameters
-    ----------
-    order : float
-        α.
-    taps : int
-        How many, n + 1.
-
-    Returns
-    -------
-    list of float, length taps
-        c_0 = 1, c_1 = −α, ...
-    """
+    """Binomial coefficients of (1 − w)^α by the recursion c_m = c_{m−1}(1 − (α+1)/m)."""
     series = [1.0]
     for m in range(1, taps):
         series.append(series[-1] * ((m - 1.0 - order) / m))
@@ -32,21 +19,6 @@ def coefficients(order: float, taps: int) -> list[float]:
 
 
 def gl(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α as the Grünwald–Letnikov sum T^−α Σ c_m x[k−m] (paper, eq. 5).
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1: samples remembered.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps, no sections.
-    """
+    """D^α as the Grünwald–Letnikov sum T^−α Σ c_m x[k−m] (paper, eq. 5)."""
     gain = float(period) ** -order
     return CompiledLaw(tuple(gain * c for c in coefficients(order, taps)))

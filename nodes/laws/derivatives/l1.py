@@ -15,27 +15,7 @@ from nodes.laws.derivatives.parallel import difference, differenced, split
 
 
 def l1(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α by the L1 formula over n + 1 samples.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, at least ⌊α⌋ + 2 (whole orders: α + 1, the backward difference).
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps (α + 1 at whole orders), no sections.
-
-    Raises
-    ------
-    ValueError
-        When there are too few taps for the order.
-    """
+    """D^α by the L1 formula over n + 1 samples."""
     whole, fraction = split(order)
     least = whole + 2 if fraction > 0.0 else whole + 1
     if taps < least:

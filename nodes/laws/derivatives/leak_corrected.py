@@ -15,27 +15,7 @@ from nodes.laws.derivatives.gl import coefficients
 
 
 def gl_leak_corrected(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α as the Grünwald–Letnikov sum with Σ h_m = 0.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, more than ⌈α⌉.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps, no sections.
-
-    Raises
-    ------
-    ValueError
-        When ``taps`` is not more than ⌈α⌉.
-    """
+    """D^α as the Grünwald–Letnikov sum with Σ h_m = 0."""
     least = math.ceil(order) + 1
     if taps < least:
         raise ValueError(

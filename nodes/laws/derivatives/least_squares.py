@@ -23,27 +23,7 @@ _POINTS = 240
 
 
 def least_squares(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α fitted to (jω)^β over almost four decades up to half of Nyquist.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, 4 to 15: n fixed poles.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        A few taps and about n/2 sections.
-
-    Raises
-    ------
-    ValueError
-        When there are too few poles for the band, or too many.
-    """
+    """D^α fitted to (jω)^β over almost four decades up to half of Nyquist."""
     poles_wanted = taps - 1
     if not MIN_POLES <= poles_wanted <= MAX_POLES:
         raise ValueError(

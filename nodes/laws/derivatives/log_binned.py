@@ -21,18 +21,7 @@ _BINS = 8
 
 
 def bins(taps: int) -> list[tuple[int, int]]:
-    """Edges of the bins over the memory.
-
-    Parameters
-    ----------
-    taps : int
-        Length of the memory.
-
-    Returns
-    -------
-    list of tuple of int
-        First and one past the last age of each bin [ticks]; the newest 16 have a bin each.
-    """
+    """Edges of the bins over the memory."""
     edges = [(m, m + 1) for m in range(min(_EXACT, taps))]
     start, width = _EXACT, _EXACT // _BINS
     while start < taps:
@@ -45,27 +34,7 @@ def bins(taps: int) -> list[tuple[int, int]]:
 
 
 def log_binned(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α as the Grünwald–Letnikov sum with old taps averaged in growing bins.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 2), or whole.
-    taps : int
-        n + 1, at least 17 + ⌊α⌋.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        ``taps`` taps (whole orders: α + 1), no sections.
-
-    Raises
-    ------
-    ValueError
-        When the memory is too short to bin, or the order too high.
-    """
+    """D^α as the Grünwald–Letnikov sum with old taps averaged in growing bins."""
     whole, fraction = split(order)
     if whole > 1 and fraction > 0.0:
         raise ValueError(

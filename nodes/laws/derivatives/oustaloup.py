@@ -23,42 +23,12 @@ _MOST_DECADES = 5.0
 
 
 def oustaloup_tustin(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α by Oustaloup's filter, each factor through Tustin's map.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, 3 to 201: n pairs of pole and zero.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        A few taps and about n/2 sections.
-    """
+    """D^α by Oustaloup's filter, each factor through Tustin's map."""
     return _oustaloup(order, taps, period, lambda x: (2.0 - x) / (2.0 + x))
 
 
 def oustaloup_matched(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α by Oustaloup's filter, with matched poles and zeros.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, 3 to 201: n pairs of pole and zero.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        A few taps and about n/2 sections.
-    """
+    """D^α by Oustaloup's filter, with matched poles and zeros."""
     return _oustaloup(order, taps, period, lambda x: math.exp(-x))
 
 

@@ -27,19 +27,7 @@ ROUNDING = 16 * sys.float_info.epsilon
 
 
 def split(order: float) -> tuple[int, float]:
-    """Split α into differences and a fraction.
-
-    Parameters
-    ----------
-    order : float
-        α > 0.
-
-    Returns
-    -------
-    tuple of int and float
-        k and β with α = k + β and 0 <= β < 1. An order that differs from a whole one by no more than rounding is that
-        whole one: β = 1 − 2⁻⁵² is beyond what the quadratures of the realisations bear.
-    """
+    """Split α into differences and a fraction."""
     nearest = round(order)
     if abs(order - nearest) <= ROUNDING * nearest:
         return nearest, 0.0
@@ -48,41 +36,13 @@ def split(order: float) -> tuple[int, float]:
 
 
 def difference(times: int, period: float) -> CompiledLaw:
-    """Backward differences, ((1 − z⁻¹)/T)^k.
-
-    Parameters
-    ----------
-    times : int
-        k, at least 0.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        k + 1 taps [1/s^k].
-    """
+    """Backward differences, ((1 − z⁻¹)/T)^k."""
     gain = float(period) ** -times
     return CompiledLaw(tuple(gain * c for c in coefficients(float(times), times + 1)))
 
 
 def differenced(taps: Sequence[float], times: int, period: float) -> CompiledLaw:
-    """Put k backward differences behind a tap vector.
-
-    Parameters
-    ----------
-    taps : sequence of float, shape (n,)
-        Taps of the fraction [1/s^β].
-    times : int
-        k, at least 0.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        n + k taps [1/s^(k+β)].
-    """
+    """Put k backward differences behind a tap vector."""
     return CompiledLaw(tuple(_convolve(taps, difference(times, period).taps)))
 
 
@@ -94,24 +54,6 @@ def parallel(
     From tick k + 1 on, the differences of a geometric sequence are geometric again, with amplitude multiplied by
     (p − 1)^k p^−k; what the first ticks differ by goes into the taps. A pole too close to zero for that division
     (|p| < 0.01) is written out as taps: it is gone within nine of them.
-
-    Parameters
-    ----------
-    direct : sequence of float, shape (q,)
-        d_0 ... d_{q−1}.
-    poles : sequence of float, shape (n,)
-        p_i, real and different, inside the unit circle.
-    residues : sequence of float, shape (n,)
-        r_i.
-    times : int
-        k, at least 0.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        Taps and about n/2 sections.
     """
     binomial = difference(times, period).taps
     head = list(direct)

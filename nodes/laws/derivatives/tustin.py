@@ -13,20 +13,5 @@ from nodes.laws.derivatives.cfe import mapped_fraction
 
 
 def tustin_cfe(order: float, taps: int, period: float) -> CompiledLaw:
-    """D^α by Tustin's map and the continued fraction of degree n.
-
-    Parameters
-    ----------
-    order : float
-        α, in (0, 4).
-    taps : int
-        n + 1, 2 to 201.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        A few taps and about n/2 sections.
-    """
+    """D^α by Tustin's map and the continued fraction of degree n."""
     return mapped_fraction(order, taps, period, 2.0 / period, 1.0)

@@ -72,18 +72,7 @@ def _undo(s: Any) -> None:
 
 @compilable
 def ticks(address: int) -> int:
-    """Answer proxies with forces until something is unusual.
-
-    Parameters
-    ----------
-    address : int
-        Of the node's `CouplingState`.
-
-    Returns
-    -------
-    int
-        How many ticks it did.
-    """
+    """Answer proxies with forces until something is unusual."""
     s = _look(address)
     done = 0
     while done < s.most:

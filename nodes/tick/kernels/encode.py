@@ -63,24 +63,7 @@ def put_double(at: int, value: float) -> int:
 
 
 def make_encode(message: type[Message]) -> Callable[[int, int, Any, Any, int, int], int]:
-    """Make the writer of one type of message.
-
-    Parameters
-    ----------
-    message : type of Message
-        The type; it has at most one text.
-
-    Returns
-    -------
-    callable
-        Compilable: from where to write, the address of `fields.key_blocks`, reals, wholes, and address and size of the
-        text, encoded and in room for copies of 16 bytes, to where it ends. It may write 16 bytes beyond.
-
-    Raises
-    ------
-    NotCompilableError
-        When the type has a field of an unknown kind.
-    """
+    """Make the writer of one type of message."""
     fields = fields_of(message)
     count = len(fields)
     kinds = np.array([field.kind for field in fields])

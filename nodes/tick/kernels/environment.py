@@ -54,18 +54,7 @@ def _meet(s: Any, taken: Any, out: Any) -> bool:
 
 @compilable
 def ticks(address: int) -> int:
-    """Answer device states with proxies until something is unusual.
-
-    Parameters
-    ----------
-    address : int
-        Of the node's `EnvironmentState`.
-
-    Returns
-    -------
-    int
-        How many ticks it did.
-    """
+    """Answer device states with proxies until something is unusual."""
     s = _look(address)
     done = 0
     while done < s.most:

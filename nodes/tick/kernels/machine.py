@@ -23,18 +23,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compilable(function: Function) -> Function:
-    """Let a function be compiled into those that call it; to a type checker it stays what it is.
-
-    Parameters
-    ----------
-    function : callable
-        On numbers, arrays and structs.
-
-    Returns
-    -------
-    callable
-        numba's dispatcher of it.
-    """
+    """Let a function be compiled into those that call it; to a type checker it stays what it is."""
     made: Function = numba.njit(function)
     return made
 
@@ -142,18 +131,7 @@ def wholes_at(address: int, count: int) -> Any:
 
 
 def record_at(record: Any) -> Intrinsic:
-    """Make a look at a struct that somebody else holds.
-
-    Parameters
-    ----------
-    record : numba.types.Record
-        Its layout.
-
-    Returns
-    -------
-    callable
-        From its address.
-    """
+    """Make a look at a struct that somebody else holds."""
 
     @intrinsic
     def look(typing: Any, address: Any) -> Any:  # noqa: ARG001

@@ -156,23 +156,7 @@ def after_value(at: int, end: int) -> int:
 
 
 def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
-    """Make the scan of one type of message.
-
-    Parameters
-    ----------
-    message : type of Message
-        The type.
-
-    Returns
-    -------
-    callable
-        Compilable: from where a payload begins and ends, to arrays of reals and wholes which it fills; whether it could.
-
-    Raises
-    ------
-    NotCompilableError
-        When the type has a field of an unknown kind.
-    """
+    """Make the scan of one type of message."""
     fields: tuple[Field, ...] = fields_of(message)
     count = len(fields)
     names = np.frombuffer(b"".join(field.name.encode() for field in fields), np.uint8).copy()
@@ -277,18 +261,7 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
 
 
 def make_match(text: str) -> Callable[[Any], bool]:
-    """Make the question whether the text of a scanned message is a certain one.
-
-    Parameters
-    ----------
-    text : str
-        The text; it is ASCII, and also what is meant where there is none.
-
-    Returns
-    -------
-    callable
-        Compilable: from the wholes of the message.
-    """
+    """Make the question whether the text of a scanned message is a certain one."""
     letters = np.frombuffer(text.encode(), np.uint8).copy()
     count, texts = len(letters), TEXTS
 

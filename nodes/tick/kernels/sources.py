@@ -14,33 +14,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Let compiled functions call a plain function, which itself stays as it is.
-
-    Parameters
-    ----------
-    function : callable
-        Plain function on numbers and arrays.
-
-    Returns
-    -------
-    callable
-        The same function.
-    """
+    """Let compiled functions call a plain function, which itself stays as it is."""
     same: Function = register_jitable(function)
     return same
 
 
 def record_of(structure: type[Structure]) -> Any:
-    """Give a struct of nodes/tick/layout.py its type in kernels.
-
-    Parameters
-    ----------
-    structure : type of Structure
-        The struct.
-
-    Returns
-    -------
-    numba.types.Record
-        The same layout.
-    """
+    """Give a struct of nodes/tick/layout.py its type in kernels."""
     return numba.from_dtype(np.dtype(structure))

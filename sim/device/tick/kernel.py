@@ -264,18 +264,7 @@ def _realtime_tick(s: Any, seq: int) -> bool:
 
 @compilable
 def ticks(address: int) -> int:
-    """Do ticks until something is unusual.
-
-    Parameters
-    ----------
-    address : int
-        Of the node's `DriverState`.
-
-    Returns
-    -------
-    int
-        How many ticks it did.
-    """
+    """Do ticks until something is unusual."""
     s = _look(address)
     done = 0
     s.frames = 0

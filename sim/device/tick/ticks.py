@@ -167,22 +167,7 @@ class DriverTicks(CompiledTicks):
         )
 
     def run(self, seq: int, end: int, epoch: float, following: Vector | None) -> Stop:
-        """Do ticks until something is unusual.
-
-        Parameters
-        ----------
-        seq, end : int
-            The tick that is next, and the one before which to stop.
-        epoch : float
-            When tick 0 was, in real time [s].
-        following : tuple of float, shape (3,), or None
-            Force to be written at the start of the tick [N].
-
-        Returns
-        -------
-        Stop
-            Where they stopped.
-        """
+        """Do ticks until something is unusual."""
         state: Any = self.state
         # Before looking: what comes in between stops it.
         state.attention = 0
