@@ -6,9 +6,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from nodes.parameters.store import ParameterError
+from nodes.base.setup import Setup
+from nodes.parameters.paths import check_paths
+from nodes.parameters.store import ParameterError, ParameterStore, differences
 
 
 class Change:
@@ -91,3 +94,68 @@ class Changes:
                     f"{self._node}: not taken up by the loop within {timeout:g} s; nothing was changed; is the node stopping?"
                 )
         return change.result()
+
+
+class Changeable:
+    """A node whose parameters change while it runs, all or nothing: prepared on the control thread, applied by the loop."""
+
+    setup: Setup
+    store: ParameterStore
+    changes: Changes
+    state: str
+
+    def call(self) -> None:
+        """Wake the loop."""
+        raise TypeError(f"{type(self).__name__} does not define call()")
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare a change."""
+        raise TypeError(f"{type(self).__name__} does not define prepare(), asked for {parameters!r}")
+
+    def hand_over(self, apply: Callable[[int], Any], timeout: float = 2.0) -> Any:
+        """Hand a prepared change to the loop and wait until it was applied (control thread); one not taken up is withdrawn."""
+        return self.changes.hand_over(apply, self.call, lambda: self.state not in ("finished", "failed"), timeout)
+
+    def change_parameters(
+        self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None
+    ) -> dict[str, Any]:
+        """Make, check, prepare and apply new parameters, all or nothing (control thread).
+
+        Should the parameters change in between (a scheduled swap), all is made again from the newer ones.
+
+        Parameters
+        ----------
+        make : callable
+            Makes the node's parameters after the change from those in `store`.
+        prepare : callable, optional
+            Used in place of the method `prepare`.
+
+        Returns
+        -------
+        dict
+            The receipt of the change; its ``changed`` holds, for each path that changed, the value before and after.
+
+        Raises
+        ------
+        ParameterError
+            When they are refused, or the loop does not take them up.
+        """
+        while True:
+            base = self.store.current
+            parameters = make()
+            if self.setup.allow_paths is not None:
+                check_paths(parameters, [Path(folder) for folder in self.setup.allow_paths], self.setup.name)
+            apply = (prepare or self.prepare)(parameters)
+            receipt = self.hand_over(self._unless_changed(base, parameters, apply))
+            if receipt is not None:
+                return {**receipt, "changed": differences(base, parameters)}
+
+    def _unless_changed(self, base: Any, parameters: Any, apply: Callable[[int], Any]) -> Callable[[int], Any]:
+        def at_tick(seq: int) -> Any:
+            if self.store.current is not base:
+                return None
+            receipt = apply(seq)
+            self.store.accept(parameters)
+            return receipt
+
+        return at_tick

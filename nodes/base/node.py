@@ -11,7 +11,6 @@ import os
 import resource
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import msgspec
@@ -22,10 +21,9 @@ from messages.transport.sockets import Publisher, Subscription
 from messages.types import Message, NodeStatus
 from nodes.base import realtime
 from nodes.base.events import Telling
-from nodes.base.handover import Changes
+from nodes.base.handover import Changeable, Changes
 from nodes.base.setup import Axis, Setup
-from nodes.parameters.paths import check_paths
-from nodes.parameters.store import ParameterError, ParameterStore, differences
+from nodes.parameters.store import ParameterError, ParameterStore
 
 if TYPE_CHECKING:
     from nodes.tick.answering import CompiledTicks
@@ -42,7 +40,7 @@ IDLE_MS = 100
 """How long a blocking receive waits before it looks whether the node should stop [ms]."""
 
 
-class Node(Telling):
+class Node(Telling, Changeable):
     """Base of all nodes.
 
     Parameters
@@ -374,72 +372,6 @@ class Node(Telling):
         for reason in reasons:
             self.deny(reason)
         return is_more
-
-    def hand_over(self, apply: Callable[[int], Any], timeout: float = 2.0) -> Any:
-        """Hand a prepared change to the loop and wait until it was applied (control thread).
-
-        Parameters
-        ----------
-        apply : callable
-            Called on the main thread with the tick number.
-        timeout : float
-            Longest wait [s].
-
-        Returns
-        -------
-        object
-            What `apply` returned.
-
-        Raises
-        ------
-        ParameterError
-            When the loop did not take it up in time; it is withdrawn then, and will not be applied later.
-        """
-        return self.changes.hand_over(apply, self.call, lambda: self.state not in ("finished", "failed"), timeout)
-
-    def change_parameters(
-        self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None
-    ) -> dict[str, Any]:
-        """Make, check, prepare and apply new parameters, all or nothing (control thread).
-
-        Should the parameters change in between (a scheduled swap), all is made again from the newer ones.
-
-        Parameters
-        ----------
-        make : callable
-            Makes the node's parameters after the change from those in `store`.
-        prepare : callable, optional
-            Used in place of the method `prepare`.
-
-        Returns
-        -------
-        dict
-            The receipt of the change; its ``changed`` holds, for each path that changed, the value before and after.
-
-        Raises
-        ------
-        ParameterError
-            When they are refused, or the loop does not take them up.
-        """
-        while True:
-            base = self.store.current
-            parameters = make()
-            if self.setup.allow_paths is not None:
-                check_paths(parameters, [Path(folder) for folder in self.setup.allow_paths], self.setup.name)
-            apply = (prepare or self.prepare)(parameters)
-            receipt = self.hand_over(self._unless_changed(base, parameters, apply))
-            if receipt is not None:
-                return {**receipt, "changed": differences(base, parameters)}
-
-    def _unless_changed(self, base: Any, parameters: Any, apply: Callable[[int], Any]) -> Callable[[int], Any]:
-        def at_tick(seq: int) -> Any:
-            if self.store.current is not base:
-                return None
-            receipt = apply(seq)
-            self.store.accept(parameters)
-            return receipt
-
-        return at_tick
 
     def status(self) -> NodeStatus:
         """Describe the node now.
