@@ -221,7 +221,10 @@ def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path,
         wait_for(lambda: diary(tmp_path)[-1][0] - diary(tmp_path)[1][0] > 0.9, "the glitches are over")
         wait_for(lambda: forces(tmp_path)[-1] == 1.0, "forces flow again")
         figures = launch.finish(signal.SIGINT)
-    assert all(math.isfinite(force) and 0.0 <= force <= 1.0 + 1e-9 for force in forces(tmp_path))
+    # At tick 0 the history is empty, as it is in one process; from then on the arm stands still.
+    first = 1.0 + LAW_DAMPING * 0.001 / PERIOD
+    assert all(math.isfinite(force) and 0.0 <= force <= first + 1e-9 for force in forces(tmp_path)[:10])
+    assert all(math.isfinite(force) and 0.0 <= force <= 1.0 + 1e-9 for force in forces(tmp_path)[10:])
     assert figures["safety"]["entered"]["fault"] >= 1
     recording = Recording(tmp_path / "run.mcap")
     states = recording.messages("/device/state")
