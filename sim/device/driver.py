@@ -37,6 +37,8 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
     pointer : PointerParameters or None
         Lets a page drag the target of the device's hand (nodes/view/pointer.py). Real time only: in lockstep the hand keeps to
         its path. None for a hand that nobody drags.
+    preset : str
+        A real device whose published values go before those of `device`, e.g. ``touch_x``; empty or ``none`` for none.
     """
 
     device: DeviceModel

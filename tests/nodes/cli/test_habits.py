@@ -131,7 +131,7 @@ def test_param_describe(launch: RunningLaunch) -> None:
     assert (stiffness["type"], stiffness["limits"], stiffness["required"]) == ("number", "above 0", True)
     assert found["parameters"]["memory"]["limits"] == "at least 2, at most 1e+06"
     assert found["parameters"]["memory"]["default"] == 2048
-    assert found["parameters"]["stability"]["type"] == "one of off, refuse, warn"
+    assert found["parameters"]["stability"]["type"] == "one of changes, off, refuse, warn"
     assert found["parameters"]["plant"]["type"] == "parameters or null"
     text = launch.haptic("param", "describe", "environment").stdout
     assert "surface.position: number" in text
