@@ -113,7 +113,7 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
     law: str
     laws: dict[LawName, Any] = {}
-    usual: dict[str, Any] = {}
+    usual: dict[str, bool | float | str | list[Any]] = {}
     history: Literal["penetration", "position"] = "penetration"
     clamp: bool = True
     memory: Annotated[int, msgspec.Meta(ge=2, le=1_000_000)] = 2048
