@@ -110,10 +110,11 @@ class Registry:
             return point.load()
         except (Exception, SystemExit) as error:  # another package's module may raise anything while it is imported
             package = point.dist.name if point.dist is not None else "?"
-            now = MOVED.get(error.name or "", "") if isinstance(error, ImportError) else ""
+            old = getattr(error, "name", None) or ""  # of an ImportError: the module
+            now = MOVED.get(old, "")
             raise NotInstalledError(
                 f"{name!r}: the {self._noun} cannot be imported: {type(error).__name__}: {error} "
-                f"({point.value}, of the package {package})" + (f"; write {now} for {error.name}" if now else "")
+                f"({point.value}, of the package {package})" + (f"; write {now} for {old}" if now else "")
             ) from error
 
     def all(self) -> tuple[dict[str, Any], dict[str, str]]:
