@@ -1,8 +1,8 @@
-"""Loop rate and delay on the chart, through the real processes: error of the rendered force, and stiffness that settles.
+"""Loop rate and delay on the chart, through the real processes: error of the rendered force, and stiffest floor that calms down.
 
 Each point is a launch of its own: four processes, real time, the force measured from the recording. The reference is
 the same drop on a continuous spring and damper (the one-process loop at 200 kHz, without delay). A stiffness counts
-as stable when the dropped device comes to rest; it is looked for downwards from what the pole radius at the
+as stable when the dropped device calms down; it is looked for downwards from what the pole radius at the
 *measured* delay says.
 """
 
@@ -129,8 +129,8 @@ def force_error(
     return float(np.sqrt(np.mean((held - wanted) ** 2) / np.mean(wanted**2)))
 
 
-def settles(height: NDArray[np.float64]) -> bool:
-    """Tell whether a drop came to rest."""
+def calms_down(height: NDArray[np.float64]) -> bool:
+    """Tell whether the swing in the last fifth of a drop is below a tenth of its height: a milder verdict than the drop's own."""
     end = height[-max(2, len(height) // 5) :]
     return bool(np.isfinite(end).all() and np.ptp(end) < 0.1 * HEIGHT)
 
@@ -161,7 +161,7 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
             law = without_spring(PD(stiffness=1.0, damping=GAIN), period)
             limit = k_max(law, period, Plant(MASS, DAMPING, delay)).k_max_n_per_m or 0.0
         tries = (factor * limit for factor in _TRIES if limit > 0.0)
-        stable = next((k for k in tries if settles(launch(rate, apply, k).height)), 0.0)
+        stable = next((k for k in tries if calms_down(launch(rate, apply, k).height)), 0.0)
         detail: dict[str, Detail] = {
             "rate_hz": rate,
             "delay_ticks": delay if math.isfinite(delay) else None,
@@ -197,12 +197,12 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
         ),
         Group(
             "rate_stiffness",
-            "Loop rate: stiffness that settles",
+            "Loop rate: stiffest floor that calms down",
             "rate of the loop [Hz]",
             f"stiffness lost against the best, {best:.0f} N/m",
             tuple(Point(name, rate, 1.0 - stable / best, family, d) for name, rate, stable, family, d in points),
             f"{note} One launch each at 95, 80, 65 and 50 % of what the pole radius at the measured delay allows, until "
-            "one settles.",
+            "one calms down.",
             linear=True,
         ),
     ]

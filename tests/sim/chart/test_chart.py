@@ -22,7 +22,7 @@ from sim.chart.derivatives import largest_stable, with_stiffness
 from sim.chart.integrators import DAMPING, MASS, PERIOD, drop, integrators, reference, spring_limit
 from sim.chart.k_max import light, poles, simulated
 from sim.chart.points import Group, Point, on_front, save, with_front
-from sim.chart.rates import GAIN, continuous, force_error, launch, settles
+from sim.chart.rates import GAIN, calms_down, continuous, force_error, launch
 from sim.device.model import DeviceModel
 from sim.measure.stopwatch import Progress, Timing, interleaved, machine
 from sim.scene.loop import Scene, Surface, run
@@ -181,9 +181,9 @@ def test_force_error_knows_a_held_force() -> None:
 
 
 def test_settles_refuses_what_is_not_finite() -> None:
-    assert settles(np.zeros(100))
-    assert not settles(np.full(100, math.nan))
-    assert not settles(np.tile([0.0, 0.002], 50))
+    assert calms_down(np.zeros(100))
+    assert not calms_down(np.full(100, math.nan))
+    assert not calms_down(np.tile([0.0, 0.002], 50))
 
 
 def test_forces_of_the_processes_are_those_of_one_process() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from nodes.laws import CompiledLaw
-from nodes.laws.parse import parse_law
+from nodes.laws.parse import compile_law, parse_law
 from nodes.laws.pd import PD
 from nodes.parameters.yaml_io import read_yaml
 from nodes.stability.closed_loop import pole_radius
@@ -62,7 +62,8 @@ def test_the_report_and_the_parameters_are_there(tuned: tuple[Path, dict[str, An
     assert "data:image/png;base64," in page
     assert "95 % interval" in page
     law = read_yaml(folder / told["files"]["params"])["coupling"]["laws"]["tuned"]
-    assert law["taps"] == told["designed"]["taps_n_per_m"]
+    # Of two taps the best may be PD itself, which is written as such; numbers in YAML have six digits or more.
+    assert compile_law(parse_law(law), T).taps == pytest.approx(told["designed"]["taps_n_per_m"], rel=1e-5)
     run = launch_json(folder, "floor_drop", "duration:=0.2", "pace:=lockstep", "--params", told["files"]["params"])
     assert run["exit_reason"] == "done"
 
