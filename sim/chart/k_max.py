@@ -74,8 +74,8 @@ def passive(delay: float) -> float:
 def simulated(delay: float, horizon: float, dropped: bool) -> float:
     """Find K_max by playing the scene at each K and looking whether it calms down.
 
-    Calm means: in the last fifth of the run, the swing is less than a tenth of what it was after the start. That tells the edge of
-    stability from short runs too, which the drop's own verdict (at rest within 0.1 mm) does not.
+    Calm means: in the last fifth of the run, the swing is less than a tenth of what it was after the start. That tells the edge
+    of stability from short runs too, which the drop's own verdict (at rest within 0.1 mm) does not.
     """
     ticks = math.ceil(horizon / PERIOD)
     device = DeviceModel(

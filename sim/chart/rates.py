@@ -1,4 +1,4 @@
-"""Loop rate and delay on the chart, through the real processes: error of the rendered force, and stiffest floor that calms down.
+"""Loop rate and delay on the chart, through the real processes: error of the rendered force, and the stiffest floor that is calm.
 
 Each point is a launch of its own: four processes, real time, the force measured from the recording. The reference is
 the same drop on a continuous spring and damper (the one-process loop at 200 kHz, without delay). A stiffness counts
@@ -130,7 +130,7 @@ def force_error(
 
 
 def calms_down(height: NDArray[np.float64]) -> bool:
-    """Tell whether the swing in the last fifth of a drop is below a tenth of its height: a milder verdict than the drop's own."""
+    """Tell whether the swing in the last fifth of a drop is below a tenth of its height: milder than the drop's verdict."""
     end = height[-max(2, len(height) // 5) :]
     return bool(np.isfinite(end).all() and np.ptp(end) < 0.1 * HEIGHT)
 
