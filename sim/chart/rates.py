@@ -1,4 +1,4 @@
-"""Loop rate and delay on the chart, through the real processes: error of the rendered force, and the stiffest floor that is calm.
+"""Loop rate and delay on the chart, through the real processes: error of the force, and the stiffest floor that is calm.
 
 Each point is a launch of its own: four processes, real time, the force measured from the recording. The reference is
 the same drop on a continuous spring and damper (the one-process loop at 200 kHz, without delay). A stiffness counts
