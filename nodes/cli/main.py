@@ -12,6 +12,7 @@ import io
 import json
 import os
 import re
+import signal
 import sys
 from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
@@ -106,6 +107,8 @@ def _help_line(name: str) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run one verb."""
     argv = sys.argv[1:] if argv is None else argv
+    # A node waits for signals in a thread and blocks them everywhere else; a command that it starts inherits that.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A terminal or a locale without µ gets a question mark, not a traceback.

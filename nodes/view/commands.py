@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -20,6 +19,7 @@ from messages.errors import HapticError
 from messages.topics import DEVICE_STATE, FORCE
 from messages.transport.requests import Line
 from nodes.base.kinds import load
+from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
 
 TIMEOUT = 10.0
@@ -160,7 +160,7 @@ class Commander:
             self._recordings += 1
             path = f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
             self._recorder = subprocess.Popen(
-                [sys.executable, "-m", "nodes.cli.main", "bag", "record", "--run", self._run.run, "--out", path],
+                [*PYTHON, "-m", "nodes.cli.main", "bag", "record", "--run", self._run.run, "--out", path],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from nodes.cli.ask import add_run
 from nodes.cli.main import RefusedError, UsageError, add_json, answer
+from sim.measure.launches import HAPTIC
 
 if TYPE_CHECKING:
     from sim.identify.identify import Identified
@@ -171,7 +172,7 @@ def identify_scenario(
     if scenario == "identify":
         given = {"duration": arguments.duration, "amplitude": arguments.amplitude, "reach": arguments.reach}
         words += [f"{name}:={value}" for name, value in given.items() if name not in named]
-    command = [sys.executable, "-m", "nodes.cli.main", "launch", scenario, *words, "--json", "--no-plot"]
+    command = [*HAPTIC, "launch", scenario, *words, "--json", "--no-plot"]
     # Ctrl-C reaches the launch too, which ends safely; what it recorded until then counts.
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         while True:

@@ -7,7 +7,6 @@ import contextlib
 import json
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from nodes.cli.ask import add_run, ask, chosen_run
 from nodes.cli.main import RefusedError, UsageError, answer
 from sim.identify.device_verb import add_push, excitation, identify_running, say
+from sim.measure.launches import HAPTIC
 
 if TYPE_CHECKING:
     from sim.identify.identify import Identified
@@ -102,7 +102,7 @@ def _launched(arguments: argparse.Namespace) -> Iterator[None]:
         return None
 
     words = [arguments.scenario, *arguments.assignments, "duration:=0"]
-    command = [sys.executable, "-m", "nodes.cli.main", "launch", *words, "--json", "--no-plot"]
+    command = [*HAPTIC, "launch", *words, "--json", "--no-plot"]
     # A group of its own: Ctrl-C is for the tuning, which then ends the launch itself.
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, process_group=0)
     try:
