@@ -38,7 +38,7 @@ SHORTER = {
     "haptic bench curve": "--rounds 1 --ticks 50",
     "haptic drill": "flood",
     "haptic drill --list": "",
-    "haptic drill soak": "--minutes 0.17 --miss-limit 1",
+    "haptic drill soak": "--minutes 0.3 --miss-limit 1",
     "haptic study chart": "--quick --parts kmax",
     "haptic study needs": "--rounds 1",
     "haptic study design": "--mass 0.1 --taps 2",
