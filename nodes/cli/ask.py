@@ -16,11 +16,16 @@ TIMEOUT = 10.0
 """Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
 
 
-def add_run(parser: argparse.ArgumentParser) -> None:
-    """Declare --run and --json."""
+def add_run_name(parser: argparse.ArgumentParser) -> None:
+    """Declare --run."""
     parser.add_argument(
         "--run", metavar="NAME", dest="run_name", help="which launch, when several are running (default: $HAPTIC_RUN)"
     )
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """Declare --run and --json."""
+    add_run_name(parser)
     add_json(parser)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from nodes.base import realtime
-from nodes.cli.ask import chosen_run
+from nodes.cli.ask import add_run_name, chosen_run
 from nodes.cli.main import RefusedError, UsageError, answer
 from nodes.cli.page import announce
 from nodes.launcher.runs import RunInfo, alive
@@ -20,7 +20,7 @@ from nodes.parameters.store import ParameterError
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--run", metavar="NAME", dest="run_name", help="which launch, when several are running")
+    add_run_name(parser)
     parser.add_argument("--replay", type=Path, metavar="FILE", help="a recording instead of a running launch")
     parser.add_argument("--port", type=int, default=0, help="port of the page (default: a free one)")
     parser.add_argument(

@@ -9,6 +9,8 @@ from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
+from nodes.laws.derivatives.gl import coefficients
+
 MAX_TAPS = 8192
 """Longest tap vector of any law; at 500 Hz that is 16 s of memory."""
 
@@ -31,8 +33,5 @@ def term_gain(gain: float, order: float, gains: Gains, period: float, taps: int)
 
 def alternating_sum(order: float, taps: int) -> float:
     """Σ (−1)^m c_m of the Grünwald–Letnikov coefficients: T^α D(−1), which tends to 2^α with the memory (THEORY.md §1)."""
-    term = total = 1.0
-    for m in range(1, taps):
-        term *= (order + 1.0) / m - 1.0
-        total += term
-    return total
+    series = coefficients(order, taps)
+    return sum(series[0::2]) - sum(series[1::2])

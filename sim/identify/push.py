@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +21,7 @@ from nodes.base.kinds import load
 from nodes.cli.ask import ask
 from nodes.cli.main import RefusedError, UsageError
 from nodes.launcher.runs import RunInfo
+from sim.measure.launches import HAPTIC
 
 LAW = "identify"
 """Name that the excitation gets in the coupling; it stays defined afterwards, inactive."""
@@ -140,7 +140,7 @@ def push(
     run = loop.run
     surface = ask(run, loop.environment, "param.get", name="surface")
     before = ask(run, loop.coupling, "law.list")["active"]
-    command = [sys.executable, "-m", "nodes.cli.main", "bag", "record", topics.DEVICE_STATE, "--run", run.run]
+    command = [*HAPTIC, "bag", "record", topics.DEVICE_STATE, "--run", run.run]
     recorder: subprocess.Popen[bytes] | None = None
     try:
         ask(run, loop.coupling, "param.set", values={f"laws.{LAW}": law})
