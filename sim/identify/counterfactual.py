@@ -2,7 +2,8 @@
 
 The model takes the device's place: a virtual device as it was declared, or one identified from this recording or another.
 What moved the recorded device besides the law (a hand) is estimated tick by tick as the force that the model lacks, and acts
-again. The same law replayed must come back to what was recorded; how far it does not is the error of every prediction.
+again. What is left are nudges: the least that keep the model in the encoder step that was read. With them the same law comes
+back to what was recorded; how far the model alone does not is the error of every prediction.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ __all__ = [
     "Array",
     "Felt",
     "missing_force",
+    "nudges",
     "replay",
 ]
 
@@ -34,6 +36,8 @@ Array = NDArray[np.float64]
 
 STILL = Criterion().tolerance
 """Largest motion over the last quarter of a run that counts as settled: that of the drop test [m]."""
+NUDGE = 0.1
+"""Part of a nudge that the velocity takes as an error of its own, made within a tick."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,12 @@ class Felt:
     rest: float
 
 
-def replay(recorded: RecordedScene, law: CompiledLaw | None = None, external: Array | None = None) -> Felt:
+def replay(
+    recorded: RecordedScene,
+    law: CompiledLaw | None = None,
+    external: Array | None = None,
+    nudged: Array | None = None,
+) -> Felt:
     """Play a recorded scene again.
 
     Parameters
@@ -72,6 +81,8 @@ def replay(recorded: RecordedScene, law: CompiledLaw | None = None, external: Ar
         What renders from the first tick on; None for what did, its swaps included.
     external : ndarray, shape (N,), optional
         Force on the device besides the law's at each tick [N], from `missing_force`.
+    nudged : ndarray, shape (N, 3), optional
+        Jumps of position [m], velocity [m/s] and reading [m] at each tick, from `nudges`.
 
     Returns
     -------
@@ -82,10 +93,29 @@ def replay(recorded: RecordedScene, law: CompiledLaw | None = None, external: Ar
     first = played.law if law is None else law
     swaps = played.swaps if law is None else ()
     ticks = len(recorded.position)
-    if recorded.lockstep and external is None:
+    if recorded.lockstep and external is None and nudged is None:
         trace = run(played.scene, first, ticks, [swap for swap in swaps if swap.tick < ticks], played.memory)
         return _judged(recorded, first, trace.measured, trace.force)
-    return _judged(recorded, first, *_tick_by_tick(recorded, first, swaps, external))
+    return _judged(recorded, first, *_tick_by_tick(recorded, first, swaps, external, nudged)[:2])
+
+
+def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
+    """Find what keeps the model, under the recorded forces, in the encoder step that was read.
+
+    Parameters
+    ----------
+    recorded : RecordedScene
+        The recording, its device the model.
+    external : ndarray, shape (N,), optional
+        Force on the device besides the law's at each tick [N], from `missing_force`.
+
+    Returns
+    -------
+    ndarray, shape (N, 3)
+        Jumps of position [m] and velocity [m/s] at each tick, zero wherever the model reads what was read; and how far the
+        recorded reading lies off the model's grid [m].
+    """
+    return _tick_by_tick(recorded, recorded.scene.law, (), external, None, track=True)[2]
 
 
 def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: Array) -> Felt:
@@ -99,9 +129,17 @@ def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: A
 
 
 def _tick_by_tick(
-    recorded: RecordedScene, law: CompiledLaw, swaps: tuple[Swap, ...], external: Array | None
-) -> tuple[Array, Array]:
-    """Play with every force arriving when the recorded one of its tick did: the loop of `sim.scene.loop`, interpreted."""
+    recorded: RecordedScene,
+    law: CompiledLaw,
+    swaps: tuple[Swap, ...],
+    external: Array | None,
+    nudged: Array | None,
+    track: bool = False,
+) -> tuple[Array, Array, Array]:
+    """Play with every force arriving when the recorded one of its tick did: the loop of `sim.scene.loop`, interpreted.
+
+    Tracking, the recorded forces act instead of the law's, and the nudges are those that the recorded readings ask for.
+    """
     scene, device, ticks = recorded.scene.scene, recorded.scene.scene.device, len(recorded.position)
     period, plane = scene.period, scene.surface.kind == "plane"
     normal = scene.surface.normal if plane else 0.0
@@ -118,12 +156,17 @@ def _tick_by_tick(
     guard, energy, before, applied = scene.passivity, 0.0, 0.0, 0.0
     x, v = device.position, device.velocity
     measured, forces = np.empty(ticks), np.zeros(ticks)
+    jumps = np.zeros((ticks, 3)) if nudged is None else nudged
     for k in range(ticks):
+        if track:
+            jumps[k] = _nudge(x, float(recorded.position[k]), device.resolution, period)
+        jump_x, jump_v, off_grid = jumps[k].tolist()
+        x, v = x + jump_x, v + jump_v
         while waiting and waiting[0].tick <= k:
             swap = waiting.pop(0)
             old, now, ramp, done = now, _Rendered(swap.law), swap.ramp, 0
             now.warm_up(history, head, ring)
-        reading = quantise(x, device.resolution)
+        reading = quantise(x, device.resolution) + off_grid
         head, _, contact = respond(
             reading, scene.surface.code, scene.surface.position, normal, scene.raw, history, head, ring
         )
@@ -147,10 +190,20 @@ def _tick_by_tick(
             x, v = _move(
                 x, v, saturate(acting, device.peak_force) + load, (until - at) * period, mass, damping, grip, device
             )
-            acting, at = float(forces[answers]) if 0 <= answers <= k else given, until
+            acting, at = float(forces[answers]) if 0 <= answers <= k and not track else given, until
             next_arrival += 1
         x, v = _move(x, v, saturate(acting, device.peak_force) + load, (1.0 - at) * period, mass, damping, grip, device)
-    return measured, forces
+    return measured, forces, jumps
+
+
+def _nudge(x: float, read: float, resolution: float | None, period: float) -> tuple[float, float, float]:
+    """Move a position the shortest way to where the encoder reads what it read, and the velocity with it."""
+    if quantise(x, resolution) == read:
+        return 0.0, 0.0, 0.0
+    # A millionth short of the step's edges: on them rounding decides.
+    room = 0.499999 * (resolution or 0.0)
+    off = min(max(x, read - room), read + room) - x
+    return off, NUDGE * off / period, read - quantise(x + off, resolution)
 
 
 def _move(

@@ -180,7 +180,7 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
     states = np.concatenate([found.states, test.states])[np.argsort(np.concatenate([seen, unseen]))]
     free = tuple(found.free.tolist())
     final = fit(experiment, starts, length, theta, free, scale, states)
-    kept = _undisturbed(final)
+    kept = _undisturbed(final, scale)
     if not kept.all():
         final = fit(experiment, starts[kept], length, final.theta, free, scale, final.states[kept])
     return _conclude(experiment, final, grid, test, int(np.sum(~kept)))
@@ -208,14 +208,14 @@ def initial_state(experiment: Experiment, found: Identified) -> tuple[float, flo
     return float(first.states[0, 0]), float(first.states[0, 1])
 
 
-def _undisturbed(found: Fit) -> NDArray[np.bool_]:
+def _undisturbed(found: Fit, scale: float) -> NDArray[np.bool_]:
     """Tell which windows to keep: a stall of the machine or a knock spoils some of them altogether.
 
-    Rounding alone never makes a window four times as bad as the middle one. When more than a third are, it is the model that
-    does not fit, and all of them stay.
+    Rounding alone never makes a window four times as bad as the middle one, or as rounding itself where most of them are at
+    rest. When more than a third are, it is the model that does not fit, and all of them stay.
     """
     errors = np.sqrt(found.errors)
-    kept = np.asarray(errors <= 4.0 * np.median(errors))
+    kept = np.asarray(errors <= 4.0 * max(float(np.median(errors)), scale * math.sqrt(found.length / 12.0)))
     return kept if np.mean(kept) > 2.0 / 3.0 else np.ones_like(kept)
 
 

@@ -58,6 +58,8 @@ class RecordedScene:
         Its recorded value [N].
     declared : bool
         Whether the device is a virtual one whose parameters were recorded.
+    recorded_ticks : int
+        Ticks in the recording; more than N where the driver slept: what follows is not replayed.
     """
 
     path: Path
@@ -71,6 +73,7 @@ class RecordedScene:
     answers: NDArray[np.int64]
     given: Array
     declared: bool
+    recorded_ticks: int
 
 
 def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
@@ -114,6 +117,7 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         answers=np.where(fresh, answers, -1)[used],
         given=force[used],
         declared=device is None,
+        recorded_ticks=len(seq),
     )
 
 

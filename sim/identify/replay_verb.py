@@ -40,27 +40,39 @@ def run(arguments: argparse.Namespace) -> int:
     from nodes.laws.parse import LawRefusedError
     from nodes.parameters.store import ParameterError
     from nodes.recording.writer import RecordError
-    from sim.identify.counterfactual import replay
+    from sim.identify.counterfactual import nudges, replay
     from sim.identify.recorded_scene import another_law
 
     try:
         given = parse_assignments(arguments.assignments)
         recorded, external, model = _prepared(arguments)
-        same = replay(recorded, None, external)
+        # A device as it was declared lacks nothing.
+        nudged = None if model == "declared" else nudges(recorded, external)
+        same = replay(recorded, None, external, nudged)
+        alone = same if nudged is None else replay(recorded, None, external)
         law, described = another_law(recorded, given)
     except (RecordError, OSError, ParameterError, LawRefusedError) as error:
         raise UsageError(str(error)) from error
     except ValueError as error:
         raise RefusedError(str(error)) from error
-    other = replay(recorded, law, external) if given else same
-    error_m = float(np.max(np.abs(same.measured - recorded.position)))
+    other = replay(recorded, law, external, nudged) if given else same
+    error_m, model_error_m = (float(np.max(np.abs(felt.measured - recorded.position))) for felt in (same, alone))
     step = recorded.scene.scene.device.resolution
     figures: dict[str, Any] = {
         "recording": str(recorded.path),
         "model": model,
         "lockstep": recorded.lockstep,
+        "ticks": len(recorded.position),
+        "ticks_recorded": recorded.recorded_ticks,
         "self_error_m": error_m,
         "self_error_steps": None if step is None else error_m / step,
+        "model_error_m": model_error_m,
+        "model_error_steps": None if step is None else model_error_m / step,
+        "nudges": {
+            "ticks": 0 if nudged is None else int(np.count_nonzero(nudged[:, 0])),
+            "largest_m": 0.0 if nudged is None else float(np.max(np.abs(nudged[:, 0]))),
+        },
+        "hand": None if external is None else "spring" if recorded.scene.scene.device.hand else "force",
         "law": described,
         "recorded": _told(same),
         "predicted": _told(other),
@@ -128,24 +140,43 @@ def _modelled(found: Any, recording: Path) -> DeviceModel:
 
     position, velocity = initial_state(read(recording, found.axis), found)
     load = 0.0 if found.load.value is None or found.held else found.load.value
-    start = {"position": position, "velocity": velocity, "gravity": -load / found.mass.known()[0]}
+    start: dict[str, Any] = {"position": position, "velocity": velocity, "gravity": -load / found.mass.known()[0]}
+    if found.held and found.stiffness.value:
+        # The hand holds on to where it is going; the way itself is in the force that the model lacks.
+        start["hand"] = {"stiffness": found.stiffness.value, "path": [(0.0, 0.0)]}
     return msgspec.convert({**device_parameters(found), **start}, DeviceModel)
 
 
 def _text(figures: dict[str, Any]) -> str:
-    steps = figures["self_error_steps"]
-    error = f"{figures['self_error_m'] * 1e6:.3g} µm" + ("" if steps is None else f" = {steps:.3g} encoder steps")
+    def error(name: str) -> str:
+        steps = figures[f"{name}_error_steps"]
+        return f"{figures[f'{name}_error_m'] * 1e6:.3g} µm" + ("" if steps is None else f" = {steps:.3g} encoder steps")
+
     lines = [
         f"{figures['recording']}: device {figures['model']}, {'lockstep' if figures['lockstep'] else 'real time'}",
-        f"  the recorded law replayed differs from what was recorded by at most {error}",
+        f"  the recorded law replayed differs from what was recorded by at most {error('self')}",
     ]
+    if figures["ticks"] < figures["ticks_recorded"]:
+        lines.append(
+            f"  only the first {figures['ticks']} of {figures['ticks_recorded']} ticks: the driver slept through the next one"
+        )
+    nudges = figures["nudges"]
+    if nudges["ticks"]:
+        lines.append(
+            f"  the model was nudged at {nudges['ticks']} ticks, by at most {nudges['largest_m'] * 1e6:.2g} µm; "
+            f"without that it differs by {error('model')}"
+        )
     for name in ("recorded", "predicted"):
         told = figures[name]
         state = "settles" if told["settled"] else "does not settle"
         lines.append(
-            f"  {name:9} {state}, peak {told['peak_force_n']:.4g} N, rests at {told['rest_m']:.6g} m (± {error})"
+            f"  {name:9} {state}, peak {told['peak_force_n']:.4g} N, rests at {told['rest_m']:.6g} m (± {error('model')})"
         )
     lines.append("  predicted for " + ", ".join(f"{key} {value}" for key, value in figures["law"].items()))
+    if figures["hand"] == "force":
+        lines.append(
+            "  the hand acts as the force that it gave; one that gives way needs hand: {stiffness: K} in --model's YAML"
+        )
     if figures["left_out"]:
         lines.append(f"  not replayed: {', '.join(figures['left_out'])}")
     return "\n".join(lines)
