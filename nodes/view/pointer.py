@@ -7,6 +7,7 @@ waits for anybody. A value that is not renewed expires: a page that falls silent
 
 from __future__ import annotations
 
+import ctypes
 import math
 import mmap
 import os
@@ -21,7 +22,10 @@ import msgspec
 from messages.types import ZERO, Vector
 
 _VALUE = struct.Struct("<QddddQ")
-"""Count after the value, target [m], when it was written [s], count before it: the reader reads in this order."""
+"""Count after the value, target [m], when it was written [s], count before it: the reader reads in this order.
+
+sim/device/tick/device.py reads it too.
+"""
 
 _COUNT = struct.Struct("<Q")
 _TARGET = struct.Struct("<dddd")
@@ -75,23 +79,33 @@ class PointerReader:
     ------
     OSError
         When the file cannot be made.
+
+    Attributes
+    ----------
+    address : int
+        Where compiled code finds what is mapped.
+    silence : float
+        The same.
+    last : tuple of float
+        The target read last [m], and when it was written [s].
     """
 
     def __init__(self, path: Path, silence: float) -> None:
         self._map = _mapped(path, os.O_CREAT)
-        self._silence = silence
+        self.address = ctypes.addressof(ctypes.c_char.from_buffer(self._map))
+        self.silence = silence
         self._unpack = _VALUE.unpack_from
-        self._last: tuple[float, float, float, float] = (0.0, 0.0, 0.0, -math.inf)
+        self.last: tuple[float, float, float, float] = (0.0, 0.0, 0.0, -math.inf)
 
     def read(self) -> Vector | None:
         """Read the target."""
         after, x, y, z, when, before = self._unpack(self._map)
         if after == before:
-            self._last = x, y, z, when
+            self.last = x, y, z, when
         else:
             # Being written this moment: the value before is at most a frame of the page old.
-            x, y, z, when = self._last
-        return (x, y, z) if time.monotonic() - when < self._silence else None
+            x, y, z, when = self.last
+        return (x, y, z) if time.monotonic() - when < self.silence else None
 
     def close(self) -> None:
         """Let go of the file."""

@@ -15,7 +15,7 @@ from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
 from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
-from sim.device.model import DeviceModel, Hand
+from sim.device.model import DeviceModel, Hand, move_towards
 from sim.device.presets import preset
 from sim.device.state import VirtualDevice
 
@@ -64,28 +64,36 @@ class DraggedHand:
         Speed and silence.
     setup : Setup
         Run directory, period and axis.
+
+    Attributes
+    ----------
+    reader : PointerReader
+        Where the page's target stands.
+    farthest : float
+        Longest way of its target in a tick [m].
+    away : float or None
+        Where its target is, as long as that is not its path's [m].
     """
 
     def __init__(self, hand: Hand, parameters: PointerParameters, setup: Setup) -> None:
         self._point = hand.point
         self._period = setup.period
         self._axis = AXIS_INDEX[setup.axes[0]]
-        self._farthest = parameters.speed * setup.period
-        self._reader = PointerReader(pointer_file(setup.run_dir, setup.name), parameters.silence)
-        self._target: float | None = None
+        self.farthest = parameters.speed * setup.period
+        self.reader = PointerReader(pointer_file(setup.run_dir, setup.name), parameters.silence)
+        self.away: float | None = None
 
     def target(self, seq: int) -> float:
         """Move the target by one tick."""
         rest = self._point(seq * self._period)
-        held = self._reader.read()
-        if held is None and self._target is None:
+        held = self.reader.read()
+        if held is None and self.away is None:
             return rest
-        wanted = rest if held is None else held[self._axis]
-        before = rest if self._target is None else self._target
-        farthest = self._farthest
-        target = min(max(wanted, before - farthest), before + farthest)
+        target = move_towards(
+            rest if held is None else held[self._axis], rest if self.away is None else self.away, self.farthest
+        )
         # Back on its path the hand is its own again.
-        self._target = None if held is None and target == rest else target
+        self.away = None if held is None and target == rest else target
         return target
 
 

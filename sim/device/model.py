@@ -345,6 +345,28 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return load
 
 
+def move_towards(wanted: float, before: float, farthest: float) -> float:
+    """Move a dragged target by one tick.
+
+    Parameters
+    ----------
+    wanted, before : float
+        Where it should be, and where it is [m].
+    farthest : float
+        Longest way of a tick, > 0 [m].
+
+    Returns
+    -------
+    float
+        Where it is now [m].
+    """
+    if wanted > before + farthest:
+        return before + farthest
+    if wanted < before - farthest:
+        return before - farthest
+    return wanted
+
+
 def path_position(path: Sequence[tuple[float, float]], time: float) -> float:
     """Point of a piecewise linear path.
 

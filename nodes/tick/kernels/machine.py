@@ -82,6 +82,26 @@ put_byte, put_be16, put_be32, put_be64 = (_store(bits, types.int64) for bits in 
 put_real = _store(64, types.float64)
 
 
+def _shared(result: Any) -> Intrinsic:
+    """Make a load of 8 bytes that another process may be writing: it happens before every later one."""
+
+    @intrinsic
+    def load(typing: Any, address: Any) -> Any:  # noqa: ARG001
+        """Load a number."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+            at = builder.inttoptr(arguments[0], ir.IntType(64).as_pointer())
+            value = builder.load_atomic(at, "acquire", 8)
+            return value if result == types.int64 else builder.bitcast(value, ir.DoubleType())
+
+        return result(types.int64), generate
+
+    return load
+
+
+shared_whole, shared_real = _shared(types.int64), _shared(types.float64)
+
+
 def _copy() -> Intrinsic:
     """Make a copy of 16 bytes, at any addresses: what is shorter is overwritten by what follows."""
 

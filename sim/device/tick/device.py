@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from nodes.tick.kernels.machine import compilable, reals_at
+from nodes.tick.kernels.hop import monotonic
+from nodes.tick.kernels.machine import compilable, reals_at, shared_real, shared_whole
 from nodes.tick.kernels.sources import kernel
 from sim.device.friction import halt_time, move, slide
-from sim.device.model import advance, coefficients, decay_mean, quantise, saturate
+from sim.device.model import advance, coefficients, decay_mean, move_towards, quantise, saturate
 from sim.device.tick.layout import PENDING
 
-for _function in (decay_mean, coefficients, advance, halt_time, slide, move, quantise, saturate):
+for _function in (move_towards, decay_mean, coefficients, advance, halt_time, slide, move, quantise, saturate):
     kernel(_function)
 _PENDING = PENDING
 
@@ -22,9 +23,35 @@ def measured(s: Any) -> float:
 
 
 @compilable
+def _path(s: Any, tick: int) -> float:
+    return float(reals_at(s.targets, s.targets_count)[min(tick - s.targets_from, s.targets_count - 1)])
+
+
+@compilable
+def move_hand(s: Any, seq: int) -> float:
+    """Move the target of the hand by one tick [m] (`TimedDevice._move_hand`)."""
+    rest = _path(s, seq)
+    if s.pointer == 0:
+        return rest
+    after = shared_whole(s.pointer)
+    value, when = shared_real(s.pointer + 8 + 8 * s.device_axis), shared_real(s.pointer + 32)
+    if shared_whole(s.pointer + 40) == after:
+        s.wanted, s.wanted_at = value, when
+    is_held = monotonic(s) - s.wanted_at < s.silence
+    s.pull = rest
+    if is_held or s.is_away != 0:
+        s.pull = move_towards(s.wanted if is_held else rest, s.away if s.is_away != 0 else rest, s.farthest)
+        s.is_away = is_held or s.pull != rest
+        s.away = s.pull
+    return float(s.pull)
+
+
+@compilable
 def _pulled(s: Any, force: float) -> float:
-    """Add to what the motor gives of a force what pulls besides [N]."""
-    load = reals_at(s.loads, s.loads_count)[min(s.device_ticks - s.loads_from, s.loads_count - 1)]
+    """Add to what the motor gives of a force what pulls besides [N] (`VirtualDevice.load`)."""
+    load = s.weight
+    if s.targets_count > 0:
+        load += s.grip * (_path(s, s.device_ticks) if s.pointer == 0 else s.pull)
     return float((saturate(force, s.motor) if s.has_motor != 0 else saturate(force, None)) + load)
 
 

@@ -33,7 +33,7 @@ from nodes.tick.kernels.machine import (
 )
 from nodes.tick.kernels.scan import make_scan
 from nodes.tick.kernels.sources import kernel, record_of
-from sim.device.tick.device import lockstep_tick, measured, pass_tick, write_force
+from sim.device.tick.device import lockstep_tick, measured, move_hand, pass_tick, write_force
 from sim.device.tick.layout import BETWEEN, WAITING, DriverState
 
 for _function in (limit, observe, through):
@@ -97,8 +97,7 @@ def _sample(s: Any, seq: int, stamp: float) -> None:
     # Where a hand pulls to during this tick.
     out[_TO_TARGET] = out[_TO_TARGET + 1] = out[_TO_TARGET + 2] = 0.0
     if s.targets_count > 0:
-        targets = reals_at(s.targets, s.targets_count)
-        out[_TO_TARGET + s.device_axis] = targets[min(seq - s.targets_from, s.targets_count - 1)]
+        out[_TO_TARGET + s.device_axis] = move_hand(s, seq)
     out[_TO_ENERGY], out[_TO_DELAY], out[_TO_GUARD] = energy, s.delay, 0.0
     whole[_TO_SEQ], whole[_TO_FORCE_SEQ], whole[_TO_AGE] = seq, s.force_seq, s.age
     whole[_TO_MISSED], whole[_TO_OVERRUNS] = s.missed, s.overruns

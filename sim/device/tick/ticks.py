@@ -7,6 +7,8 @@ from array import array
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+import msgspec
+
 from messages import topics
 from messages.types import Vector
 from nodes.base.setup import Setup
@@ -21,7 +23,7 @@ from nodes.tick.library import Kernel
 from sim.device.tick.layout import PENDING, WAITING, DriverState
 
 AHEAD = 4
-"""Pulls of a hand that are computed beyond the ticks to do: a lost tick lets several pass at once."""
+"""Points of a hand's path that are computed beyond the ticks to do: a lost tick lets several pass at once."""
 
 
 class _Timed(Protocol):
@@ -139,13 +141,13 @@ class DriverTicks(CompiledTicks):
         state.device_delay, state.device_hold = timed.delay, timed.hold
         self._pending = array("d", [0.0]) * (2 * PENDING)
         self.keep("pending", self._pending)
-        hand = model.hand is not None
-        self._loads = array("d", [device.load()]) * (self._most + AHEAD if hand else 1)
-        self._targets = array("d", [0.0]) * (self._most + 1 if hand else 0)
-        self.keep("loads", self._loads)
+        state.weight = msgspec.structs.replace(model, hand=None).load(0, device.period)
+        self._targets = array("d", [0.0]) * (self._most + AHEAD if model.hand is not None else 0)
         self.keep("targets", self._targets)
         state.targets_count = len(self._targets)
-        state.loads_count = len(self._loads)
+        if timed.dragged is not None:
+            reader = timed.dragged.reader
+            state.pointer, state.silence, state.farthest = reader.address, reader.silence, timed.dragged.farthest
 
     def wake(self) -> None:
         """Ask the kernel to stop after the present tick; from any thread."""
@@ -159,7 +161,6 @@ class DriverTicks(CompiledTicks):
             safety.state == "active"
             and safety.motor is None
             and node._guard is None
-            and node._device.dragged is None
             and motion.covered == 1
             and (self.state.realtime == 0 or node._device.tick >= 0)
             and len(node._device.pending) < PENDING // 2
@@ -214,20 +215,20 @@ class DriverTicks(CompiledTicks):
         if node._latency is not None:
             for i, line in enumerate(node._latency.lines):
                 self._lines[i * len(line) : (i + 1) * len(line)] = array("d", line)
-        self._device_over(seq)
+        self._device_over()
 
-    def _device_over(self, seq: int) -> None:
+    def _device_over(self) -> None:
         state: Any = self.state
         timed: _Timed = self._driver._device
         device = timed.device
         state.x, state.v, state.device_ticks = device.position, device.velocity, device.ticks
-        state.loads_from = device.ticks
-        if device.model.hand is not None:
-            state.targets_from = seq
-            for n in range(len(self._targets)):
-                self._targets[n] = device.model.hand.point((seq + n) * device.period)
-            for n in range(len(self._loads)):
-                self._loads[n] = device.model.load(device.ticks + n, device.period)
+        state.targets_from = device.ticks
+        for n in range(len(self._targets)):
+            self._targets[n] = device.model.hand.point((device.ticks + n) * device.period)
+        if (dragged := timed.dragged) is not None:
+            state.wanted, state.wanted_at = dragged.reader.last[timed.axis], dragged.reader.last[3]
+            state.is_away, state.away = dragged.away is not None, dragged.away or 0.0
+            state.pull = device.target or 0.0
         # The oldest first: the next one overwrites it.
         self._commands[:] = array("d", reversed(device.commands))
         state.slot = 0
@@ -272,6 +273,12 @@ class DriverTicks(CompiledTicks):
         timed: _Timed = self._driver._device
         device = timed.device
         device.position, device.velocity, device.ticks = state.x, state.v, state.device_ticks
+        if (dragged := timed.dragged) is not None:
+            last = [*dragged.reader.last[:3], state.wanted_at]
+            last[timed.axis] = state.wanted
+            dragged.reader.last = last[0], last[1], last[2], last[3]
+            dragged.away = state.away if state.is_away else None
+            device.target = state.pull
         commands = [*self._commands[state.slot :], *self._commands[: state.slot]]
         device.commands.extendleft(commands)
         timed.tick, timed.acting, timed.commanded = state.device_tick, state.device_acting, state.commanded

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import math
 import threading
 import time
+from array import array
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numba
 import numpy as np
 import pytest
 
@@ -17,9 +21,13 @@ from nodes.base.setup import Setup
 from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
+from nodes.tick.choose import Wanted, choose
+from nodes.tick.library import functions
 from nodes.view.pointer import PointerParameters, PointerReader, PointerWriter, pointer_file
+from sim.bench.loop import KERNELS
 from sim.device.driver import DraggedHand, SimDriver
 from sim.device.model import Hand
+from sim.device.tick.layout import DriverState
 from sim.scene.from_launch import from_launch
 from sim.scene.hand_path import target_path
 from tests.support.launching import running, wait_for
@@ -72,12 +80,54 @@ def test_a_pointer_needs_a_hand() -> None:
         SimDriver.check(setup)
 
 
-def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tmp_path: Path) -> None:
+def test_a_kernel_moves_the_target_as_the_plain_tick_does(tmp_path: Path) -> None:
+    """To the bit, from whatever a page writes: far and near, let go, half-written, and silent from the beginning."""
+    from nodes.tick.kernels.machine import record_at
+    from nodes.tick.kernels.sources import record_of
+    from sim.device.tick import device as kernels
+
+    look, move = record_at(record_of(DriverState)), kernels.move_hand
+    compiled = numba.njit(lambda address, seq: move(look(address), seq))
+    setup = msgspec.structs.replace(SETUP, run_dir=str(tmp_path))
+    hand = Hand(stiffness=100.0, path=[(0.0, 0.001), (0.05, 0.003)], repeat=0.3)
+    dragged = DraggedHand(hand, PointerParameters(speed=0.5, silence=60.0), setup)
+    writer = PointerWriter(pointer_file(tmp_path, "driver"))
+    state: Any = DriverState()
+    ticks = 400
+    path = array("d", [hand.point(seq * SETUP.period) for seq in range(ticks)])
+    clock, room = array("q", [0, 0]), functions()["clock_gettime"]
+    state.targets, state.targets_count = path.buffer_info()[0], ticks
+    state.clock_gettime, state.time = room, clock.buffer_info()[0]
+    state.pointer, state.silence, state.farthest = dragged.reader.address, dragged.reader.silence, dragged.farthest
+    state.wanted_at = -math.inf
+    chance = np.random.default_rng(14)
+    away = 0
+    for seq in range(ticks):
+        if chance.random() < 0.2:
+            if chance.random() < 0.4:
+                writer.let_go()
+            else:
+                writer.write((chance.normal(0.0, 0.01), 9.0, 9.0))
+        elif chance.random() < 0.05:
+            torn = bytearray(pointer_file(tmp_path, "driver").read_bytes())
+            torn[:8] = (10**6 + seq).to_bytes(8, "little")
+            with open(pointer_file(tmp_path, "driver"), "r+b") as file:
+                file.write(torn)
+        assert compiled(ctypes.addressof(state), seq) == dragged.target(seq)
+        assert bool(state.is_away) == (dragged.away is not None)
+        away += state.is_away
+    assert 0 < away < ticks
+    writer.close()
+
+
+@pytest.mark.parametrize("tick", ["plain", "compiled"])
+def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tick: Wanted, tmp_path: Path) -> None:
     """In real time, under next_tick, with no tick missed: the one-process scene with the recorded targets has the same bits."""
+    assert choose(tick, KERNELS, print) == tick
     for attempt in range(3):
         folder = tmp_path / str(attempt)
         folder.mkdir()
-        with running(folder, "touch_wall", "apply:=next_tick", "duration:=3") as launch:
+        with running(folder, "touch_wall", "apply:=next_tick", "duration:=2", "--tick", tick) as launch:
             writer = PointerWriter(pointer_file(launch.run_dir, "driver"))
             ended = threading.Event()
 
@@ -100,11 +150,15 @@ def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tmp_path: Path
         assert max(targets) > 0.02, "the hand was dragged into the wall"
         # Recorded with the state: 0.5 m/s is 1 mm a tick, to rounding.
         assert max(abs(b - a) for a, b in itertools.pairwise(targets)) <= 0.001 * (1.0 + 1e-9)
+        # A dragged hand is no reason to leave the compiled tick.
+        assert figures["tick"] == tick
+        if tick == "compiled" and figures["missed"] == 0:
+            assert figures["ticks_compiled"]["driver"] > 0.9 * figures["ticks"]
         if figures["missed"] == figures["overruns"] == 0:
             break
     else:
         pytest.skip("this machine missed ticks in three runs: what it did then cannot be played tick by tick")
-    launch_again = launch_file.read("touch_wall", {"apply": "next_tick", "duration": 3.0, "pace": "lockstep"})
+    launch_again = launch_file.read("touch_wall", {"apply": "next_tick", "duration": 2.0, "pace": "lockstep"})
     device = launch_again.nodes["driver"].parameters["device"]
     device["hand"]["path"] = target_path(recording, "x")
     trace = from_launch(launch_again).play()
