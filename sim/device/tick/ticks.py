@@ -182,7 +182,7 @@ class DriverTicks(CompiledTicks):
         state.has_following = following is not None
         if following is not None:
             state.following[:] = following
-        self._take_over(seq)
+        self._take_over()
         done = self._kernel(self._at)
         self._give_back(done)
         if state.frames:
@@ -195,7 +195,7 @@ class DriverTicks(CompiledTicks):
             done,
         )
 
-    def _take_over(self, seq: int) -> None:
+    def _take_over(self) -> None:
         """Bring the kernel's side up to date."""
         node = self._driver
         safety, motion, responses = node._safety, node._motion, node._responses
