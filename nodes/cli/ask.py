@@ -9,18 +9,11 @@ from typing import Any
 
 from messages.transport.requests import ControlError, call
 from messages.transport.sockets import new_context
-from nodes.cli.main import RefusedError, UsageError, add_json
+from nodes.cli.main import RefusedError, UsageError, add_json, add_run_name
 from nodes.launcher.runs import RunError, RunInfo, find_run
 
 TIMEOUT = 10.0
 """Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
-
-
-def add_run_name(parser: argparse.ArgumentParser) -> None:
-    """Declare --run."""
-    parser.add_argument(
-        "--run", metavar="NAME", dest="run_name", help="which launch, when several are running (default: $HAPTIC_RUN)"
-    )
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:

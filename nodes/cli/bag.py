@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nodes.cli.main import UsageError, add_json, answer, complain
+from nodes.cli.main import UsageError, add_json, add_run_name, answer, complain
 from nodes.parameters.registry import Registry
 
 if TYPE_CHECKING:
@@ -55,9 +55,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--out-dir", type=Path, default=Path("recordings"), metavar="DIR", help="its directory (default: %(default)s)"
     )
     record.add_argument("--force", action="store_true", help="replace a file that is there already")
-    record.add_argument(
-        "--run", metavar="NAME", dest="run_name", help="which launch, when several are running (default: $HAPTIC_RUN)"
-    )
+    add_run_name(record)
     record.add_argument("--duration", type=_positive, default=0.0, metavar="S", help="stop after so many seconds")
 
     info = declare("info", _info, "Tell what a recording holds: topics, messages, gaps in seq, sent against recorded.")

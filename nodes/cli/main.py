@@ -63,6 +63,13 @@ def _probably(given: str, known: Iterable[str]) -> str:
     return "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(given, list(known), 1))
 
 
+def add_run_name(parser: argparse.ArgumentParser) -> None:
+    """Declare --run."""
+    parser.add_argument(
+        "--run", metavar="NAME", dest="run_name", help="which launch, when several are running (default: $HAPTIC_RUN)"
+    )
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Offer --json."""
     parser.add_argument("--json", action="store_true", help="answer with one JSON object on the last line")

@@ -21,7 +21,7 @@ from messages.transport.sockets import Publisher, Subscription, new_context
 from nodes.base import realtime
 from nodes.cli.ask import chosen_run, known_topic
 from nodes.cli.listen import QUEUE, QUIET_MS
-from nodes.cli.main import UsageError, add_json, answer
+from nodes.cli.main import UsageError, add_json, add_run_name, answer
 from nodes.launcher.runs import RunInfo, alive, runs
 
 if TYPE_CHECKING:
@@ -48,9 +48,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("endpoint", nargs="?", default=ENDPOINT, help="where to publish (default: %(default)s)")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", default=[], help="whole names; all when left out")
-    parser.add_argument(
-        "--run", metavar="NAME", dest="run_name", help="which launch or scenario (default: $HAPTIC_RUN)"
-    )
+    add_run_name(parser)
     parser.add_argument("--once", action="store_true", help="end with the launch instead of waiting for the next one")
     add_json(parser)
     parser.set_defaults(run=run)

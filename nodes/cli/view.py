@@ -11,8 +11,8 @@ from pathlib import Path
 from types import FrameType
 
 from nodes.base import realtime
-from nodes.cli.ask import add_run_name, chosen_run
-from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.cli.ask import chosen_run
+from nodes.cli.main import RefusedError, UsageError, add_run_name, answer
 from nodes.cli.page import announce
 from nodes.launcher.runs import RunInfo, alive
 from nodes.parameters.store import ParameterError

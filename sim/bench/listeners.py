@@ -7,14 +7,13 @@ import signal
 import statistics
 import subprocess
 import time
-from collections.abc import Callable
 from typing import Any
 
 from messages.topics import DEVICE_STATE
 from nodes.cli.main import add_json, answer
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
-from sim.measure.launches import HAPTIC, MeasurementError, Running, machine
+from sim.measure.launches import HAPTIC, Running, machine, wait_for
 from sim.measure.stopwatch import Progress
 
 LISTENERS = 4
@@ -27,14 +26,6 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, default=500.0, help="sampling rate [Hz] (default 500)")
     add_json(parser)
     parser.set_defaults(run=run)
-
-
-def _await(condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + 30.0
-    while not condition():
-        if time.monotonic() > deadline:
-            raise MeasurementError(f"{what}: not within 30 s")
-        time.sleep(0.02)
 
 
 def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[bytes]]:
@@ -51,7 +42,7 @@ def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[by
         for path in paths
     ]
     for path in paths:
-        _await(lambda path=path: path.exists() and path.stat().st_size > 20_000, f"{path.name} grows")  # type: ignore[misc]
+        wait_for(lambda path=path: path.exists() and path.stat().st_size > 20_000, f"{path.name} grows", 30.0)  # type: ignore[misc]
     return listeners
 
 
@@ -76,7 +67,7 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
                 for listener in listeners:
                     listener.kill()
                     listener.wait()
-            figures = launch.end()
+            figures = launch.finish(signal.SIGINT)
         finally:
             for listener in listeners:
                 listener.kill()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -139,13 +140,13 @@ def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 5
     with Running("floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001") as launch:
 
         def ask(op: str, **args: Any) -> Any:
-            return launch.ask("coupling", op, **args)
+            return launch.call("coupling", op, **args)
 
         _equal_at_rest(ask)
         before = int(ask("param.set", values={"ramp": 0})["revision"])
-        launch.await_tick(SETTLED)
+        launch.wait_ticks(SETTLED)
         asked = _ask_all(ask, swaps, sets, blocks, duration)
-        figures = launch.end()
+        figures = launch.finish(signal.SIGINT)
         return _figures(Recording(launch.folder / figures["recording"]), figures, asked, before)
 
 

@@ -94,7 +94,7 @@ def loop_cost(rounds: int, seconds: float, rate: float, browser: Any, progress: 
             progress.step("no page")
             halves["with"].append(_with_page(launch, browser, seconds, delays))
             progress.step("a page, somebody dragging")
-        figures = launch.end()
+        figures = launch.finish(signal.SIGINT)
         recording = Recording(launch.folder / figures["recording"])
         states = recording.messages(DEVICE_STATE)
         lost = recording.topics[DEVICE_STATE].gaps - figures["overruns"]

@@ -18,8 +18,8 @@ import msgspec
 
 from messages.transport.requests import ControlError
 from messages.types import ZERO, DeviceState
-from sim.measure.launches import MeasurementError
-from sim.measure.rig import Rig, RigError
+from sim.measure.launches import MeasurementError, within
+from sim.measure.rig import Rig
 
 RATE = 500.0
 WATCHDOG, DAMPING_TICKS = 10, 10
@@ -209,7 +209,7 @@ def kill(node: str) -> Callable[[Rig], None]:
 
     def strike(rig: Rig) -> None:
         before = rig.kill(node)
-        rig.wait(lambda: another(rig, node, before), 15.0)
+        within(lambda: another(rig, node, before), 15.0)
 
     return strike
 
@@ -229,17 +229,17 @@ def drill(fault: Fault, patience: float = 15.0) -> Outcome:
         environment = fault.prepare()
         fault.change(content)
         with Rig(content, environment, fault.unread) as rig:
-            rig.wait(lambda: in_order(rig.states), 10.0)
+            within(lambda: in_order(rig.states), 10.0)
             struck = len(rig.states) - 1
             fault.strike(rig)
             after = len(rig.states)
-            outcome.recovered = rig.wait(lambda: len(rig.states) > after + CALM and in_order(rig.states), patience)
+            outcome.recovered = within(lambda: len(rig.states) > after + CALM and in_order(rig.states), patience)
             window = rig.states[struck:]
             errors = rig.errors
     except FaultSkippedError as reason:
         outcome.skipped = str(reason)
         return outcome
-    except RigError as error:
+    except MeasurementError as error:
         outcome.reasons = [str(error)]
         return outcome
     finally:
@@ -260,5 +260,5 @@ def drill(fault: Fault, patience: float = 15.0) -> Outcome:
         wrong.append(f"the launch ended with exit code {rig.exit_code}: {errors[-1000:]}")
     wrong += [f"left behind: {what}" for what in rig.left]
     outcome.passed = not wrong
-    outcome.reasons = wrong or list(rig.figures.get("safety", {}).get("reasons", []))
+    outcome.reasons = wrong or list(rig.summary.get("safety", {}).get("reasons", []))
     return outcome

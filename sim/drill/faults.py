@@ -19,6 +19,7 @@ from typing import Any
 
 from sim.drill import intruders, last_line
 from sim.drill.drill import Fault, FaultSkippedError, kill
+from sim.measure.launches import within
 from sim.measure.rig import Rig
 
 STOPPED = 0.3
@@ -27,7 +28,7 @@ STOPPED = 0.3
 
 def _let_pass(rig: Rig, seconds: float) -> None:
     """Let the launch run for a while, unless it ends."""
-    rig.wait(lambda: rig.launcher.poll() is not None, seconds)
+    within(lambda: rig.process.poll() is not None, seconds)
 
 
 def _stop(node: str) -> Callable[[Rig], None]:
@@ -80,7 +81,7 @@ class _SmallDisk:
                 while True:
                     filler.write(bytes(4096))
                     filler.flush()
-        if not rig.wait(lambda: "logger: ended with" in rig.errors, 30.0):
+        if not within(lambda: "logger: ended with" in rig.errors, 30.0):
             raise FaultSkippedError("the logger did not notice the full disk within 30 s")
 
     def tidy(self) -> None:

@@ -19,7 +19,8 @@ from typing import Any
 from messages.transport import keys
 from messages.transport.endpoints import MAX_MESSAGE, split
 from sim.drill.drill import Fault
-from sim.measure.rig import Rig, RigError
+from sim.measure.launches import MeasurementError, within
+from sim.measure.rig import Rig
 
 HELD = 1.0
 """How long an intruder stays [s]."""
@@ -29,7 +30,7 @@ FEW = 256
 
 
 def _let_pass(rig: Rig, seconds: float) -> None:
-    rig.wait(lambda: rig.launcher.poll() is not None, seconds)
+    within(lambda: rig.process.poll() is not None, seconds)
 
 
 @contextlib.contextmanager
@@ -111,9 +112,9 @@ class _Elsewhere:
         with _keys_of(self.folder / "near"):
             robot = keys.key_of("robot")
             keys.revoke("robot")
-            if not rig.wait(lambda: rig.states[-1].safety == "zero", 5.0):
-                raise RigError("a coupling whose key was revoked still commands force after 5 s")
-            rig.wait(lambda: self._node is not None and self._node.poll() is not None, 20.0)
+            if not within(lambda: rig.states[-1].safety == "zero", 5.0):
+                raise MeasurementError("a coupling whose key was revoked still commands force after 5 s")
+            within(lambda: self._node is not None and self._node.poll() is not None, 20.0)
             keys.allow("robot", robot)
         self.start()
 
@@ -129,7 +130,7 @@ class _Elsewhere:
 
 def _send_oversize(rig: Rig) -> None:
     rig.call("link", "param.set", values={"oversize": MAX_MESSAGE + 1})
-    rig.wait(lambda: rig.states[-1].safety == "zero", 5.0)
+    within(lambda: rig.states[-1].safety == "zero", 5.0)
     rig.call("link", "param.set", values={"oversize": 0})
 
 
@@ -137,7 +138,7 @@ def _exhaust(rig: Rig) -> None:
     """Connect to every socket of the driver, again and again, where it may open only a few files."""
     driver = rig.pid("driver")
     resource.prlimit(driver, resource.RLIMIT_NOFILE, (FEW, FEW))
-    setup = rig.info.nodes["driver"]
+    setup = rig.run.nodes["driver"]
     clients: list[socket.socket] = []
     until = time.monotonic() + HELD
     while time.monotonic() < until and len(clients) < 3 * FEW:
@@ -152,7 +153,7 @@ def _exhaust(rig: Rig) -> None:
     for client in clients:
         client.close()
     if rig.pid("driver") != driver:
-        raise RigError("the driver did not survive the flood of connections")
+        raise MeasurementError("the driver did not survive the flood of connections")
 
 
 def faults() -> list[Fault]:

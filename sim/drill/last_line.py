@@ -11,6 +11,7 @@ from typing import Any
 
 from sim.drill.drill import Fault, another, kill
 from sim.drill.faulty_device import HANG
+from sim.measure.launches import processes_of, within
 from sim.measure.rig import Rig
 
 ORDER = "order"
@@ -35,9 +36,9 @@ def _hang(rig: Rig) -> None:
     before = rig.pid("driver")
     order = rig.folder / ORDER
     order.write_text(HANG, encoding="ascii")
-    rig.wait(lambda: "[driver] hung: " in rig.errors, 15.0)
+    within(lambda: "[driver] hung: " in rig.errors, 15.0)
     order.unlink()
-    rig.wait(lambda: another(rig, "driver", before), 15.0)
+    within(lambda: another(rig, "driver", before), 15.0)
 
 
 def _misplace(position: str) -> Callable[[Rig], None]:
@@ -46,8 +47,8 @@ def _misplace(position: str) -> Callable[[Rig], None]:
         draft = order.with_suffix(".draft")
         draft.write_text(position, encoding="ascii")
         draft.rename(order)
-        rig.wait(lambda: rig.states[-1].safety == "fault", 5.0)
-        rig.wait(lambda: rig.states[-1].safety != "fault", 0.3)
+        within(lambda: rig.states[-1].safety == "fault", 5.0)
+        within(lambda: rig.states[-1].safety != "fault", 0.3)
         order.unlink()
 
     return strike
@@ -60,27 +61,30 @@ def _quota(rig: Rig) -> None:
         for number, seconds in ((signal.SIGSTOP, OFF), (signal.SIGCONT, ON)):
             for pid in pids:
                 os.kill(pid, number)
-            rig.wait(lambda: rig.launcher.poll() is not None, seconds)
+            within(lambda: rig.process.poll() is not None, seconds)
 
 
 def _kill_at_start(rig: Rig) -> None:
     """Start launches beside this one, and kill launcher and reaper of each while its nodes are being started."""
-    own = {path.parent for path in rig.runtime.rglob("run.json")}
-    ours = set(rig.processes())
+    own = {path.parent for path in rig.runtime_dir.rglob("run.json")}
+    ours = processes_of(rig.runtime_dir)
+
+    def others() -> dict[int, str]:
+        return {number: line for number, line in processes_of(rig.runtime_dir).items() if number not in ours}
+
     for attempt in range(ATTEMPTS):
         launcher = rig.beside("launch", str(rig.folder / "drill.yaml"), "--no-plot")
-        rig.wait(lambda attempt=attempt: len(set(rig.processes()) - ours) > attempt, 15.0)  # type: ignore[misc]
-        for line in set(rig.processes()) - ours:
+        within(lambda attempt=attempt: len(others()) > attempt, 15.0)  # type: ignore[misc]
+        for number, line in others().items():
             if "reaper.py" in line:
                 with contextlib.suppress(ProcessLookupError):
-                    os.kill(int(line.split()[1].rstrip(":")), signal.SIGKILL)
+                    os.kill(number, signal.SIGKILL)
         launcher.kill()
         launcher.wait()
-    rig.wait(lambda: not set(rig.processes()) - ours, 10.0)
-    left = [line for line in rig.processes() if line not in ours]
-    if not left:
+    within(lambda: not others(), 10.0)
+    if not others():
         # The directories that a killed launcher leaves are the next launch's to sweep, after a minute.
-        for path in {path.parent for path in rig.runtime.rglob("*.json")} - own:
+        for path in {path.parent for path in rig.runtime_dir.rglob("*.json")} - own:
             shutil.rmtree(path, ignore_errors=True)
 
 

@@ -21,6 +21,7 @@ from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from sim.drill.drill import RATE, in_order, scene
 from sim.drill.witness import UNEXPLAINED, Witness
+from sim.measure.launches import within
 from sim.measure.rig import Rig
 
 GROWTH = 4e6
@@ -101,7 +102,7 @@ class _Memory:
         self.growth: dict[str, float] = {}
 
     def look(self, rig: Rig) -> None:
-        for name in rig.info.nodes:
+        for name in rig.run.nodes:
             try:
                 status = rig.call(name, "status", timeout=0.5)
             except ControlError:
@@ -118,9 +119,9 @@ class _Memory:
 
 def _pass_time(rig: Rig, seconds: float, memory: _Memory) -> None:
     until = time.monotonic() + seconds
-    while time.monotonic() < until and rig.launcher.poll() is None:
+    while time.monotonic() < until and rig.process.poll() is None:
         memory.look(rig)
-        rig.wait(lambda: rig.launcher.poll() is not None, min(0.5, max(until - time.monotonic(), 0.0)))
+        within(lambda: rig.process.poll() is not None, min(0.5, max(until - time.monotonic(), 0.0)))
 
 
 def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_LIMIT) -> Soak:
@@ -140,7 +141,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
     rig = Rig(content)
     with rig:
         begun = time.monotonic()
-        while time.monotonic() - begun < seconds and rig.launcher.poll() is None:
+        while time.monotonic() - begun < seconds and rig.process.poll() is None:
             part = min(round_seconds, max(seconds - (time.monotonic() - begun), 1.0)) / 6.0
             number = found.rounds = found.rounds + 1
             done.append((rig.states[-1].seq, "loggers attached"))
@@ -164,7 +165,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             struck = rig.states[-1].seq
             seen = len(rig.states)
             rig.kill(victim)
-            if not rig.wait(lambda seen=seen: len(rig.states) > seen + 50 and in_order(rig.states), 20.0):  # type: ignore[misc]
+            if not within(lambda seen=seen: len(rig.states) > seen + 50 and in_order(rig.states), 20.0):  # type: ignore[misc]
                 found.reasons.append(
                     f"round {number}: not recovered within 20 s after {victim} was killed: {rig.errors}"
                 )
@@ -174,7 +175,8 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             _pass_time(rig, 2.0 * part, memory)
         found.duration_s = time.monotonic() - begun
         errors = rig.errors
-        rig.end(lambda: _account(rig, found, complete))
+        rig.end()
+        _account(rig, found, complete)
     witness.close()
     _count(rig, found, excused, done)
     _explain(rig, found, excused, witness)

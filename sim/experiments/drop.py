@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 from nodes.laws import CompiledLaw
+from nodes.tick.kernels.sources import kernel
 from sim.device.model import DeviceModel, Hand
-from sim.scene.compiled import compiled, kernel
+from sim.scene.compiled import compiled
 from sim.scene.loop import Array, Scene, Surface, contact_of, motion_of, run
 from sim.scene.tick_loop import Contact, Laws, Motion, Records, play_compiled
 

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws.excitation import Excitation, Telegraph, held_back
+from nodes.tick.kernels.sources import kernel
 from sim.device.friction import move
 from sim.device.model import DeviceModel, Hand, coefficients, quantise, split_delay
 from sim.identify.experiment import Experiment, lockstep
-from sim.scene.compiled import compiled, kernel
+from sim.scene.compiled import compiled
 
 Array = NDArray[np.float64]
 

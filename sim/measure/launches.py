@@ -1,4 +1,8 @@
-"""Launches as measurements: a scenario started as a user starts it, in a folder of its own, answered as figures."""
+"""Launches from outside: a scenario started as a user starts it, asked, ended as Ctrl-C ends it, and answered as figures.
+
+Studies, benches, drills and tests start their launches here. ``with Running("floor_drop", "duration:=0") as launch:`` goes on
+once the driver ticks; ``launch("floor_drop", "pace:=lockstep")`` runs one to its end.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import signal
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -18,79 +23,165 @@ import zmq
 
 from messages.errors import HapticError
 from messages.transport.requests import ControlError, call
+from nodes.base.realtime import die_with_parent
 from nodes.launcher.child import PYTHON
-from nodes.launcher.runs import RunInfo
+from nodes.launcher.runs import RunInfo, alive
 from sim.measure import stopwatch
 
 HAPTIC = (*PYTHON, "-m", "nodes.cli.main")
 """The command ``haptic`` with this interpreter."""
 
-START = 30.0
-"""Longest time from the command to a tick [s]."""
+DEADLINE = 60.0
+"""When a condition that must come about is given up [s]: a bound for what hangs, not a measure of anything."""
 
 
 class MeasurementError(HapticError):
     """A launch or a yardstick that was to be measured failed; the text holds what it said."""
 
 
-def last_line(command: list[str], folder: Path, timeout: float) -> dict[str, Any]:
-    """Run a command that answers with one JSON object on its last line."""
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, check=False)
-    try:
-        figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    except (IndexError, json.JSONDecodeError) as error:
-        raise MeasurementError(f"{' '.join(command)}: exit code {done.returncode}\n{done.stderr[-2000:]}") from error
-    if done.returncode != 0:
-        raise MeasurementError(f"{' '.join(command)}: exit code {done.returncode}\n{done.stderr[-2000:]}")
-    return figures
+def within(condition: Callable[[], Any], longest: float) -> Any:
+    """Poll until a condition is true, or the time is over [s]; its last result."""
+    until = time.monotonic() + longest
+    while not (found := condition()) and time.monotonic() < until:
+        time.sleep(0.01)
+    return found
+
+
+def wait_for(condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> Any:
+    """Poll until a condition is true; its first true result."""
+    found = within(condition, deadline)
+    if not found:
+        raise MeasurementError(f"{what}: not within {deadline:g} s")
+    return found
+
+
+def processes_of(runtime_dir: Path) -> dict[int, str]:
+    """List the live processes of all runs below a runtime directory: nodes and reapers name it on their command line."""
+    found = {}
+    for entry in os.listdir("/proc"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError, ValueError):
+            line = Path(f"/proc/{int(entry)}/cmdline").read_bytes()
+            if os.fsencode(runtime_dir) in line and alive(int(entry)):
+                found[int(entry)] = line.replace(b"\0", b" ").decode(errors="replace").strip()
+    return found
+
+
+def left_behind(runtime_dir: Path, longest: float = 10.0) -> list[str]:
+    """List processes and files of runs that are still there after a while [s]."""
+    within(lambda: not processes_of(runtime_dir) and not list(runtime_dir.glob("runs/*")), longest)
+    processes = [f"process {number}: {line}" for number, line in processes_of(runtime_dir).items()]
+    return processes + [f"file {path}" for path in (runtime_dir / "runs").rglob("*")]
+
+
+def haptic(
+    folder: Path,
+    *words: str,
+    code: int | None = 0,
+    environment: Mapping[str, str] | None = None,
+    timeout: float = DEADLINE,
+) -> subprocess.CompletedProcess[str]:
+    """Run one ``haptic`` command to its end in a folder; an exit code other than `code` raises, None lets any pass.
+
+    `environment` are all its variables; those of this process when left out.
+    """
+    done = subprocess.run(
+        [*HAPTIC, *words],
+        cwd=folder,
+        env=None if environment is None else dict(environment),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+    if code is not None and done.returncode != code:
+        told = f"haptic {' '.join(words)}: exit code {done.returncode}, expected {code}"
+        raise MeasurementError(f"{told}\n{done.stderr[-2000:]}")
+    return done
 
 
 def launch(scenario: str, *words: str, folder: Path | None = None, timeout: float = 300.0) -> dict[str, Any]:
     """Run a scenario to its end."""
     with contextlib.ExitStack() as held:
         if folder is None:
-            folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-bench-")))
-        return last_line([*HAPTIC, "launch", scenario, "--json", "--no-plot", *words], folder, timeout)
+            folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-")))
+        done = haptic(folder, "launch", scenario, "--json", "--no-plot", *words, timeout=timeout)
+        figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+        return figures
 
 
 class Running:
-    """A launch in the background, in a folder of its own; end it with `end`.
+    """A launch in the background, with a runtime directory of its own; what is not ended yet is interrupted at the end.
 
     Parameters
     ----------
     *words : str
         Arguments of ``haptic launch``.
+    folder : Path, optional
+        Its working directory; one of its own, removed at the end of the ``with`` block, when left out.
+    environment : mapping of str to str, optional
+        Variables beside those of this process.
+    ready : bool
+        Whether the ``with`` block begins at the first tick.
+    stderr : int, optional
+        Descriptor to use as standard error in place of ``stderr.txt``.
 
     Attributes
     ----------
-    folder : Path
-        Working directory; removed at the end of the ``with`` block.
+    folder, runtime_dir : Path
+        Working and runtime directory.
     environment : dict of str to str
         Variables that lead another ``haptic`` command to this launch.
+    process : subprocess.Popen
+        The launcher, in a process group of its own, so that it can be sent what Ctrl-C on a terminal sends.
+    context : zmq.Context
+        For sockets beside the launch; ended with it.
     """
 
-    def __init__(self, *words: str) -> None:
+    process: subprocess.Popen[bytes]
+
+    def __init__(
+        self,
+        *words: str,
+        folder: Path | None = None,
+        environment: Mapping[str, str] | None = None,
+        ready: bool = True,
+        stderr: int | None = None,
+    ) -> None:
+        # Short, because the paths of sockets are.
+        self._place = tempfile.TemporaryDirectory(prefix="hapt-", dir="/tmp", ignore_cleanup_errors=True)
+        place = Path(self._place.name)
+        self.folder = folder or place
+        self.runtime_dir = place / "run"
+        self.runtime_dir.mkdir(mode=0o700)
+        self.environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(self.runtime_dir), **(environment or {})}
+        self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._words = words
+        self._run_dir: Path | None = None
+        self._ready = ready
+        self._stderr = stderr
 
     def __enter__(self) -> Self:
-        """Start it and wait for its first tick."""
-        # Short, because the paths of sockets are.
-        self._place = tempfile.TemporaryDirectory(prefix="hapb-", dir="/tmp")
-        self.folder = Path(self._place.name)
-        self.environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(self.folder / "run")}
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        with open(self.folder / "errors.txt", "wb") as errors:
-            self._launcher = subprocess.Popen(
+        """Start it, and wait for its first tick."""
+        with open(self.folder / "stdout.txt", "wb") as out, open(self.folder / "stderr.txt", "wb") as errors:
+            self.process = subprocess.Popen(
                 [*HAPTIC, "launch", *self._words, "--json", "--no-plot"],
                 cwd=self.folder,
                 env=self.environment,
-                stdout=subprocess.PIPE,
-                stderr=errors,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=errors if self._stderr is None else self._stderr,
+                process_group=0,
+                # Whoever is killed must not leave a launch behind.
+                preexec_fn=die_with_parent,
             )
         try:
-            self.await_tick(1)
+            if self._ready:
+                wait_for(lambda: self.process.poll() is not None or self.ticks() > 0, "the first tick")
+                if self.process.poll():
+                    raise MeasurementError(f"the launch ended with exit code {self.process.returncode}: {self.errors}")
         except BaseException:
-            self._close()
+            self.close()
             raise
         return self
 
@@ -98,40 +189,87 @@ class Running:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Leave nothing behind."""
-        self._close()
+        self.close()
 
-    def _close(self) -> None:
-        self._context.destroy(linger=0)
-        with contextlib.suppress(ProcessLookupError):
-            self._launcher.kill()
-        self._launcher.wait()
-        if self._launcher.stdout is not None:
-            self._launcher.stdout.close()
-        self._place.cleanup()
+    def interrupt(self, patience: float = DEADLINE) -> None:
+        """End the launch as Ctrl-C does, if it still goes on, and kill it if that takes too long [s]."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(patience)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
 
-    def ask(self, node: str, op: str, **args: Any) -> Any:
-        """Ask a node."""
-        found = next(iter((self.folder / "run").glob("runs/*/run.json")))
-        info = msgspec.json.decode(found.read_bytes(), type=RunInfo)
-        return call(self._context, info.nodes[node].control, op, timeout=10.0, **args)
+    def close(self) -> None:
+        """End the launch and remove its directories."""
+        try:
+            self.interrupt()
+        finally:
+            self.context.destroy(linger=0)
+            self._place.cleanup()
 
-    def await_tick(self, tick: int) -> None:
-        """Wait until the driver has come to a tick."""
-        deadline = time.monotonic() + START
-        while time.monotonic() < deadline and self._launcher.poll() is None:
-            with contextlib.suppress(StopIteration, ControlError):
-                if self.ask("driver", "status")["ticks"] >= tick:
-                    return
-            time.sleep(0.05)
-        said = (self.folder / "errors.txt").read_text(encoding="utf-8", errors="replace")
-        raise MeasurementError(f"the launch did not come to tick {tick} within {START:g} s: {said[-2000:]}")
+    @property
+    def errors(self) -> str:
+        """What launcher and nodes wrote to standard error so far."""
+        return (self.folder / "stderr.txt").read_text(encoding="utf-8", errors="replace")
 
-    def end(self) -> dict[str, Any]:
-        """End the launch as Ctrl-C does."""
-        self._launcher.send_signal(signal.SIGINT)
-        out, _ = self._launcher.communicate(timeout=60.0)
-        figures: dict[str, Any] = json.loads(out.splitlines()[-1])
-        return figures
+    @property
+    def figures(self) -> dict[str, Any]:
+        """The object of ``--json``; empty before the end."""
+        lines = (self.folder / "stdout.txt").read_text(encoding="utf-8").splitlines()
+        found: dict[str, Any] = json.loads(lines[-1]) if lines else {}
+        return found
+
+    @property
+    def run_dir(self) -> Path:
+        """The run's private directory; another launch may be started beside this one later."""
+        if self._run_dir is None:
+            self._run_dir = next(iter(self.runtime_dir.glob("runs/*/run.json"))).parent
+        return self._run_dir
+
+    @property
+    def run(self) -> RunInfo:
+        """The run's ``run.json``."""
+        return msgspec.json.decode((self.run_dir / "run.json").read_bytes(), type=RunInfo)
+
+    def call(self, node: str, op: str, timeout: float = 20.0, **args: object) -> Any:
+        """Ask a node, as the command line does; a refusal raises `ControlError`."""
+        return call(self.context, self.run.nodes[node].control, op, timeout=timeout, **args)
+
+    def pid(self, node: str) -> int:
+        """Find a node's process."""
+        return int(self.call(node, "status")["pid"])
+
+    def ticks(self) -> int:
+        """Count the driver's ticks; 0 before the first one."""
+        with contextlib.suppress(ControlError, StopIteration):
+            return int(self.call("driver", "status", timeout=1.0)["ticks"])
+        return 0
+
+    def wait_ticks(self, more: int) -> int:
+        """Wait until the driver has done some more ticks; how many it has done then."""
+        goal = self.ticks() + more
+        return int(wait_for(lambda: self._ticks_from(goal), f"tick {goal}"))
+
+    def _ticks_from(self, goal: int) -> int:
+        if self.process.poll() is not None:
+            raise MeasurementError(f"the launch ended with exit code {self.process.returncode}: {self.errors}")
+        ticks = self.ticks()
+        return ticks if ticks >= goal else 0
+
+    def haptic(self, *words: str, code: int | None = 0) -> subprocess.CompletedProcess[str]:
+        """Run another ``haptic`` command beside the launch."""
+        return haptic(self.folder, *words, code=code, environment=self.environment)
+
+    def finish(self, number: int | None = None, code: int | None = 0) -> dict[str, Any]:
+        """Wait for the end, which a signal may bring about, and collect the figures; an exit code other than `code` raises."""
+        if number is not None:
+            self.process.send_signal(number)
+        found = self.process.wait(timeout=DEADLINE)
+        if code is not None and found != code:
+            raise MeasurementError(f"the launch ended with exit code {found}, expected {code}: {self.errors}")
+        return self.figures
 
 
 def machine() -> str:

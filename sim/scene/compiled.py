@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.extending import register_jitable
 
 import nodes.driver.passivity
 import nodes.kernels
 import sim.device.friction
 import sim.device.model
+from nodes.tick.kernels.sources import kernel
 
 # numba's settings are made at run time, out of a type checker's sight.
 _CONFIG: Any = numba.config
@@ -52,12 +52,6 @@ KERNELS: tuple[Callable[..., Any], ...] = (
     sim.device.model.quantise,
     sim.device.model.saturate,
 )
-
-
-def kernel(function: Function) -> Function:
-    """Let compiled functions call a plain function, which itself stays as it is."""
-    same: Function = register_jitable(function)
-    return same
 
 
 for _kernel in KERNELS:

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple, TypeAlias
 
 from nodes.driver.passivity import backlog, control, forget, observe, through
 from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_distance, push, sections, warm_up
+from nodes.tick.kernels.sources import kernel
 from sim.device.friction import move
 from sim.device.model import Coefficients, quantise, saturate
-from sim.scene.compiled import compiled, kernel
+from sim.scene.compiled import compiled
 
 Numbers: TypeAlias = Any
 """A list of numbers when the loop is interpreted, an array when it is compiled."""

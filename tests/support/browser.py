@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.launching import RunningLaunch, wait_for
+from tests.support.launching import Running, wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -49,12 +49,12 @@ def chromium() -> Iterator[Browser]:
             browser.close()
 
 
-def url_of(launch: RunningLaunch) -> str:
+def url_of(launch: Running) -> str:
     """Read the page's URL, the first line that a launch with --view --json prints.
 
     Parameters
     ----------
-    launch : RunningLaunch
+    launch : Running
         The launch.
 
     Returns

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,30 +18,11 @@ from messages.transport.gate import Gate
 from messages.transport.keys import Identity
 from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription, new_context
-from tests.support.launching import private_runtime_dir, wait_for
+from tests.support.launching import wait_for
 from tests.support.ports import free_ports
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
-
-
-@pytest.fixture
-def place() -> Iterator[str]:
-    with private_runtime_dir() as folder:
-        yield f"ipc://{folder}/p"
-
-
-@pytest.fixture
-def me(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Identity:
-    monkeypatch.setenv("HAPTIC_KEYS", str(tmp_path / "keys"))
-    return keys.new_identity()
 
 
 class Ear:

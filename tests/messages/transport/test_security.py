@@ -29,6 +29,7 @@ from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import Force
 from tests.support.launching import DEADLINE, HAPTIC, haptic, running, wait_for
 from tests.support.ports import free_ports
+from tests.support.strangers import as_somebody_else
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
@@ -46,30 +47,6 @@ nodes:
     port: {port}
     parameters: {{law: pd, laws: {{pd: {{kind: pd, stiffness: 1000.0, damping: 3.0}}}}}}
 """
-
-
-@pytest.fixture
-def me(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Identity:
-    monkeypatch.setenv("HAPTIC_KEYS", str(tmp_path / "keys"))
-    return keys.new_identity()
-
-
-@contextlib.contextmanager
-def as_somebody_else(folder: Path) -> Iterator[Identity]:
-    """Act as another machine with keys of its own."""
-    before = os.environ["HAPTIC_KEYS"]
-    os.environ["HAPTIC_KEYS"] = str(folder)
-    try:
-        yield keys.identity() if (folder / "identity.key").exists() else keys.new_identity()
-    finally:
-        os.environ["HAPTIC_KEYS"] = before
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
 
 
 # -- files ---------------------------------------------------------------------------------------------------------------

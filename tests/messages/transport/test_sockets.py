@@ -9,9 +9,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import pytest
 import zmq
@@ -20,30 +19,12 @@ from messages.transport.endpoints import EndpointRefusedError, bind, connect, is
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.transport.waker import Waker
 from nodes.launcher.runs import RunError, new_run_dir, runtime_dir
-from tests.support.launching import private_runtime_dir, wait_for
+from tests.support.launching import wait_for
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
 
 KEY = "ab" * 32
-
-
-@pytest.fixture
-def place() -> Iterator[str]:
-    with private_runtime_dir() as folder:
-        yield f"ipc://{folder}/p"
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    """Make a context, and fail the test that leaves a socket of it open."""
-    made = new_context()
-    yield made
-    left = [one for one in list(made._sockets) if not one.closed]
-    for one in left:
-        one.close(linger=0)
-    made.term()
-    assert not left
 
 
 def connected(context: Context, place: str, *topics: str) -> tuple[Publisher, Subscription]:
@@ -169,21 +150,25 @@ def test_a_listener_cannot_talk_back(context: Context, place: str) -> None:
 
 
 PUBLISH = """
-import sys, time
+import sys
 from messages.transport.sockets import Publisher, new_context
 publisher = Publisher(new_context(), sys.argv[1])
-while True:
-    publisher.send(b"/t", sys.argv[2].encode())
-    time.sleep(0.005)
+for line in sys.stdin:
+    publisher.send(b"/t", line.strip().encode())
 """
 
 
 def test_a_publisher_started_again_after_a_kill_is_heard_again(context: Context, place: str) -> None:
     subscription = Subscription(context, [place], ["/t"])
     for life in ("first", "second", "third"):
-        process = subprocess.Popen([sys.executable, "-c", PUBLISH, place, life])
+        process = subprocess.Popen([sys.executable, "-c", PUBLISH, place], stdin=subprocess.PIPE, text=True)
+
+        def heard(to: IO[str] | None = process.stdin, life: str = life) -> bool:
+            print(life, file=to, flush=True)
+            return subscription.receive(20) == (b"/t", life.encode())
+
         try:
-            wait_for(lambda life=life: subscription.receive(1000) == (b"/t", life.encode()), life)  # type: ignore[misc]
+            wait_for(heard, life)
         finally:
             process.send_signal(signal.SIGKILL)
             process.wait()

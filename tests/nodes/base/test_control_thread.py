@@ -9,7 +9,6 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,13 +30,6 @@ from tests.support.ports import free_ports
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
 
 
 def server(context: Context, folder: Path, **operations: Any) -> ControlServer:

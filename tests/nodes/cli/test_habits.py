@@ -29,23 +29,23 @@ from nodes.cli.colour import coloured
 from nodes.cli.completion import candidates
 from nodes.cli.status_line import KEEP, ORDER, fitted
 from nodes.recording.reader import Recording
-from tests.support.launching import HAPTIC, RunningLaunch, private_runtime_dir, running, wait_for
+from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, wait_for
 
 
 @pytest.fixture(scope="module")
-def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     with running(tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0") as found:
         yield found
 
 
-def told(launch: RunningLaunch, *words: str, code: int = 0) -> Any:
+def told(launch: Running, *words: str, code: int = 0) -> Any:
     return json.loads(launch.haptic(*words, "--json", code=code).stdout.splitlines()[-1])
 
 
 # -- topic -----------------------------------------------------------------------------------------------------------
 
 
-def test_topic_options_of_ros2(launch: RunningLaunch) -> None:
+def test_topic_options_of_ros2(launch: Running) -> None:
     assert launch.haptic("topic", "echo", DEVICE_STATE, "--once").stdout.count("---") == 1
     assert f"{FORCE} [haptic.Force]" in launch.haptic("topic", "list", "-t").stdout.splitlines()
     # Of 60 messages, the interval figures are those of the last 20.
@@ -56,7 +56,7 @@ def test_topic_options_of_ros2(launch: RunningLaunch) -> None:
 # -- bag -------------------------------------------------------------------------------------------------------------
 
 
-def test_a_topic_that_nobody_publishes_is_an_error(launch: RunningLaunch, tmp_path: Path) -> None:
+def test_a_topic_that_nobody_publishes_is_an_error(launch: Running, tmp_path: Path) -> None:
     out = tmp_path / "r.mcap"
     for topic, hint in (("/nosuch", "there are /device/state"), ("/device/stat", "did you mean /device/state?")):
         done = launch.haptic("bag", "record", topic, "--out", str(out), "--duration", "0.2", code=2)
@@ -65,7 +65,7 @@ def test_a_topic_that_nobody_publishes_is_an_error(launch: RunningLaunch, tmp_pa
         assert not out.exists()
 
 
-def test_topics_are_whole_names(launch: RunningLaunch, tmp_path: Path) -> None:
+def test_topics_are_whole_names(launch: Running, tmp_path: Path) -> None:
     # As a prefix, ZeroMQ's way, /driver/status would be all that begins like it.
     found = told(launch, "bag", "record", PROXY, "--out-dir", str(tmp_path / "new" / "folder"), "--duration", "0.3")
     path = Path(found["recording"])
@@ -97,7 +97,7 @@ def test_a_launch_refuses_a_logger_of_topics_that_nothing_publishes(tmp_path: Pa
         assert f"topics[0]: nothing publishes '{wrong}'" in done.stderr
 
 
-def test_play_loops_until_it_is_ended(launch: RunningLaunch, tmp_path: Path) -> None:
+def test_play_loops_until_it_is_ended(launch: Running, tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     told(launch, "bag", "record", FORCE, "--out", str(path), "--duration", "0.2")
     once = Recording(path).topics[FORCE].messages
@@ -124,7 +124,7 @@ def test_play_loops_until_it_is_ended(launch: RunningLaunch, tmp_path: Path) -> 
 # -- param describe, launch -s, --out-dir ----------------------------------------------------------------------------
 
 
-def test_param_describe(launch: RunningLaunch) -> None:
+def test_param_describe(launch: Running) -> None:
     found = told(launch, "param", "describe", "coupling", "laws.pd.stiffness", "memory", "stability", "plant")
     stiffness = found["parameters"]["laws.pd.stiffness"]
     assert stiffness["unit"] == "N/m"
@@ -142,7 +142,7 @@ def test_param_describe(launch: RunningLaunch) -> None:
     assert "nothing below memory" in launch.haptic("param", "describe", "coupling", "memory.x", code=2).stderr
 
 
-def test_every_parameter_of_every_node_is_described(launch: RunningLaunch) -> None:
+def test_every_parameter_of_every_node_is_described(launch: Running) -> None:
     for node, values in told(launch, "param", "list")["nodes"].items():
         found = told(launch, "param", "describe", node)["parameters"]
         assert list(found) == list(values)
@@ -177,7 +177,7 @@ def test_out_dir_takes_all_recordings_and_the_plot(tmp_path: Path) -> None:
 # -- HAPTIC_RUN and stop ---------------------------------------------------------------------------------------------
 
 
-def test_the_run_may_be_named_once_for_all(launch: RunningLaunch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_run_may_be_named_once_for_all(launch: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(launch.environment, "HAPTIC_RUN", "floor_drop")
     assert told(launch, "node", "list")["run"] == launch.run.run
     monkeypatch.setitem(launch.environment, "HAPTIC_RUN", "elsewhere")
@@ -236,7 +236,7 @@ def test_completion_never_fails(words: list[str]) -> None:
     assert all(word.startswith(last) for word in candidates(words))
 
 
-def test_completion_knows_what_runs(launch: RunningLaunch) -> None:
+def test_completion_knows_what_runs(launch: Running) -> None:
     for words, found in (
         (["topic", "echo", "/dev"], DEVICE_STATE),
         (["param", "get", "coup"], "coupling"),
@@ -330,7 +330,7 @@ def test_colour_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
     assert coloured("x", "red", Terminal()) == "x"
 
 
-def test_nothing_is_coloured_in_a_pipe(launch: RunningLaunch) -> None:
+def test_nothing_is_coloured_in_a_pipe(launch: Running) -> None:
     for words, code in ((["topic", "list"], 0), (["topic", "echo", "/nosuch"], 2), (["node", "list"], 0)):
         done = launch.haptic(*words, code=code)
         assert "\x1b" not in done.stdout + done.stderr

@@ -26,7 +26,7 @@ from nodes.cli import main
 from nodes.cli.spread import Spread
 from nodes.launcher.runs import RunInfo, new_run_dir, write_run
 from nodes.recording.reader import Recording
-from tests.support.launching import HAPTIC, RunningLaunch, private_runtime_dir, running, wait_for
+from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, wait_for
 
 RATE = 250.0
 SLACK = 0.5
@@ -34,19 +34,19 @@ SLACK = 0.5
 
 
 @pytest.fixture(scope="module")
-def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     with running(tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0", f"rate:={RATE:g}") as found:
         yield found
 
 
-def told(launch: RunningLaunch, *words: str, code: int = 0) -> Any:
+def told(launch: Running, *words: str, code: int = 0) -> Any:
     return json.loads(launch.haptic(*words, "--json", code=code).stdout.splitlines()[-1])
 
 
 # -- list, info, echo ------------------------------------------------------------------------------------------------
 
 
-def test_list(launch: RunningLaunch) -> None:
+def test_list(launch: Running) -> None:
     found = told(launch, "topic", "list")
     assert found["run"] == launch.run.run
     loop = {DEVICE_STATE: "driver", PROXY: "environment", FORCE: "coupling", RECEIPT: "coupling"}
@@ -58,7 +58,7 @@ def test_list(launch: RunningLaunch) -> None:
     assert [line.split()[0] for line in text.splitlines()] == list(found["topics"])
 
 
-def test_info(launch: RunningLaunch) -> None:
+def test_info(launch: Running) -> None:
     found = told(launch, "topic", "info", FORCE)
     assert (found["type"], found["node"], found["per_tick"]) == ("Force", "coupling", True)
     assert found["endpoint"] == launch.run.nodes["coupling"].listen
@@ -66,7 +66,7 @@ def test_info(launch: RunningLaunch) -> None:
     assert "published by coupling" in launch.haptic("topic", "info", FORCE).stdout
 
 
-def test_echo(launch: RunningLaunch) -> None:
+def test_echo(launch: Running) -> None:
     lines = launch.haptic("topic", "echo", DEVICE_STATE, "-n", "5", "--json").stdout.splitlines()
     states = [json.loads(line) for line in lines]
     seqs = [state["seq"] for state in states]
@@ -85,7 +85,7 @@ def test_echo(launch: RunningLaunch) -> None:
 # -- hz, bw, delay ---------------------------------------------------------------------------------------------------
 
 
-def test_hz(launch: RunningLaunch) -> None:
+def test_hz(launch: Running) -> None:
     found = told(launch, "topic", "hz", DEVICE_STATE, "-n", "250")
     assert found["topic"] == DEVICE_STATE
     assert (found["messages"], found["refused"]) == (250, 0)
@@ -97,7 +97,7 @@ def test_hz(launch: RunningLaunch) -> None:
     assert found["rate_hz"] == pytest.approx(RATE, rel=0.15)
 
 
-def test_bw(launch: RunningLaunch) -> None:
+def test_bw(launch: Running) -> None:
     found = told(launch, "topic", "bw", FORCE, "-n", "50")
     size = found["size_bytes"]
     assert found["bandwidth_bytes_per_s"] == pytest.approx(found["rate_hz"] * size["mean"], rel=1e-12)
@@ -106,7 +106,7 @@ def test_bw(launch: RunningLaunch) -> None:
     assert len(FORCE) + len(whole) <= size["min"] <= size["max"] <= len(FORCE) + len(whole) + 16
 
 
-def test_delay(launch: RunningLaunch) -> None:
+def test_delay(launch: Running) -> None:
     found = told(launch, "topic", "delay", DEVICE_STATE, "-n", "100")
     delay = found["delay_s"]
     # One clock for all processes of a host: nothing arrives before it was sent.
@@ -114,19 +114,19 @@ def test_delay(launch: RunningLaunch) -> None:
     assert delay["min"] <= delay["mean"] <= delay["max"]
 
 
-def test_duration_ends_the_listening(launch: RunningLaunch) -> None:
+def test_duration_ends_the_listening(launch: Running) -> None:
     found = told(launch, "topic", "hz", DEVICE_STATE, "--duration", "0.4")
     # At most the ticks of that time, and the one at its end.
     assert 1 <= found["messages"] <= 0.4 * RATE + 1
 
 
-def test_a_silent_topic_is_told_by_the_exit_code(launch: RunningLaunch) -> None:
+def test_a_silent_topic_is_told_by_the_exit_code(launch: Running) -> None:
     assert told(launch, "topic", "hz", RECEIPT, "--duration", "0.2", code=1)["messages"] == 0
     assert launch.haptic("topic", "echo", RECEIPT, "--duration", "0.2", code=1).stdout == ""
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_prints_the_figures_so_far(launch: RunningLaunch, number: int) -> None:
+def test_a_signal_prints_the_figures_so_far(launch: Running, number: int) -> None:
     with subprocess.Popen(
         [*HAPTIC, "topic", "hz", DEVICE_STATE], env=launch.environment, stdout=subprocess.PIPE, text=True
     ) as process:
@@ -140,7 +140,7 @@ def test_a_signal_prints_the_figures_so_far(launch: RunningLaunch, number: int) 
 
 
 @pytest.mark.parametrize("verb", ["info", "echo", "hz", "bw", "delay"])
-def test_unknown_topics(launch: RunningLaunch, verb: str) -> None:
+def test_unknown_topics(launch: Running, verb: str) -> None:
     done = launch.haptic("topic", verb, "/device/stat", code=2)
     assert "no topic '/device/stat'; did you mean /device/state?" in done.stderr
     assert "there are /device/state, " in launch.haptic("topic", verb, "zzz", code=2).stderr
@@ -193,7 +193,7 @@ def test_spread_is_that_of_the_statistics_module(values: list[float]) -> None:
 # -- bag record ------------------------------------------------------------------------------------------------------
 
 
-def test_record_for_a_while(launch: RunningLaunch) -> None:
+def test_record_for_a_while(launch: Running) -> None:
     path = launch.folder / "while.mcap"
     found = told(launch, "bag", "record", "--duration", "1", "--out", str(path))
     recording = Recording(path)
@@ -209,7 +209,7 @@ def test_record_for_a_while(launch: RunningLaunch) -> None:
 
 
 @contextlib.contextmanager
-def recording_into(launch: RunningLaunch, path: Path) -> Iterator[subprocess.Popen[str]]:
+def recording_into(launch: Running, path: Path) -> Iterator[subprocess.Popen[str]]:
     """Record until the block ends, which begins when something was flushed."""
     with subprocess.Popen(
         [*HAPTIC, "bag", "record", "--out", str(path), "--json"],
@@ -231,7 +231,7 @@ def ticks_in(path: Path) -> int:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_record_until_a_signal(launch: RunningLaunch, number: int) -> None:
+def test_record_until_a_signal(launch: Running, number: int) -> None:
     path = launch.folder / f"signal{number}.mcap"
     with recording_into(launch, path) as process:
         process.send_signal(number)
@@ -242,7 +242,7 @@ def test_record_until_a_signal(launch: RunningLaunch, number: int) -> None:
     assert json.loads(out)["messages"] == sum(topic.messages for topic in recording.topics.values())
 
 
-def test_a_killed_recorder_loses_at_most_half_a_second(launch: RunningLaunch) -> None:
+def test_a_killed_recorder_loses_at_most_half_a_second(launch: Running) -> None:
     path = launch.folder / "killed.mcap"
     with recording_into(launch, path) as process:
         seen = ticks_in(path)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
 import os
 import signal
@@ -14,15 +12,12 @@ from typing import Any
 import pytest
 
 from messages.transport.requests import ControlError
-from messages.types import Event, Force, Receipt
-from nodes.cli.main import main
-from nodes.launcher.launch_file import read
+from messages.types import Event, Force
 from nodes.parameters.yaml_io import parse_yaml
-from nodes.recording.reader import Recording
 from sim.bench.swaps import measure
-from sim.scene.from_launch import from_launch
 from tests.support import FIXTURES
-from tests.support.launching import RunningLaunch, launch_json, private_runtime_dir, running, wait_for
+from tests.support.held import HELD, receipts, recorded
+from tests.support.launching import Running, running, wait_for
 
 INSTALLED = FIXTURES / "installed"
 WITH_PACKAGE = {"PYTHONPATH": os.pathsep.join([str(INSTALLED), os.environ.get("PYTHONPATH", "")])}
@@ -31,21 +26,12 @@ REST = 0.981
 """Force at rest under 0.1 kg [N]."""
 
 
-def recorded(launch_folder: Path, figures: dict[str, Any]) -> Recording:
-    return Recording(launch_folder / figures["recording"])
-
-
-def receipts(recording: Recording) -> list[Receipt]:
-    found: list[Receipt] = recording.messages("/coupling/receipt")
-    return found
-
-
-def settle(launch: RunningLaunch) -> None:
+def settle(launch: Running) -> None:
     """Wait until the mass rests: the loop's slowest pole here is 0.99, so 3000 ticks take any bounce below 1e-12."""
     launch.wait_ticks(3000)
 
 
-def refusal(launch: RunningLaunch, op: str, **args: Any) -> str:
+def refusal(launch: Running, op: str, **args: Any) -> str:
     with pytest.raises(ControlError) as raised:
         launch.call("coupling", op, **args)
     return str(raised.value)
@@ -109,37 +95,8 @@ def test_every_request_has_its_receipt_and_equal_stiffness_swaps_without_a_step(
     assert forces[-1].force[2] == pytest.approx(REST, rel=1e-9)
 
 
-HELD = """
-summary: A hand holds the device 3 mm below a floor
-run: {rate: 500.0, cpu: any, fifo: 0}
-nodes:
-  driver:
-    kind: sim_driver
-    parameters:
-      device:
-        mass: 0.1
-        damping: 1.0
-        hand: {mass: 0.1, damping: 12.0, stiffness: 300.0, path: [[0.0, -0.003]]}
-  environment: {kind: environment, parameters: {surface: {kind: plane, position: 0.0}}}
-  coupling:
-    kind: coupling
-    parameters:
-      law: pd
-      laws:
-        pd: {kind: pd, stiffness: 500.0, damping: 3.0}
-        pd_alpha: {kind: pd_alpha, stiffness: 500.0, damping: 3.0, order: 1.2, taps: 10, gains: paper}
-      fallback: {damping: 5.0}
-      stability: refuse
-      plant: {mass: 0.1, damping: 1.0, delay: 2.0}
-  logger: {kind: logger}
-"""
-"""Whatever a busy machine does to the loop, the hand is damped and goes no deeper than its 3 mm. No core and no priority of
-its own: other loops on the machine must not starve this one. Laws are judged for a device and a delay that are worse than
-those it has, so what is refused here would still be stable."""
-
-
 @pytest.fixture(scope="module")
-def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """One real-time loop for all refusals and failures: each must leave it as it was."""
     folder = tmp_path_factory.mktemp("held")
     (folder / "held.yaml").write_text(HELD)
@@ -210,14 +167,14 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("op", "args", "told"), REFUSED, ids=[f"{op}-{told[:40]}" for op, _, told in REFUSED])
 def test_what_is_refused_is_told_and_leaves_everything_as_it_was(
-    held: RunningLaunch, op: str, args: dict[str, Any], told: str
+    held: Running, op: str, args: dict[str, Any], told: str
 ) -> None:
     before = held.call("coupling", "param.dump"), held.call("coupling", "law.list")["active"]
     assert told in refusal(held, op, **args)
     assert (held.call("coupling", "param.dump"), held.call("coupling", "law.list")["active"]) == before
 
 
-def test_the_policy_is_part_of_the_parameters_and_judges_at_once(held: RunningLaunch) -> None:
+def test_the_policy_is_part_of_the_parameters_and_judges_at_once(held: Running) -> None:
     soft = {"laws.pd.stiffness": 500.0}
     hard = {"laws.pd.stiffness": 1000.0}
     text = refusal(held, "param.set", values=hard)
@@ -235,7 +192,7 @@ def test_the_policy_is_part_of_the_parameters_and_judges_at_once(held: RunningLa
     assert held.call("coupling", "param.get", name="laws.pd.stiffness") == 500.0
 
 
-def test_a_law_of_an_installed_package_works(held: RunningLaunch) -> None:
+def test_a_law_of_an_installed_package_works(held: Running) -> None:
     law = {"kind": "stiffening", "stiffness": 500.0, "damping": 3.0, "cubic": 1e8}
     held.call("coupling", "param.set", values={"laws.cubic": law, "law": "cubic", "ramp": 20})
 
@@ -259,7 +216,7 @@ def test_a_law_of_an_installed_package_works(held: RunningLaunch) -> None:
     ],
 )
 def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced(
-    held: RunningLaunch, kind: str, told: str
+    held: Running, kind: str, told: str
 ) -> None:
     launch = held
     surface = launch.call("environment", "param.get", name="surface")
@@ -283,7 +240,7 @@ def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced
     launch.wait_ticks(300)
 
 
-def test_the_record_of_all_that(held: RunningLaunch, tmp_path: Path) -> None:
+def test_the_record_of_all_that(held: Running, tmp_path: Path) -> None:
     """Last in this loop: every failure above fell back within its own tick, and was told."""
     figures = held.finish(signal.SIGINT, code=0)
     recording = recorded(held.folder, figures)
@@ -323,220 +280,3 @@ def test_a_thousand_swaps_and_a_thousand_sets_are_not_felt_and_cost_no_tick() ->
     # in which only one missed any, 3 sigma of a fair coin may fall to the busy side, and one pair more.
     only = figures["only_busy_missed"] + figures["only_idle_missed"]
     assert figures["only_busy_missed"] <= 0.5 * only + 1.5 * math.sqrt(only) + 1.0
-
-
-# -- schedules -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("ramp", [0, 100])
-def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(tmp_path: Path, ramp: int) -> None:
-    figures = launch_json(tmp_path, "floor_swap", "pace:=lockstep", f"ramp:={ramp}")
-    recording = recorded(tmp_path, figures)
-    found = receipts(recording)
-    assert [(receipt.seq, receipt.action, receipt.reason, receipt.ramp) for receipt in found] == [
-        (1000, "switch", "schedule", 0),
-        (2000, "switch", "schedule", ramp),
-    ]
-    # PDα is leak-corrected: the same H(1) as PD, at rest no step but rounding of 1 N. Multi-term is softer by its leak.
-    assert found[0].force_step < 1e-13
-    assert found[1].force_step == pytest.approx(216.423 * 0.000981, rel=1e-4)
-    forces: list[Force] = recording.messages("/coupling/force")
-    trace = from_launch(read("floor_swap", {"pace": "lockstep", "ramp": ramp})).play()
-    assert [force.force[2].hex() for force in forces[: len(trace.force)]] == [
-        value.hex() for value in trace.force.tolist()
-    ]
-    if ramp:
-        # Faded, the force never changes by more per tick than it would within a law: no jump to be felt.
-        steps = [abs(b.force[2] - a.force[2]) for a, b in itertools.pairwise(forces[1900:2300])]
-        assert max(steps) < 0.02
-
-
-SCHEDULED = (
-    HELD.replace("fifo: 0", "fifo: 0, duration: 3.0")
-    .replace(
-        "      fallback:",
-        """        recursive:
-          {kind: pd_alpha, stiffness: 500.0, damping: 1.0, order: 0.8, taps: 6, gains: physical, derivative: oustaloup_matched}
-      schedule: [{at: 2.0, law: recursive}]
-      fallback:""",
-    )
-    .replace("stability: refuse", "stability: 'off'")
-)
-
-
-@pytest.mark.parametrize("ramp", [0, 40])
-def test_a_scheduled_recursive_law_has_the_bits_of_one_process(tmp_path: Path, ramp: int) -> None:
-    # Long before the history is full, and when the swap replays less than all: memory is shorter than the run.
-    text = SCHEDULED.replace("fifo: 0", "fifo: 0, pace: lockstep").replace(
-        "law: recursive}", f"law: recursive, ramp: {ramp}}}"
-    )
-    (tmp_path / "recursive.yaml").write_text(text.replace("      fallback:", "      memory: 300\n      fallback:"))
-    figures = launch_json(tmp_path, "./recursive.yaml")
-    forces = {force.seq: force.force[2] for force in recorded(tmp_path, figures).messages("/coupling/force")}
-    scene = from_launch(read(str(tmp_path / "recursive.yaml"), {}))
-    assert scene.swaps[0].law.sections
-    expected = scene.play().force.tolist()
-    assert [forces[seq].hex() for seq in range(len(expected))] == [value.hex() for value in expected]
-
-
-def test_a_scheduled_law_runs_along_and_follows_a_change_before_its_time(tmp_path: Path) -> None:
-    (tmp_path / "scheduled.yaml").write_text(SCHEDULED)
-    with running(tmp_path, "./scheduled.yaml") as launch:
-        launch.call("coupling", "param.set", values={"laws.recursive.damping": 2.0})
-        figures = launch.finish()
-    recording = recorded(tmp_path, figures)
-    found = receipts(recording)
-    assert [receipt.action for receipt in found] == ["set", "switch"]
-    # Tick 1000, or on a busy machine the first one after it that reached the coupling.
-    ticks = [force.seq for force in recording.messages("/coupling/force")]
-    assert found[-1].seq == min(seq for seq in ticks if seq >= 1000)
-    assert json.loads(found[-1].after)["damping"] == 2.0
-    # D^0.8 of 1 mm that have been held for 2 s is near zero however it is realised: well below the 0.56 N of the spring.
-    assert found[-1].force_step < 0.3
-
-
-# -- the watched file ----------------------------------------------------------------------------------------------------
-
-
-def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path: Path) -> None:
-    (tmp_path / "watching.yaml").write_text(
-        HELD.replace("    kind: coupling\n", "    kind: coupling\n    watch: coupling.yaml\n")
-    )
-    watched = tmp_path / "coupling.yaml"
-    watched.write_text("coupling: {laws: {pd: {stiffness: 510.0}}}\n")
-
-    def now(launch: RunningLaunch, name: str) -> Any:
-        return launch.call("coupling", "param.get", name=name)
-
-    with running(tmp_path, "./watching.yaml") as launch:
-        assert now(launch, "laws.pd") == {"kind": "pd", "stiffness": 510.0, "damping": 3.0}
-        watched.write_text("coupling: {laws: {pd: {stiffness: 530.0}}, ramp: 5}\n")
-        wait_for(lambda: now(launch, "laws.pd.stiffness") == 530.0, "the saved stiffness")
-        assert now(launch, "ramp") == 5
-        assert now(launch, "laws.pd.damping") == 3.0
-        for content, told in (
-            (
-                "laws: {pd: {stiffness: 490.0, damping: -1.0}}",
-                "coupling.laws.pd.damping: expected 'float' >= 0.0, not -1.0",
-            ),
-            ("laws: {pd: {stiffness: 490.0}", "not valid YAML"),
-            ("laws: {pd: {stiffness: 490.0}, pd: {stiffness: 490.0}}", "'pd' stands twice"),
-            ("law: nix", "no law is named 'nix'"),
-        ):
-            watched.write_text(content)
-            wait_for(lambda told=told: told in launch.errors, told)  # type: ignore[misc]
-            assert now(launch, "laws.pd.stiffness") == 530.0
-        # A slow writer: nothing is applied until it has closed the file, then all of it.
-        with open(watched, "w", encoding="utf-8") as file:
-            file.write("laws: {pd: {stiffness: 54")
-            file.flush()
-            launch.wait_ticks(250)
-            assert now(launch, "laws.pd.stiffness") == 530.0
-            file.write("0.0}}\n")
-        wait_for(lambda: now(launch, "laws.pd.stiffness") == 540.0, "the slowly saved stiffness")
-        figures = launch.finish(signal.SIGINT, code=0)
-    found = receipts(recorded(tmp_path, figures))
-    assert [json.loads(receipt.after)["stiffness"] for receipt in found] == [530.0, 540.0]
-    refused = [event for event in recorded(tmp_path, figures).messages("/coupling/event") if event.kind == "refused"]
-    assert len(refused) == 4
-    assert all("the running parameters are untouched" in event.reason for event in refused)
-
-
-# -- the command line ----------------------------------------------------------------------------------------------------
-
-
-class Verbs:
-    """The command ``haptic`` within this process: the same code, without half a second of start-up each time."""
-
-    def __init__(self, runtime_dir: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-        monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(runtime_dir))
-        self._capsys = capsys
-
-    def __call__(self, *words: str, code: int = 0) -> tuple[str, str]:
-        """Run one command; give what it wrote to standard output and standard error."""
-        self._capsys.readouterr()
-        try:
-            found = main(list(words))
-        except SystemExit as end:
-            found = int(str(end.code))
-        out, err = self._capsys.readouterr()
-        assert found == code, err
-        return out, err
-
-    def answered(self, *words: str) -> dict[str, Any]:
-        """Run one command with --json."""
-        found: dict[str, Any] = json.loads(self(*words, "--json")[0].splitlines()[-1])
-        return found
-
-
-def test_the_command_line_beside_a_running_loop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with running(tmp_path, "floor_drop", "duration:=0") as launch:
-        monkeypatch.chdir(tmp_path)
-        haptic = Verbs(launch.runtime_dir, monkeypatch, capsys)
-        answered = haptic.answered
-        assert "pd_alpha" in launch.haptic("law", "list").stdout
-
-        assert set(answered("node", "list")["nodes"]) == {"driver", "environment", "coupling", "logger"}
-        assert answered("node", "info", "/coupling")["status"]["state"] == "running"
-        assert answered("param", "list", "coupling")["nodes"]["coupling"]["laws.pd.stiffness"] == 1000.0
-        assert haptic("param", "get", "/coupling", "laws.pd.stiffness")[0] == "1000.0\n"
-        changed = answered("param", "set", "coupling", "laws.pd.stiffness", "1500", "laws.pd.damping", "4")
-        assert changed["receipt"]["action"] == "set"
-        assert changed["values"] == {"laws.pd.stiffness": 1500, "laws.pd.damping": 4}
-        haptic("param", "dump", "coupling", "-o", "dump.yaml")
-        assert "File exists" in haptic("param", "dump", "coupling", "-o", "dump.yaml", code=1)[1]
-        (tmp_path / "designed.yaml").write_text(
-            "coupling: {law: designed, laws: {designed: {kind: fir, taps: [2000.0, -1000.0]}}}\n"
-        )
-        assert answered("param", "load", "coupling", "designed.yaml")["receipt"]["to"] == "designed"
-        assert answered("law", "list")["active"] == "designed"
-        assert answered("law", "show")["taps_n_per_m"] == [2000.0, -1000.0]
-        switched = answered("law", "switch", "pd_alpha", "--ramp", "10")
-        assert (switched["from"], switched["to"], switched["ramp"]) == ("designed", "pd_alpha", 10)
-        assert {"h1_n_per_m", "h_nyquist_n_per_m", "pole_radius", "f_min_n_s_per_m"} <= set(switched["is"])
-        assert switched["was"]["taps_n_per_m"] == [2000.0, -1000.0]
-        assert answered("param", "get", "coupling", "ramp")["value"] == 0
-        assert answered("param", "load", "coupling", "dump.yaml")["receipt"]["to"] == "pd"
-        assert haptic("param", "dump", "coupling")[0].splitlines()[:2] == ["coupling:", "  law: pd"]
-        out, err = haptic("param", "set", "coupling", "laws.pd.stiffness", ".nan", "--json", code=1)
-        assert "nan is not a finite number" in json.loads(out)["error"]
-        assert "nan is not a finite number" in err
-        for words, told in (
-            (("param", "set", "coupling", "ramp"), "'ramp' has no value"),
-            (("param", "set", "coupling", "ramp", "1", "ramp", "2"), "ramp stands twice"),
-            (("param", "set", "coupling", "ramp", "[1"), "not valid YAML"),
-            (("param", "get", "copling", "ramp"), "did you mean coupling?"),
-            (("param", "load", "coupling", "nix.yaml"), "No such file"),
-            (("node", "list", "--run", "nix"), "no run is named 'nix'"),
-        ):
-            assert told in haptic(*words, code=2)[1]
-        for asked in ("law switch nix", "law show nix", "param set driver safety.ramp 1"):
-            assert haptic(*asked.split(), code=1)[1].startswith("haptic: ")
-
-
-def test_laws_are_shown_without_a_running_loop(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with private_runtime_dir() as runtime_dir:
-        haptic = Verbs(runtime_dir, monkeypatch, capsys)
-
-        def shown(*words: str) -> dict[str, Any]:
-            return haptic.answered("law", "show", *words)
-
-        by_flags = shown("pd", "--rate", "500", "--stiffness", "1000", "--gain", "3")
-        # Paper, eq. 1 at T = 2 ms: K + B/T and −B/T.
-        assert by_flags["taps_n_per_m"] == [2500.0, -1500.0]
-        assert (by_flags["h1_n_per_m"], by_flags["h_nyquist_n_per_m"]) == (1000.0, 4000.0)
-        assert 0.9 < by_flags["pole_radius"] < 1.0
-        assert shown("pd", "stiffness:=1000", "damping:=3") == by_flags
-        assert shown("{kind: pd, stiffness: 1000, damping: 3}", "--rate", "500") == by_flags
-        launched = shown("--launch", "floor_drop")
-        for key in ("taps_n_per_m", "h1_n_per_m", "pole_radius", "rate_hz", "law"):
-            assert launched[key] == by_flags[key]
-        assert shown("multi_term", "--launch", "floor_drop", "stiffness:=1200")["stiffness"] == 1200.0
-        assert len(shown("paper_optimum", "--rate", "250", "--delay", "1", "--mass", "0.2")["taps_n_per_m"]) == 4
-        assert "pole radius" in haptic("law", "show", "paper_optimum")[0]
-        for words in (("nix", "--rate", "500"), ("pd", "--rate", "0"), ("pd", "--rate", "500"), ()):
-            haptic("law", "show", *words, code=2)

@@ -13,13 +13,13 @@ import pytest
 from messages.topics import DEVICE_STATE
 from nodes.parameters.yaml_io import write_yaml
 from nodes.recording.reader import Recording
-from tests.support.launching import RunningLaunch, running, wait_for
+from tests.support.launching import Running, running, wait_for
 
 LARGEST = re.compile(r"largest coupling\.laws\.(\w+)\.stiffness that would be taken is ([-+.e\d]+)", re.IGNORECASE)
 
 
 @pytest.fixture(scope="module")
-def press(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+def press(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """Start the README's first live demo."""
     folder = tmp_path_factory.mktemp("press")
     with running(folder, "wall_press", "duration:=0") as launch:
@@ -27,7 +27,7 @@ def press(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
         yield launch
 
 
-def test_an_unstable_change_is_refused_where_it_is_typed(press: RunningLaunch) -> None:
+def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None:
     before = press.call("coupling", "param.dump")
     told = press.haptic("param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1)
     assert "pole radius" in told.stderr
@@ -44,7 +44,7 @@ def test_an_unstable_change_is_refused_where_it_is_typed(press: RunningLaunch) -
     press.haptic("param", "set", "coupling", "laws.pd.stiffness", "1000")
 
 
-def test_a_file_and_a_switch_are_refused_as_well(press: RunningLaunch) -> None:
+def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     (press.folder / "hard.yaml").write_text(write_yaml({"coupling": {"laws": {"pd": {"stiffness": 1e7}}}}))
     assert LARGEST.search(press.haptic("param", "load", "coupling", "hard.yaml", code=1).stderr)
     # A law that is not active may be anything; switching to it is what is judged.
@@ -62,7 +62,7 @@ def test_a_file_and_a_switch_are_refused_as_well(press: RunningLaunch) -> None:
     press.haptic("law", "switch", "pd")
 
 
-def test_a_forced_one_saturates_and_ends_safely(press: RunningLaunch) -> None:
+def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     """Last: the loop is unstable from here on."""
     told = press.haptic("law", "switch", "hard", "--force").stdout
     assert "UNSTABLE: taken by force" in told

@@ -18,7 +18,7 @@ from messages.transport.requests import ControlError
 from nodes.recording.reader import Recording
 from sim.measure.rig import full_pipe
 from tests.support import FIXTURES
-from tests.support.launching import RunningLaunch, running, wait_for
+from tests.support.launching import Running, running, wait_for
 
 INSTALLED = {"PYTHONPATH": f"{FIXTURES / 'installed'}:{os.environ.get('PYTHONPATH', '')}"}
 STIFFNESS, DAMPING = 1000.0, 0.5
@@ -72,11 +72,6 @@ def forces(folder: Path) -> list[float]:
     return [value for _, call, value in diary(folder) if call == "write_force"]
 
 
-def pid(launch: RunningLaunch, node: str) -> int:
-    """Find a node's process."""
-    return int(launch.call(node, "status")["pid"])
-
-
 # -- a reader that pauses or goes away ---------------------------------------------------------------------------------
 
 
@@ -89,7 +84,7 @@ def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(t
         path = scene(tmp_path, chain={"required": False})
         with running(tmp_path, path, environment=INSTALLED, stderr=writing) as launch:
             wait_for(lambda: forces(tmp_path)[-1:] == [1.0], "the arm is pressed")
-            os.kill(pid(launch, "coupling"), signal.SIGKILL)
+            os.kill(launch.pid("coupling"), signal.SIGKILL)
             # Damping of an arm that stands still is zero too, but the launch must go on to say so on its topics.
             wait_for(lambda: launch.call("driver", "progress")["safety"] == "zero", "the watchdog bites")
             assert abs(forces(tmp_path)[-1]) == 0.0
@@ -121,9 +116,9 @@ def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_pat
         declared={"peak_force": 10.0, "hold": 10.0, "workspace": [[-0.1, 0.1]] * 3},
     )
     with running(tmp_path, path, environment=INSTALLED) as launch:
-        driver = pid(launch, "driver")
+        driver = launch.pid("driver")
         launch.wait_ticks(20)
-        os.kill(pid(launch, "coupling"), signal.SIGKILL)
+        os.kill(launch.pid("coupling"), signal.SIGKILL)
         wait_for(lambda: launch.call("driver", "progress")["safety"] == "damping", "damping begins")
         launch.wait_ticks(5)
         seen = len(diary(tmp_path))
@@ -160,9 +155,9 @@ def test_the_soft_stop_begins_at_the_force_that_is_on_the_device(tmp_path: Path)
 AGAIN = {"respawn": True, "respawn_delay": 0.05}
 
 
-def killed(launch: RunningLaunch, node: str) -> None:
+def killed(launch: Running, node: str) -> None:
     """Kill a node, and wait until another answers in its place."""
-    before = pid(launch, node)
+    before = launch.pid(node)
     os.kill(before, signal.SIGKILL)
 
     def back() -> bool:

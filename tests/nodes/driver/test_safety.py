@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
 
 import msgspec
 import pytest
@@ -12,47 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages.types import ZERO, Force, Vector
-from nodes.base.setup import Setup
-from nodes.driver.device import DeviceLimits
-from nodes.driver.limits import STOP_TIME, SafetyParameters, lower
-from nodes.driver.node import Driver
-from nodes.driver.safety import Safety
-from nodes.parameters.store import ParameterError, convert
-
-T = 0.002
-UP: Vector = (0.0, 0.0, 1.0)
-
-
-def force(seq: int, z: float = 1.0) -> Force:
-    return Force(seq=seq, stamp=0.0, force=(0.0, 0.0, z))
-
-
-class Port:
-    """A safety with its events, driven as the driver does it."""
-
-    def __init__(
-        self, device: DeviceLimits | None = None, axes: tuple[int, ...] = (0, 1, 2), **parameters: Any
-    ) -> None:
-        self.events: list[tuple[str, str]] = []
-        self.safety = Safety(
-            SafetyParameters(**parameters),
-            device or DeviceLimits(),
-            T,
-            list(axes),
-            lambda kind, reason: self.events.append((kind, reason)),
-        )
-
-    def answer(self, message: Force, tick: int) -> bool:
-        """Let a force arrive; tell whether it was admitted."""
-        if not self.safety.admit(message, tick):
-            return False
-        self.safety.command(message.force, message.seq, tick)
-        return True
-
-    def changes(self) -> list[str]:
-        """List the changes of state that were told."""
-        return [text.split(" at tick")[0] for kind, text in self.events if kind == "safety"]
-
+from nodes.driver.limits import STOP_TIME
+from tests.support.safety import UP, Port, T, force
 
 # -- watchdog --------------------------------------------------------------------------------------------------------
 
@@ -271,114 +231,6 @@ def test_axes_that_the_scene_does_not_compute_get_no_force() -> None:
     port.answer(Force(seq=0, stamp=0.0, force=(5.0, 5.0, 1.0)), 0)
     assert port.safety.force == UP
     assert port.safety.missed(1, (3.0, 3.0, 0.5)) == (0.0, 0.0, -0.5)
-
-
-# -- the device's limits ----------------------------------------------------------------------------------------------
-
-TOUCH = DeviceLimits(
-    peak_force=7.9,
-    continuous_force=1.75,
-    slew=2000.0,
-    silence=0.05,
-    workspace=((-0.08, 0.08), (-0.06, 0.06), (-0.06, 0.06)),
-)
-
-
-def test_no_launch_file_raises_a_limit_of_the_device_and_each_attempt_is_told() -> None:
-    greedy = SafetyParameters(
-        peak_force=20.0,
-        continuous_force=10.0,
-        slew=1e6,
-        watchdog=10_000,
-        damping_ticks=1000,
-        max_age=500,
-        workspace=((-1.0, 1.0), (-0.01, 0.01), (-0.06, 0.07)),
-    )
-    limits = lower(greedy, TOUCH, T, "driver.safety")
-    assert (limits.peak, limits.continuous, limits.slew) == (7.9, 1.75, 2000.0 * T)
-    assert (limits.watchdog, limits.damping_ticks, limits.max_age) == (25, 25, 25)
-    assert limits.workspace == ((-0.08, 0.08), (-0.01, 0.01), (-0.06, 0.06))
-    assert [text.split(":")[0].removeprefix("driver.safety.") for text in limits.told] == [
-        "peak_force",
-        "slew",
-        "watchdog",
-        "damping_ticks",
-        "max_age",
-        "workspace[0]",
-        "workspace[2]",
-        "continuous_force",
-    ]
-    assert limits.told[0] == "driver.safety.peak_force: 20 N, limit 7.9 N of the device, which holds"
-    port = Port(TOUCH, peak_force=20.0)
-    assert port.events == [("limit", "safety.peak_force: 20 N, limit 7.9 N of the device, which holds")]
-    assert port.safety.summary()["told"] == [port.events[0][1]]
-
-
-def test_a_modest_launch_file_lowers_the_limits_and_nothing_is_told() -> None:
-    modest = SafetyParameters(peak_force=7.9, continuous_force=1.0, slew=2000.0, watchdog=25, damping_ticks=5)
-    limits = lower(modest, TOUCH, T)
-    assert (limits.peak, limits.continuous, limits.watchdog, limits.told) == (7.9, 1.0, 25, ())
-    # Left out, the device's own limits hold.
-    limits = lower(SafetyParameters(damping_ticks=25), TOUCH, T)
-    assert (limits.peak, limits.continuous, limits.slew) == (7.9, 1.75, 2000.0 * T)
-
-
-def test_a_slew_too_slow_to_stop_in_time_lowers_the_peak() -> None:
-    limits = lower(SafetyParameters(slew=2.0, peak_force=3.0), DeviceLimits(), T)
-    assert (limits.peak, limits.told) == (3.0, ())  # 3 N at 2 N/s is exactly STOP_TIME
-    limits = lower(SafetyParameters(slew=2.0, peak_force=3.01), DeviceLimits(), T)
-    assert limits.peak == 2.0 * STOP_TIME
-    assert limits.told[0].startswith("safety.slew: 2 N/s takes")
-
-
-@pytest.mark.parametrize(
-    ("data", "path"),
-    [
-        ({"watchdog": 0}, "driver.safety.watchdog"),
-        ({"peak_force": 0.0}, "driver.safety.peak_force"),
-        ({"peak_force": -1.0}, "driver.safety.peak_force"),
-        ({"slew": math.inf}, "driver.safety.slew"),
-        ({"ramp": math.nan}, "driver.safety.ramp"),
-        ({"workspace": [[0, 1], [0, 1]]}, "driver.safety.workspace"),
-        ({"max_peak": 3.0}, "driver.safety"),
-    ],
-)
-def test_parameters_that_make_no_sense_are_refused_by_path(data: dict[str, Any], path: str) -> None:
-    with pytest.raises(ParameterError, match=rf"^{path}".replace(".", r"\.")):
-        convert(data, SafetyParameters, "driver.safety")
-
-
-def test_an_empty_workspace_is_refused_before_anything_is_started() -> None:
-    def setup(high: float) -> Setup:
-        return Setup(
-            run="r",
-            run_dir="",
-            name="arm",
-            kind="driver",
-            factory="nodes.driver.node:Driver",
-            period=T,
-            pace="realtime",
-            apply="on_arrival",
-            axes=["z"],
-            ticks=0,
-            publish="",
-            control="",
-            sources={},
-            parameters={"safety": {"workspace": [[-1.0, 1.0], [-1.0, 1.0], [0.0, high]]}},
-        )
-
-    Driver.check(setup(1e-3))
-    with pytest.raises(ParameterError, match=r"^arm\.safety\.workspace\[2\]: 0 to 0 m, .*low to high"):
-        Driver.check(setup(0.0))
-
-
-def test_a_device_that_exists_is_not_made_to_wait() -> None:
-    setup = Setup(
-        run="r", run_dir="", name="arm", kind="driver", factory="", period=T, pace="lockstep", apply="on_arrival",
-        axes=["z"], ticks=0, publish="", control="", sources={},
-    )  # fmt: skip
-    with pytest.raises(ParameterError, match=r"^arm: pace lockstep waits for each force, however long"):
-        Driver.check(setup)
 
 
 # -- the end ----------------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import signal
 import subprocess
 from pathlib import Path
 
-from tests.support.launching import DEADLINE, HAPTIC, RunningLaunch, haptic, running, wait_for
+from tests.support.launching import DEADLINE, HAPTIC, Running, haptic, running, wait_for
 
 SCENE = """\
 summary: A coupling started by hand
@@ -22,7 +22,7 @@ nodes:
 """
 
 
-def start(launch: RunningLaunch) -> subprocess.Popen[bytes]:
+def start(launch: Running) -> subprocess.Popen[bytes]:
     """Start the coupling as the launcher says."""
     wait_for(lambda: list(launch.runtime_dir.glob("runs/*/run.json")), "the run")
     with open(launch.folder / "node.txt", "ab") as errors:

@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 
-from messages.transport import keys
 from messages.transport.endpoints import split
 from messages.transport.keys import Identity
 from messages.transport.requests import ControlError, Request, call
-from messages.transport.sockets import new_context
 from nodes.base.node import Node
 from nodes.base.setup import Setup
 from nodes.launcher.external_child import command
@@ -48,19 +46,6 @@ socket.send(bytes.fromhex(sys.argv[2]))
 sys.exit(3 if socket.poll(1500) else 0)
 """
 """A client without a key, where it can be of another user; exit code 3 when it was answered."""
-
-
-@pytest.fixture
-def me(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Identity:
-    monkeypatch.setenv("HAPTIC_KEYS", str(tmp_path / "keys"))
-    return keys.new_identity()
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = new_context()
-    yield made
-    made.destroy(linger=0)
 
 
 class Waiting:

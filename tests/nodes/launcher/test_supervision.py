@@ -8,8 +8,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import subprocess
-import sys
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -19,11 +17,10 @@ import msgspec
 import pytest
 
 from messages.transport.requests import ControlError
-from nodes.base import realtime
 from nodes.launcher.runs import alive
 from nodes.launcher.supervisor import INT_TIMEOUT
 from nodes.recording.reader import Recording
-from tests.support.launching import HAPTIC, RunningLaunch, haptic, processes_of, running, wait_for
+from tests.support.launching import Running, haptic, processes_of, running, wait_for
 
 PACKAGE = '''
 import os, signal, time
@@ -149,15 +146,11 @@ def scenario(folder: Path, duration: float = 0.0, loop: dict[str, Any] | None = 
     return str(path)
 
 
-def pid(launch: RunningLaunch, node: str) -> int:
-    return int(launch.call(node, "status")["pid"])
-
-
-def reapers(launch: RunningLaunch) -> list[int]:
+def reapers(launch: Running) -> list[int]:
     return [number for number, line in processes_of(launch.runtime_dir).items() if "reaper.py" in line]
 
 
-def reaper(launch: RunningLaunch) -> int:
+def reaper(launch: Running) -> int:
     # Between fork and exec a new one does not show its command line yet.
     found = wait_for(lambda: reapers(launch), "a reaper")
     assert len(found) == 1
@@ -206,7 +199,7 @@ def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
             assert reaper(launch) != first
         if "logger" in victims:
             # A stopped node cannot end by itself.
-            os.kill(pid(launch, "logger"), signal.SIGSTOP)
+            os.kill(launch.pid("logger"), signal.SIGSTOP)
         launch.process.kill()
         launch.process.wait()
 
@@ -228,7 +221,7 @@ def test_reaper_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_
 def test_stopped_nodes_are_woken_up_to_end(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         for node in ("environment", "logger"):
-            os.kill(pid(launch, node), signal.SIGSTOP)
+            os.kill(launch.pid(node), signal.SIGSTOP)
         figures = launch.finish(signal.SIGINT)
         assert {status["state"] for status in figures["nodes"].values()} == {"finished"}
         assert "does not end" not in launch.errors
@@ -264,7 +257,7 @@ def test_on_every_way_out_the_force_goes_down_to_zero_and_the_device_is_closed(
     with running(tmp_path, path, environment=odd_nodes, ready=False) as launch:
         if fails == "signal":
             wait_for(lambda: diary.exists() and diary.read_text().count("\n") > 100, "forces are written")
-            os.kill(pid(launch, "arm"), signal.SIGTERM)
+            os.kill(launch.pid("arm"), signal.SIGTERM)
         launch.finish(code=0 if fails == "signal" else 1)
         assert fails != "device" or "[arm] ended: the cable is out; plug it in" in launch.errors
     first, *forces, last = diary.read_text().split()
@@ -322,7 +315,7 @@ def test_respawn_keeps_delay_and_maximum(tmp_path: Path, odd_nodes: dict[str, st
 @pytest.mark.parametrize("node", ["environment", "driver"])  # the coupling: tests/sim/drill/test_drill.py
 def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(tmp_path: Path, node: str) -> None:
     with running(tmp_path, scenario(tmp_path, loop={"respawn": True, "respawn_delay": 0.05})) as launch:
-        before = pid(launch, node)
+        before = launch.pid(node)
         ticks = launch.wait_ticks(20)
         os.kill(before, signal.SIGKILL)
 
@@ -353,7 +346,7 @@ def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(tmp_path: Pa
 
 def test_a_required_node_that_is_killed_ends_the_launch(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
-        os.kill(pid(launch, "coupling"), signal.SIGKILL)
+        os.kill(launch.pid("coupling"), signal.SIGKILL)
         figures = launch.finish(code=1)
         assert figures["exit_reason"] == "coupling: ended with SIGKILL"
         assert figures["nodes"]["driver"]["state"] == "finished"
@@ -370,87 +363,20 @@ def test_nobody_raises_a_limit_while_it_runs(tmp_path: Path) -> None:
 
 def test_a_logger_that_is_not_required_may_be_killed(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path, duration=1.0)) as launch:
-        os.kill(pid(launch, "logger"), signal.SIGKILL)
+        os.kill(launch.pid("logger"), signal.SIGKILL)
         figures = launch.finish(code=1)
         assert (figures["exit_reason"], figures["failures"]) == ("done", ["logger: ended with SIGKILL"])
-
-
-def wake_latency() -> int:
-    """Read what the kernel allows now: the least of all that is asked for [µs]."""
-    latency = os.open(realtime.WAKE_LATENCY, os.O_RDONLY)
-    try:
-        return int.from_bytes(os.read(latency, 4), sys.byteorder, signed=True)
-    finally:
-        os.close(latency)
-
-
-@pytest.mark.skipif(
-    not os.access(realtime.WAKE_LATENCY, os.R_OK | os.W_OK), reason=f"no rights to {realtime.WAKE_LATENCY}"
-)
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(
-    tmp_path: Path, number: signal.Signals
-) -> None:
-    before = wake_latency()
-    with running(tmp_path, "floor_drop", "duration:=0") as launch:
-        assert wake_latency() == before
-    with running(tmp_path, "floor_drop_fast", "duration:=0") as launch:
-        assert wake_latency() == 0
-        launch.process.send_signal(number)
-        wait_for(lambda: wake_latency() == before, "processors may sleep again")
-
-
-def test_where_processors_cannot_be_kept_awake_the_reason_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(realtime, "WAKE_LATENCY", str(tmp_path / "none"))
-        with realtime.awake() as refused:
-            assert refused.startswith(f"{tmp_path}/none: No such file or directory; ")
 
 
 def test_a_loop_that_hears_nothing_takes_changes_and_ends_when_asked(tmp_path: Path) -> None:
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         launch.wait_ticks(10)
-        os.kill(pid(launch, "driver"), signal.SIGSTOP)
+        os.kill(launch.pid("driver"), signal.SIGSTOP)
         for stiffness in (900.0, 1100.0):
             receipt = launch.call("coupling", "param.set", values={"laws.pd.stiffness": stiffness})
             assert receipt["action"] == "set"
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1100.0
         for node in ("environment", "coupling"):
-            os.kill(pid(launch, node), signal.SIGTERM)
+            os.kill(launch.pid(node), signal.SIGTERM)
         launch.finish(signal.SIGINT, code=None)
     assert "SIGKILL" not in launch.errors
-
-
-@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor: nobody can leave it to the loop")
-def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -> None:
-    with running(tmp_path, "floor_drop", "duration:=0") as launch:
-        chain = set(launch.run.nodes["coupling"].scheduling.cpus)
-        for node in ("driver", "environment", "coupling"):
-            assert os.sched_getaffinity(pid(launch, node)) == chain
-        assert not chain & os.sched_getaffinity(pid(launch, "logger"))
-        if launch.run.processors:
-            assert not chain & os.sched_getaffinity(launch.process.pid)
-            recorder = subprocess.Popen(
-                [*HAPTIC, "bag", "record", "--out", "beside.mcap"],
-                cwd=tmp_path,
-                env=launch.environment,
-                stderr=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-            )
-            wait_for(
-                lambda: not chain & os.sched_getaffinity(recorder.pid), "the recorder leaves the chain's processor"
-            )
-            recorder.send_signal(signal.SIGINT)
-            assert recorder.wait(20.0) == 0
-
-
-def test_a_processor_that_is_the_only_one_is_shared() -> None:
-    before = os.sched_getaffinity(0)
-    with realtime.off(before):
-        assert os.sched_getaffinity(0) == before
-    others = before - {min(before)}
-    with realtime.off({min(before)}):
-        assert os.sched_getaffinity(0) == (others or before)
-    assert os.sched_getaffinity(0) == before

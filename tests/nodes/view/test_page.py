@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.support.browser import bins, chromium, needs_browser, shown, url_of
-from tests.support.launching import RunningLaunch, running, wait_for
+from tests.support.launching import Running, running, wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -26,13 +26,13 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     with running(tmp_path_factory.mktemp("view"), "touch_wall", "--view", "--without", "logger") as found:
         yield found
 
 
 @pytest.fixture
-def page(browser: Browser, launch: RunningLaunch) -> Iterator[Page]:
+def page(browser: Browser, launch: Running) -> Iterator[Page]:
     with opened(browser, url_of(launch)) as found:
         yield found
 
@@ -59,7 +59,7 @@ class OpenPage:
         assert self._errors == []
 
 
-def state(launch: RunningLaunch) -> dict[str, float]:
+def state(launch: Running) -> dict[str, float]:
     found = launch.call("driver", "progress")
     return {"x": float(found["position_m"][0]), "f": float(found["force_n"][0])}
 
@@ -73,7 +73,7 @@ def drag_into_the_wall(page: Page) -> None:
     page.mouse.move(box["x"] + box["width"] - 8.0, y, steps=10)
 
 
-def test_it_loads_moves_and_tells_the_map(page: Page, launch: RunningLaunch) -> None:
+def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
     assert shown(page, "#scenario") == "touch_wall"
     before, picture = bins(page), page.locator(".plot canvas").first.screenshot()
     wait_for(lambda: bins(page) > before + 100, "bins come in")
@@ -85,7 +85,7 @@ def test_it_loads_moves_and_tells_the_map(page: Page, launch: RunningLaunch) -> 
     assert page.evaluate("performance.getEntriesByType('resource').every((e) => e.name.startsWith(location.origin))")
 
 
-def test_the_mouse_is_a_hand(page: Page, launch: RunningLaunch) -> None:
+def test_the_mouse_is_a_hand(page: Page, launch: Running) -> None:
     # The scenario's own touch at its beginning is over.
     wait_for(lambda: launch.ticks() > 1300 and abs(state(launch)["x"]) < 0.003, "the hand rests")
     drag_into_the_wall(page)
@@ -97,7 +97,7 @@ def test_the_mouse_is_a_hand(page: Page, launch: RunningLaunch) -> None:
     wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the words")
 
 
-def test_the_keyboard_is_a_hand_too(page: Page, launch: RunningLaunch) -> None:
+def test_the_keyboard_is_a_hand_too(page: Page, launch: Running) -> None:
     page.locator("#scene").focus()
     for _ in range(5):
         page.keyboard.press("Shift+ArrowRight")
@@ -106,7 +106,7 @@ def test_the_keyboard_is_a_hand_too(page: Page, launch: RunningLaunch) -> None:
     wait_for(lambda: abs(state(launch)["x"]) < 0.003, "Escape lets go")
 
 
-def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: RunningLaunch) -> None:
+def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Running) -> None:
     wait_for(lambda: page.locator("input[type=range][aria-label=stiffness]").count() == 1, "the sliders")
     launch.call("coupling", "law.switch", law="pd")
     slider = page.locator("input[type=range][aria-label=stiffness]")
@@ -124,7 +124,7 @@ def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Runn
     wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == before, "undone")
 
 
-def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: RunningLaunch) -> None:
+def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -> None:
     launch.call("coupling", "law.switch", law="pd")
     exact = page.locator("input[aria-label='stiffness, exact value']")
     wait_for(lambda: exact.count() == 1, "the sliders")
@@ -139,7 +139,7 @@ def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: RunningLau
     wait_for(lambda: page.locator("#log li.refused").count() >= 2, "refusals are in the log")
 
 
-def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: RunningLaunch) -> None:
+def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Running) -> None:
     with opened(browser, url_of(launch)) as other:
         for name in ("multi_term", "pd"):
             wait_for(lambda: other.locator("#laws label").count() > 3, "the laws")
@@ -157,7 +157,7 @@ def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Runn
         page.mouse.up()
 
 
-def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(browser: Browser, launch: RunningLaunch) -> None:
+def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(browser: Browser, launch: Running) -> None:
     with opened(browser, url_of(launch)) as watching:
         context = browser.new_context()
         stopped = context.new_page()
@@ -175,7 +175,7 @@ def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(browser: Br
         context.close()
 
 
-def test_record_and_undo_buttons_and_pause(page: Page, launch: RunningLaunch) -> None:
+def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
     page.locator("#record").click()
     wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "true", "recording")
     wait_for(
@@ -193,9 +193,7 @@ def test_record_and_undo_buttons_and_pause(page: Page, launch: RunningLaunch) ->
 
 @pytest.mark.parametrize("size", [(390, 844), (1440, 900)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_fits_a_phone_and_the_dark(
-    size: tuple[int, int], scheme: str, browser: Browser, launch: RunningLaunch
-) -> None:
+def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, browser: Browser, launch: Running) -> None:
     with opened(browser, url_of(launch)) as page:
         page.set_viewport_size({"width": size[0], "height": size[1]})
         page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")

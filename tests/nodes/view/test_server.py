@@ -18,11 +18,11 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from tests.support.browser import url_of
-from tests.support.launching import HAPTIC, RunningLaunch, haptic, launch_json, running, wait_for
+from tests.support.launching import HAPTIC, Running, haptic, launch_json, running, wait_for
 
 
 @pytest.fixture(scope="module")
-def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLaunch]:
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     with running(tmp_path_factory.mktemp("view"), "touch_wall", "--view", "--without", "logger") as found:
         yield found
 
@@ -55,7 +55,7 @@ def texts(page: ClientConnection, kind: str, **wanted: Any) -> dict[str, Any]:
                 return document
 
 
-def test_only_who_has_the_token_gets_anything(launch: RunningLaunch) -> None:
+def test_only_who_has_the_token_gets_anything(launch: Running) -> None:
     url = url_of(launch)
     root = url.split("/", 3)[0] + "//" + url.split("/")[2]
     assert get(url)[0] == 200
@@ -70,7 +70,7 @@ def test_only_who_has_the_token_gets_anything(launch: RunningLaunch) -> None:
         pass
 
 
-def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: RunningLaunch) -> None:
+def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: Running) -> None:
     url = url_of(launch)
     for origin in ("https://elsewhere.example", "http://localhost:1", "null"):
         with pytest.raises(InvalidStatus, match="403"), live(url, origin=origin):
@@ -82,7 +82,7 @@ def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: RunningLaunch
         assert texts(page, "hello")["scenario"] == "touch_wall"
 
 
-def test_a_page_asks_what_it_may_and_nothing_else(launch: RunningLaunch) -> None:
+def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
     with live(url_of(launch)) as page:
 
         def ask(**request: Any) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: RunningLaunch) -> None
             texts(page, "never")
 
 
-def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: RunningLaunch) -> None:
+def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Running) -> None:
     def memory() -> float:
         return float(launch.call("view", "status")["memory"])
 
@@ -143,7 +143,7 @@ def viewing(launch_folder: Path, *words: str, environment: Any = None) -> Iterat
         assert json.loads(rest.splitlines()[-1])
 
 
-def test_a_view_beside_a_launch_sees_the_same(launch: RunningLaunch) -> None:
+def test_a_view_beside_a_launch_sees_the_same(launch: Running) -> None:
     with viewing(launch.folder, environment=launch.environment) as url, live(url) as page:
         assert texts(page, "hello")["hand"]
         assert texts(page, "laws")["active"] == launch.call("coupling", "law.list")["active"]

@@ -24,6 +24,7 @@ from sim.drill import drill
 from sim.drill.faults import faults
 from sim.drill.soak import soak
 from sim.drill.witness import UNEXPLAINED, largest
+from sim.measure.launches import within
 from sim.measure.rig import Rig
 from tests.support.launching import HAPTIC, haptic, wait_for
 
@@ -175,9 +176,9 @@ def test_intruders_are_told_and_put_out_and_the_loop_goes_on(name: str) -> None:
 def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
     def strike(rig: Rig) -> None:
         rig.call("link", "param.set", values={"drop": 1.0})
-        rig.wait(lambda: rig.states[-1].safety == "zero", 10.0)
-        rig.launcher.terminate()
-        rig.launcher.wait(20.0)
+        within(lambda: rig.states[-1].safety == "zero", 10.0)
+        rig.process.terminate()
+        rig.process.wait(20.0)
 
     def change(content: dict[str, Any]) -> None:
         content["nodes"]["link"] = {"kind": "link"}

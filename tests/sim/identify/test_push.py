@@ -16,13 +16,13 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.excitation import ASTRAY, Excitation, held_back
 from nodes.laws.parse import parse_law
-from tests.support.launching import HAPTIC, RunningLaunch, haptic, running, wait_for
+from tests.support.launching import HAPTIC, Running, haptic, running, wait_for
 
 T = 0.002
 SCENE = ("floor_buzz", "duration:=0")
 
 
-def parameters(launch: RunningLaunch) -> tuple[str, Any]:
+def parameters(launch: Running) -> tuple[str, Any]:
     law = json.loads(launch.haptic("law", "list", "--json").stdout.splitlines()[-1])["active"]
     surface = json.loads(launch.haptic("param", "get", "environment", "surface", "--json").stdout.splitlines()[-1])
     return law, surface["value"]

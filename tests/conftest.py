@@ -1,0 +1,36 @@
+"""What several rooms of tests start from: a ZeroMQ context, a place for a socket, keys of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from messages.transport import keys
+from messages.transport.keys import Identity
+from messages.transport.sockets import new_context
+from tests.support.launching import private_runtime_dir
+
+if TYPE_CHECKING:
+    from messages.transport.endpoints import Context
+
+
+@pytest.fixture
+def context() -> Iterator[Context]:
+    made = new_context()
+    yield made
+    made.destroy(linger=0)
+
+
+@pytest.fixture
+def place() -> Iterator[str]:
+    with private_runtime_dir() as folder:
+        yield f"ipc://{folder}/p"
+
+
+@pytest.fixture
+def me(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Identity:
+    monkeypatch.setenv("HAPTIC_KEYS", str(tmp_path / "keys"))
+    return keys.new_identity()
