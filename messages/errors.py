@@ -17,7 +17,7 @@
 | `NotCompilableError` | a tick that has no compiled form; the plain one runs |
 | `UsageError`, `RefusedError` | what the command line ends with exit code 2, and 1 |
 | `MeasurementError` | a benchmark, study or drill that could not measure |
-| `RigError`, `NoCompilerError`, `FaultSkippedError` | of those: the drilled launch; no C compiler; a fault not to be had |
+| `NoCompilerError`, `FaultSkippedError` | of those: no C compiler; a fault not to be had |
 """
 
 __all__ = [

@@ -171,7 +171,7 @@ def test_a_publisher_started_again_after_a_kill_is_heard_again(context: Context,
             wait_for(heard, life)
         finally:
             process.send_signal(signal.SIGKILL)
-            process.wait()
+            process.communicate()
     subscription.close()
 
 
