@@ -7,22 +7,27 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
+
 from nodes.base.node import Node
 from nodes.base.standstill import Standstill, give_up
 from nodes.driver.device import Device
 from nodes.driver.ending import Ending
 from nodes.driver.motion import Motion
-from nodes.driver.passivity import PassivityGuard
+from nodes.driver.passivity import PassivityGuard, PassivityParameters
 from nodes.driver.response_times import ResponseTimes
 from nodes.driver.safety import Safety
+from nodes.parameters.store import ParameterError
 
 
 class Answers(Node):
     """The part of a driver that is not the loop: `nodes.driver.node` makes what it speaks of."""
 
     _device: Device
+    _axes: list[int]
     _safety: Safety
     _guard: PassivityGuard | None
+    _guard_is_own: bool
     _motion: Motion
     _standstill: Standstill
     _responses: ResponseTimes
@@ -36,6 +41,29 @@ class Answers(Node):
     _first_stamp: float
     _last_stamp: float
     _complete: bool
+
+    def _guard_of(self, parameters: PassivityParameters | None) -> PassivityGuard | None:
+        if parameters is None or parameters.guard != "on":
+            return None
+        return PassivityGuard(parameters, self.setup.period, self._axes)
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare another guard, its account at zero: all of a driver that changes, where the launch file asked for none."""
+        if msgspec.structs.replace(parameters, passivity=None) != msgspec.structs.replace(
+            self.store.current, passivity=None
+        ):
+            raise ParameterError(
+                f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs, all but passivity"
+            )
+        if self._guard_is_own:
+            raise ParameterError(f"{self.setup.name}.passivity: the launch file's own guard is fixed while it runs")
+        guard = self._guard_of(parameters.passivity)
+
+        def apply(seq: int) -> dict[str, Any]:
+            self._guard = guard
+            return {"seq": seq}
+
+        return apply
 
     def _tell_safety(self, kind: str, reason: str) -> None:
         """Take down what the safety has to say: the force comes first, words when the tick is done."""

@@ -109,11 +109,10 @@ class Driver(Answers):
             self._tell_safety,
             f"{self.setup.name}.safety",
         )
-        passivity = self.store.current.passivity
-        guarded = passivity is not None and passivity.guard == "on"
-        self._guard = PassivityGuard(passivity, self.setup.period, self._axes) if guarded else None
+        self._guard = self._guard_of(self.store.current.passivity)
+        self._guard_is_own = self._guard is not None
         latency = self._device.limits.latency
-        if latency is None and guarded:
+        if latency is None and self._guard is not None:
             self.tell(
                 "guard", "the device does not tell its latency: the guard takes forces to act when they are handed over"
             )
@@ -222,12 +221,12 @@ class Driver(Answers):
         inbox.set_timeout(IDLE_MS)
         clock, note, act = time.monotonic, self._responses.add, self._motion.act
         late = 1 if self.setup.apply == "next_tick" else 0
-        guard = self._guard
         self._first_stamp = time.monotonic()
         seq = 0
         acting = ZERO
+        sent: float | None
         while seq < end and not self.stopping:
-            sent: float | None = None
+            guard, sent = self._guard, None
             if self._ahead is not None:
                 seq, sent, _, done = self._ahead.run(seq, end, 0.0, None)
                 acting = self._handed
@@ -283,16 +282,16 @@ class Driver(Answers):
         assert inbox is not None  # noqa: S101
         period, safety, write = self.setup.period, self._safety, self._write
         next_tick = self.setup.apply == "next_tick"
-        guard = self._guard
         epoch = self._epoch()
         seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
         following_command: Vector | None = None
         belated: tuple[tuple[bytes, bytes], float] | None = None
         heard = False
+        sent: float | None
         # A virtual device waits for whoever debugs it; what exists does not.
         self._doing = ("a tick", self.store.current.safety.hang or math.inf)
         while seq < end and not self.stopping:
-            sent: float | None = None
+            guard, sent = self._guard, None
             if self._ahead is not None and belated is None:
                 seq, sent, following_command, done = self._ahead.run(seq, end, epoch, following_command)
                 heard = heard or done > 0

@@ -44,11 +44,15 @@ class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     damping : float
         Largest damper that takes back what was given out too much [N s/m]; keep it well below m/T of the device, or the
         guard itself is what shakes. 0 lets the next contact pay.
+    allowance : float
+        Energy that may be given out beyond what is in store before the guard acts [J]: a last line beside a law that is meant
+        to be felt as it is.
     """
 
     guard: Literal["on", "off"] = "on"
     stiffness: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
     damping: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    allowance: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
 
 
 def observe(energy: float, acting: float, step: float) -> float:
@@ -141,6 +145,7 @@ class PassivityGuard:
     def __init__(self, parameters: PassivityParameters, period: float, axes: list[int]) -> None:
         self._stiffness = parameters.stiffness
         self._rate = parameters.damping / period
+        self._allowance = parameters.allowance
         self._axes = axes
         self._energy = [0.0, 0.0, 0.0]
         self._step = [0.0, 0.0, 0.0]
@@ -168,7 +173,8 @@ class PassivityGuard:
         for i in self._axes:
             step, wanted = self._step[i], force[i]
             self._energy[i] = energy = forget(self._energy[i], wanted, self._stiffness)
-            chosen[i] = value = control(energy + (share * pending[i] + backlog[i]) * step, wanted, step, self._rate)
+            expected = energy - self._allowance + (share * pending[i] + backlog[i]) * step
+            chosen[i] = value = control(expected, wanted, step, self._rate)
             if abs(value) < abs(wanted):
                 self.lowered += 1
             elif value != wanted:

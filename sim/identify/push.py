@@ -49,6 +49,21 @@ def undisturbed() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
+@contextlib.contextmanager
+def interrupted_once() -> Iterator[None]:
+    """Take the first Ctrl-C as the order to leave; those after it change nothing."""
+
+    def leave(*_: object) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 @dataclass
 class Pushed:
     """What a push left.
@@ -118,6 +133,12 @@ class Loop:
         """Ask the driver how it goes."""
         told: dict[str, Any] = ask(self.run, self.driver, "progress")
         return told
+
+    def wait(self, ticks: int) -> None:
+        """Wait for some ticks."""
+        first = self.progress()["tick"]
+        while self.progress()["tick"] < first + ticks:
+            time.sleep(0.02)
 
 
 def push(

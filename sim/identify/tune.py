@@ -247,6 +247,9 @@ def predict(
     tried = factors(max(1.0, 0.8 * linear), 1.25 * linear)
     knock = knock_size(taps, linear, found, peak)
     knocked = predicted_edge(compiled, model(found), found.period, knock, tried, peak, slew)
+    # Far below the edge every third step will do.
+    near = 0.93 * (knocked.factor or tried[-1])
+    tried = [factor for n, factor in enumerate(tried) if n % 3 == 0 or factor > near]
     dropped = drops(law.found.taps, asked)
     figures: dict[str, Any] = {
         "h1_n_per_m": law.found.h1_n_per_m,

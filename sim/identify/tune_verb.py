@@ -61,11 +61,11 @@ def run(arguments: argparse.Namespace) -> int:
     excitation(arguments)
     arguments.out.mkdir(parents=True, exist_ok=True)
     tuning = _Tuning(arguments)
-    from sim.identify.push import undisturbed
+    from sim.identify.push import interrupted_once, undisturbed
 
     live = {"identify", "apply", "verify"} & set(arguments.steps)
     code = 0
-    with _launched(arguments) if live and arguments.scenario else contextlib.nullcontext():
+    with interrupted_once(), _launched(arguments) if live and arguments.scenario else contextlib.nullcontext():
         try:
             for step in (name for name in STEPS if name in arguments.steps):
                 tuning.now = step
@@ -247,8 +247,8 @@ class _Tuning:
         loop = self._running()
         designed = self._need("designed")
         if self._surface is None:
-            self._surface = ask(loop.run, loop.environment, "param.get", name="surface")
             self._law = ask(loop.run, loop.coupling, "law.list")["active"]
+            self._surface = ask(loop.run, loop.environment, "param.get", name="surface")
         # A stiff law must never meet a point that the device is not at.
         self._soft()
         self.place = _hold(loop)
@@ -257,13 +257,13 @@ class _Tuning:
         receipt = ask(loop.run, loop.coupling, "law.switch", law=LAW, ramp=RAMP)
         self.told["applied"] = {"seq": receipt["seq"], "ramp_ticks": RAMP, "force_step_n": receipt["force_step_n"]}
         self._applied = True
-        _wait_ticks(loop, 2 * RAMP)
+        loop.wait(2 * RAMP)
 
     def _soft(self) -> None:
         loop = self._running()
         ask(loop.run, loop.coupling, "param.set", values={f"laws.{SOFT}": SOFT_LAW})
         ask(loop.run, loop.coupling, "law.switch", law=SOFT, ramp=RAMP)
-        _wait_ticks(loop, RAMP)
+        loop.wait(RAMP)
 
     def verify(self) -> None:
         """Knock on the held device at rising stiffness."""
@@ -302,7 +302,7 @@ class _Tuning:
         try:
             self._soft()
             ask(loop.run, loop.environment, "param.set", values={"surface": self._surface})
-            _wait_ticks(loop, RAMP)
+            loop.wait(RAMP)
             ask(loop.run, loop.coupling, "law.switch", law=self._law if self.now else LAW, ramp=RAMP, force=True)
         except RefusedError as error:
             self.told["not_put_back"] = str(error)
@@ -361,11 +361,5 @@ def _hold(loop: Loop) -> list[float]:
         place = [float(x) for x in loop.progress()["position_m"]]
         surface = {"kind": "anchor", "position": place}
         ask(loop.run, loop.environment, "param.set", values={"surface": surface})
-        _wait_ticks(loop, RAMP)
+        loop.wait(RAMP)
     return place
-
-
-def _wait_ticks(loop: Loop, ticks: int) -> None:
-    first = loop.progress()["tick"]
-    while loop.progress()["tick"] < first + ticks:
-        time.sleep(0.02)

@@ -123,6 +123,8 @@ def from_launch(launch: Launch) -> LaunchedScene:
     limits = lower(safety, DeviceLimits(), period)
     if safety.continuous_force is not None:
         raise ParameterError(f"{driver_name}.safety.continuous_force: not played in one process; leave it out")
+    if driver.passivity is not None and driver.passivity.allowance:
+        raise ParameterError(f"{driver_name}.passivity.allowance: not played in one process; set it to 0")
     if safety.ramp:
         raise ParameterError(f"{driver_name}.safety.ramp: {safety.ramp} s is not played in one process; set it to 0")
     book = LawBook(coupling_name, period)

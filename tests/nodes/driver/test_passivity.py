@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from messages.transport.requests import ControlError
 from nodes.driver.mean_force import Latency
 from nodes.driver.passivity import PassivityGuard, PassivityParameters, control, forget, observe
 from nodes.launcher import launch_file
@@ -20,7 +22,7 @@ from nodes.recording.reader import Recording
 from sim.device.model import DeviceModel
 from sim.scene.from_launch import from_launch
 from sim.scene.loop import Scene, Surface, Trace, run
-from tests.support.launching import haptic, launch_json
+from tests.support.launching import haptic, launch_json, running, wait_for
 
 T = 0.002
 ON = PassivityParameters()
@@ -68,6 +70,33 @@ def test_credit_is_forgotten_down_to_what_a_spring_holds_and_a_debt_never() -> N
     assert forget(-1.0, 2.0, 4.0) == -0.5  # 2²/(2·4)
     assert forget(-0.25, 2.0, 4.0) == -0.25
     assert [forget(0.3, force, 4.0) for force in (0.0, 2.0)] == [0.3, 0.3]
+
+
+def test_what_is_allowed_leaves_untouched_and_no_more() -> None:
+    """2 N over 1 mm a tick: 2 mJ a tick. Ten milljoule are allowed, so the sixth tick would be too much."""
+    guard = PassivityGuard(PassivityParameters(allowance=0.0101), T, [0])
+    force, given = (2.0, 0.0, 0.0), []
+    for k in range(8):
+        guard.observe(list(force) if k else [0.0] * 3, (0.001 * k, 0.0, 0.0), (0.001 * (k + 1), 0.0, 0.0))
+        force = guard.control((2.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+        given.append(force[0])
+    assert given[:5] == [2.0] * 5
+    assert given[5] == pytest.approx(0.1, rel=1e-9)  # 0.1 mJ is left for a step of 1 mm
+    assert given[6:] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_a_running_driver_takes_a_guard_up_and_keeps_the_launch_files(tmp_path: Path) -> None:
+    with running(tmp_path, "floor_guarded", "guard:=off", "duration:=0") as launch:
+        guard = {"guard": "on", "stiffness": 5000.0, "damping": 10.0}
+        launch.call("driver", "param.set", values={"passivity": guard})
+        assert launch.call("driver", "param.get", name="passivity")["damping"] == 10.0
+        taken_up = launch.call("driver", "progress")["tick"]
+        wait_for(lambda: launch.call("driver", "progress")["tick"] > taken_up + 250, "the mass to be thrown up again")
+        assert launch.finish(signal.SIGINT, code=None)["guard"]["lowered"] > 0
+    with running(tmp_path, "floor_guarded", "duration:=0") as launch:
+        with pytest.raises(ControlError, match="own guard is fixed"):
+            launch.call("driver", "param.set", values={"passivity": None})
+        launch.finish(signal.SIGINT, code=None)
 
 
 # -- the bound --------------------------------------------------------------------------------------------------------

@@ -355,7 +355,7 @@ def test_a_required_node_that_is_killed_ends_the_launch(tmp_path: Path) -> None:
 
 def test_nobody_raises_a_limit_while_it_runs(tmp_path: Path) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
-        for name, value in (("safety.peak_force", 100.0), ("safety.watchdog", 10**6), ("safety.slew", None)):
+        for name, value in (("safety.peak_force", 100.0), ("safety.watchdog", 10**6), ("safety.slew", 1e9)):
             with pytest.raises(ControlError, match="fixed while it runs"):
                 launch.call("driver", "param.set", values={name: value})
         assert launch.call("driver", "param.get", name="safety.watchdog") == 10

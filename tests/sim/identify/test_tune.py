@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -106,6 +107,44 @@ def test_ctrl_c_leaves_the_launch_as_it_was_and_writes_what_is_known(tmp_path: P
     known = json.loads((tmp_path / "tuning" / "tune.json").read_text(encoding="utf-8"))
     assert known["interrupted"] == "identify"
     assert "Interrupted" in (tmp_path / "tuning" / "tune.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("step", ["apply", "verify"])
+def test_ctrl_c_while_a_law_is_tried_leaves_the_launch_as_it_was(
+    tuned: tuple[Path, dict[str, Any]], tmp_path: Path, step: str
+) -> None:
+    (tmp_path / "tuning").mkdir()
+    shutil.copy(tuned[0] / "tuning" / "tune.json", tmp_path / "tuning")
+    with running(tmp_path, "identify", "apply:=next_tick", "delay:=0.3", "duration:=0") as launch:
+
+        def now() -> tuple[Any, Any, Any]:
+            return (
+                launch.call("coupling", "law.list")["active"],
+                launch.call("environment", "param.get", name="surface"),
+                launch.call("driver", "param.get", name="passivity"),
+            )
+
+        before = now()
+        process = subprocess.Popen(
+            [*HAPTIC, "tune", "--steps", "apply", "verify", "--json"],
+            cwd=tmp_path,
+            env=launch.environment,
+            stdout=subprocess.DEVNULL,
+            process_group=0,
+        )
+        # The guard watches while it verifies, and only then.
+        wait_for(lambda: now()[2] is not None if step == "verify" else now()[0] == "soft", f"{step} to be under way")
+        os.killpg(process.pid, signal.SIGINT)
+        os.killpg(process.pid, signal.SIGINT)
+        process.wait(timeout=60.0)
+        assert now() == before
+        launch.finish(signal.SIGINT, code=None)
+    assert process.returncode == 130
+    known = json.loads((tmp_path / "tuning" / "tune.json").read_text(encoding="utf-8"))
+    assert known["interrupted"] == step
+    if step == "verify":
+        assert known["verified"]["ended"] == "interrupted"
+    assert "not_put_back" not in known
 
 
 @pytest.mark.parametrize(("preset", "delay"), [("designed_d0", 0.0), ("designed_d1", 1.0)])
