@@ -31,10 +31,12 @@ __all__ = [
     "DOMAIN",
     "HANDSHAKE_MS",
     "HEARTBEAT_MS",
+    "HEARTBEAT_TIMEOUT_MS",
     "MAX_MESSAGE",
     "MAX_RECONNECT_MS",
     "MAX_UPSTREAM",
     "RECONNECT_MS",
+    "TCP_HANDSHAKE_MS",
     "EndpointRefusedError",
     "bind",
     "connect",
@@ -54,10 +56,16 @@ MAX_UPSTREAM = 1024
 """Longest frame that a listener may send to a publisher: a subscription [bytes]."""
 
 HEARTBEAT_MS = 500
-"""How often a silent tcp peer is asked whether it is still there; it is given up after three times as long [ms]."""
+"""How often a silent tcp peer is asked whether it is still there [ms]."""
+
+HEARTBEAT_TIMEOUT_MS = 2500
+"""After so long without an answer to that it is given up: a round trip of 1 s, and one lost packet [ms]."""
 
 HANDSHAKE_MS = 3000
-"""How long a tcp peer may take to introduce itself [ms]; ZeroMQ's 30 s would let idle connections pile up."""
+"""How long a peer on this machine may take to introduce itself [ms]; ZeroMQ's 30 s would let idle connections pile up."""
+
+TCP_HANDSHAKE_MS = 8000
+"""How long one over tcp may take: two round trips of a second for the greeting, two for the keys, and a lost packet [ms]."""
 
 RECONNECT_MS = 20
 """How soon a listener tries again to reach a publisher that is not there yet or was respawned [ms]."""
@@ -138,10 +146,10 @@ def is_remote(endpoint: str) -> bool:
 def _set_tcp(socket: Socket) -> None:
     # TCP_NODELAY is ZeroMQ's default. Heartbeats find a peer whose machine or cable went away without a word.
     socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 3 * HEARTBEAT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TTL, 3 * HEARTBEAT_MS)
-    socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
-    socket.setsockopt(zmq.CONNECT_TIMEOUT, 2000)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.HANDSHAKE_IVL, TCP_HANDSHAKE_MS)
+    socket.setsockopt(zmq.CONNECT_TIMEOUT, 3000)
     socket.setsockopt(zmq.RECONNECT_IVL_MAX, MAX_RECONNECT_MS)
     socket.ipv6 = True
 

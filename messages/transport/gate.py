@@ -43,6 +43,11 @@ MOST_GROWTH = 256 << 20
 
 ZAP = "inproc://zeromq.zap.01"
 FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+_FAILED: dict[int, str] = {
+    zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL: "without a valid handshake: a plain client, or an altered or replayed stream",
+    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL: "that ended before its handshake was complete: who connected gave up or "
+    "took too long",
+}
 _EVENTS = FAILURES | zmq.EVENT_ACCEPTED | zmq.EVENT_ACCEPT_FAILED | zmq.EVENT_DISCONNECTED
 _STOP = "inproc://haptic.gate.stop"
 
@@ -229,9 +234,7 @@ class Gate(threading.Thread):
             self._let_knock(one)
         elif event != zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             # Unknown keys are told where they are refused, with the key.
-            self._denied(
-                f"a connection to {place} without a valid handshake: a plain client, or an altered or replayed stream"
-            )
+            self._denied(f"a connection to {place} {_FAILED[event]}")
 
     # -- who ---------------------------------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import zmq
 from zmq.utils.monitor import parse_monitor_message
 
-from messages.transport.endpoints import HANDSHAKE_MS, MAX_MESSAGE, connect
+from messages.transport.endpoints import MAX_MESSAGE, TCP_HANDSHAKE_MS, connect
 from messages.transport.gate import FAILURES, monitor
 from messages.transport.keys import trusted
 
@@ -80,7 +80,7 @@ class _Link:
             if self.was_open:
                 return f"what came was longer than {MAX_MESSAGE} bytes, the limit, or no message at all"
             return self.failed or _NO_NODE
-        if self.state == "no handshake" and now - self.since > 1e-3 * HANDSHAKE_MS + GIVEN_UP:
+        if self.state == "no handshake" and now - self.since > 1e-3 * TCP_HANDSHAKE_MS + GIVEN_UP:
             return f"{_NO_NODE}: no handshake"
         return ""
 
@@ -166,7 +166,10 @@ class Links:
             return
         if now - self._heard_at > SILENCE:
             self._heard_at = now
-            for link in [link for link in self._links if not link.is_revoked]:
+            # Over a slow cable a new link takes longer than that.
+            for link in [link for link in self._links if not link.is_revoked and now - link.since > SILENCE]:
+                if link.state == "no handshake":
+                    continue
                 why = link.failed or link.state
                 self._renew(link, f"no message for {SILENCE:g} s ({why}); connecting anew", now)
 

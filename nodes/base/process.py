@@ -39,8 +39,8 @@ LISTENERS_WAIT = 0.002
 LOCKSTEP_BATCH = 8
 """How many are collected in lockstep."""
 
-REPORT_TIMEOUT = 3.0
-"""How long a node that was started by hand waits at its end for the launcher to fetch its report [s]."""
+REPORT_SHARE = 0.5
+"""For so much of its lease a node that was started by hand waits at its end for the launcher to fetch its report."""
 
 
 def _await_listeners(node: Node) -> None:
@@ -153,7 +153,7 @@ def live(node: Node) -> int:
 def _close(node: Node, context: Context, control: ControlServer, gate: Gate, code: int) -> None:
     node.state = "finished" if code == 0 else "failed"
     if node.setup.lease and not node.stop_reason.startswith("launcher lost"):
-        control.await_fetch(REPORT_TIMEOUT)
+        control.await_fetch(REPORT_SHARE * node.setup.lease)
     gate.stop()
     is_ended = control.stop()
     # Emptied first, so that the last status tells exactly what was sent before it.

@@ -41,10 +41,12 @@ class Standstill:
         """Look once more."""
         now = time.monotonic()
         passed = now - self._looked
-        if passed >= LOOK:
+        if progress != self._last:
+            # At once: what is done next has a limit of its own.
+            self._last, self._stood, self._looked = progress, 0.0, now
+        elif passed >= LOOK:
             self._looked = now
-            self._stood = self._stood + min(passed, 2.0 * LOOK) if progress == self._last else 0.0
-            self._last = progress
+            self._stood += min(passed, 2.0 * LOOK)
         return self._stood
 
 

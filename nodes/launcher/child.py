@@ -47,9 +47,12 @@ class Child:
         When it was ready; before, when it was made [s].
     opening, closing : float
         How long its device may take to open, from then on, and to close [s].
+    distance : float
+        How long the first answer over a new connection takes longer than on this machine [s].
     """
 
     patience = START_TIMEOUT
+    distance = 0.0
 
     def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
         self.setup = setup

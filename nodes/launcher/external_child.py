@@ -34,19 +34,26 @@ PATIENCE = 120.0
 """How long the launcher waits for somebody to start a node [s]."""
 
 LOST = 5.0
-"""After so long without an answer a node that was there is taken as lost [s]."""
+"""After so long without an answer, and its distance, a node that was there is taken as lost [s]."""
 
 UNREPORTED = 2.0
-"""After so long without an answer a node that has said it is finished is believed to be gone, report or not [s]."""
+"""After so long, and its distance, a node that has said it is finished is believed to be gone, report or not [s]."""
 
 LEASE = 6.0
-"""After so long without a request such a node takes its launcher as lost, and stops [s]."""
+"""After so long without a request, and its distance, such a node takes its launcher as lost, and stops [s]."""
+
+ROUND_TRIPS = 12
+"""What the first answer over a new connection may take: one for tcp, two for the greeting, two for the keys, one for itself,
+and as many again where the first try found nobody there yet, or lost a packet."""
+
+ANSWER, LONGEST_ANSWER = 1.0, 8.0
+"""How long an answer is waited for at first, and at last when none comes: the distance may be that long [s]."""
 
 PERIOD = 0.5
 _QUICK = 0.05
 
 _ROUNDS = 8
-"""How often the clock is measured at once, before and after the start."""
+"""How often the clock is measured at once, before and after the start, or for a second."""
 
 
 def command(setup: Setup) -> str:
@@ -112,6 +119,18 @@ class ByHand(Child):
         self._over: tuple[int, str] | None = None
         self._stop = False
         self._report: dict[str, Any] = {}
+        self._wait = ANSWER
+
+    @property
+    def distance(self) -> float:  # type: ignore[override]
+        """As its clock's measurements tell it [s]."""
+        error = self._clock.best(time.monotonic())[1]
+        return ROUND_TRIPS * 2.0 * error if math.isfinite(error) else 0.0
+
+    @property
+    def end_patience(self) -> float:
+        """How long it has to end: what is being asked of it, that it stops, and its report, each in its turn [s]."""
+        return super().end_patience + self.distance
 
     @property
     def running(self) -> bool:
@@ -165,9 +184,18 @@ class ByHand(Child):
     # -- on the watching thread --------------------------------------------------------------------------------------
 
     def _ask(self, op: str, **args: object) -> Any:
-        answer = self._line.call(op, timeout=1.0, **args)
+        wait = self._wait
+        if self._seen:
+            wait = min(wait, max(0.25, self._lost - (time.monotonic() - self._seen)))
+        asked = time.monotonic()
+        answer = self._line.call(op, timeout=wait, **args)
         self._seen = time.monotonic()
+        self._wait = max(ANSWER, self.distance, self._seen - asked)
         return answer
+
+    @property
+    def _lost(self) -> float:
+        return LOST + round(self.distance)
 
     def _watch(self) -> None:
         try:
@@ -181,10 +209,11 @@ class ByHand(Child):
                 self._visit()
             except ControlError as error:
                 silent = time.monotonic() - self._seen if self._seen else 0.0
-                if self._over and silent > UNREPORTED:
+                self._wait = min(2.0 * self._wait, LONGEST_ANSWER)
+                if self._over and silent > UNREPORTED + self.distance:
                     self._code, self._end = self._over
-                elif silent > LOST:
-                    self._code, self._end = 1, f"no answer for {LOST:g} s ({error})"
+                elif silent > self._lost:
+                    self._code, self._end = 1, f"no answer for {self._lost:g} s ({error})"
             ready = self._state in ("ready", "running")
             self._ending.wait(PERIOD if ready and not self._stop else _QUICK)
 
@@ -217,12 +246,12 @@ class ByHand(Child):
 
     def _with_clock(self) -> Setup:
         """Give the setup with the clock as measured, so that a node which answers at once stamps rightly from the first."""
-        for _ in range(_ROUNDS):
-            self._measure(tell=False)
+        self._measure_well(tell=False)
         offset, error = self._clock.best(time.monotonic())
         if not math.isfinite(error):
             return self.setup
-        return msgspec.structs.replace(self.setup, clock_offset=offset, clock_error=error)
+        lease = self.setup.lease + round(self.distance)
+        return msgspec.structs.replace(self.setup, clock_offset=offset, clock_error=error, lease=lease)
 
     @contextlib.contextmanager
     def _refusal(self, what: str) -> Iterator[None]:
@@ -245,11 +274,17 @@ class ByHand(Child):
     def _arrive(self) -> None:
         told = ""
         if self._far:
-            for _ in range(_ROUNDS):
-                self._measure()
+            self._measure_well()
             offset, error = self._clock.best(time.monotonic())
             told = f"; its clock is {-offset:+.6f} s from here, known to ±{error * 1e6:.0f} µs"
         self._say(f"{self.setup.name}: is there{told}")
+
+    def _measure_well(self, tell: bool = True) -> None:
+        until = time.monotonic() + 1.0
+        for _ in range(_ROUNDS):
+            self._measure(tell)
+            if time.monotonic() > until:
+                break
 
     def _measure(self, tell: bool = True) -> None:
         """Measure the clock and tell the node; one that has no use for it (another language) may refuse."""

@@ -197,7 +197,7 @@ class Supervisor:
             assert self.context is not None  # noqa: S101
             # A driver in another language may not know the question.
             with contextlib.suppress(ControlError):
-                times = call(self.context, child.setup.control, "device", timeout=1.0)
+                times = call(self.context, child.setup.control, "device", timeout=1.0 + child.distance)
                 child.opening, child.closing = float(times["opening_s"]), float(times["closing_s"])
             self._write_down(child)
 
@@ -205,7 +205,7 @@ class Supervisor:
         assert self.context is not None  # noqa: S101
         for child in self.children.values():
             if child.drives and child.running and not self._stop_asked:
-                call(self.context, child.setup.control, "start", timeout=10.0)
+                call(self.context, child.setup.control, "start", timeout=10.0 + child.distance)
         self.startup_s = time.monotonic() - self._begun
 
     def _watch(self, progress: Callable[[Supervisor], None] | None) -> None:
@@ -257,7 +257,7 @@ class Supervisor:
         with contextlib.suppress(ControlError):
             if state == "ready":
                 self._note_ready(child)
-                call(self.context, child.setup.control, "start", timeout=0.5)
+                call(self.context, child.setup.control, "start", timeout=0.5 + child.distance)
             # A lost answer shows as a driver that runs.
             child.to_start = state not in ("ready", "running")
 

@@ -407,3 +407,22 @@ def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(pair: Pair)
     # The driver tells it as delay: a sample's force took effect six periods later or more.
     told = [state.delay for state in recording.messages(topics.DEVICE_STATE) if state.force_seq >= 0]
     assert max(told) >= 6.0
+
+
+@pytest.mark.parametrize("node", ["coupling", "driver"] if "HAPTIC_ROUND_TRIP" in os.environ else ["driver"])
+def test_a_launch_starts_over_a_cable_with_a_long_round_trip(
+    pair: Pair, node: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A first answer takes six of them: more than the second after which it was once given up, each time anew.
+    round_trip = float(os.environ.get("HAPTIC_ROUND_TRIP", "0.2"))
+    pair.cable.delay, pair.cable.jitter = round_trip / 2.0, 0.001
+    patient = {"watchdog": 1000, "max_age": 1000}
+    monkeypatch.setitem(NODES["driver"]["parameters"], "safety", patient)
+    # Long enough for forces to arrive.
+    figures, _ = launch(pair, node, duration=4.0 * round_trip)
+    assert figures["exit_reason"] == "done"
+    assert figures["failures"] == []
+    assert figures["safety"]["entered"] == {"active": 1}
+    assert figures["age_ticks_max"] >= 100.0 * round_trip
+    # Who tried again was no enemy.
+    assert "plain client" not in pair.errors(0) + pair.errors(1)
