@@ -138,6 +138,35 @@ class Node(Telling, Changeable):
         return ()
 
     @classmethod
+    def stand_in(
+        cls, parameters: Mapping[str, Any], name: str, device: str
+    ) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Put a real device in the place of a virtual one (``device:=NAME``).
+
+        Parameters
+        ----------
+        parameters : mapping
+            Of the node, as written.
+        name : str
+            Of the node.
+        device : str
+            Name of the device.
+
+        Returns
+        -------
+        tuple of dict and dict, or None
+            The node's parameters with that device, and the plant that it is to a coupling; None for a node without a virtual
+            device.
+
+        Raises
+        ------
+        ParameterError
+            When no such device is known.
+        """
+        del parameters, name, device
+        return None
+
+    @classmethod
     def subscribes(cls, parameters: Any) -> tuple[str, ...]:
         """Tell which subscriptions a node makes at each publisher that it connects to: a publisher waits for all of them.
 

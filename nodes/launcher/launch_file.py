@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 
 from nodes.base.kinds import load, node_kinds
+from nodes.launcher import stand_in
 from nodes.launcher.launch_spec import Argument, Launch, LaunchText, NodeSpec, RunSpec
 from nodes.launcher.origins import Origins
 from nodes.parameters.refusals import choices
@@ -113,7 +114,7 @@ def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
         Summary, and arguments by name.
     """
     file = convert(read_yaml(path), LaunchText, path.name)
-    return file.summary, file.arguments
+    return file.summary, {**stand_in.offered(file.nodes), **file.arguments}
 
 
 def parse_assignments(words: list[str]) -> dict[str, Any]:
@@ -196,7 +197,8 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) ->
     name : str
         Scenario or path.
     given : mapping of str to object
-        Arguments that differ from their defaults; every launch file has ``tick`` (see `RunSpec`).
+        Arguments that differ from their defaults; every launch file has ``tick`` (see `RunSpec`), and each with a virtual
+        device ``device`` (`nodes.launcher.stand_in`).
     laid_over : sequence of Path
         YAML files, each a mapping from node to parameters, whole or in part, as ``haptic param dump`` and
         ``haptic study design`` write them; a later one goes before an earlier one.
@@ -223,7 +225,8 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) ->
 def _read(path: Path, data: Any, given: Mapping[str, Any], laid_over: Sequence[Path], origins: Origins) -> Launch:
     file = convert(data, LaunchText, path.name)
     tick = {} if "tick" in file.arguments else {"tick": given["tick"]} if "tick" in given else {}
-    values = _fill_in(path, file.arguments, {name: value for name, value in given.items() if name not in tick})
+    declared = {**(stand_in.offered(file.nodes) if stand_in.DEVICE in given else {}), **file.arguments}
+    values = _fill_in(path, declared, {name: value for name, value in given.items() if name not in tick})
     over = [_by_node(written, file.nodes, path.name) for written in laid_over]
     for written in laid_over:
         origins.laid_over(written)
@@ -242,6 +245,9 @@ def _read(path: Path, data: Any, given: Mapping[str, Any], laid_over: Sequence[P
         if made.watch:
             made = msgspec.structs.replace(made, parameters=_watched(node, made, where))
         nodes[node] = made
+    device = "none" if stand_in.DEVICE in file.arguments else values.get(stand_in.DEVICE, "none")
+    if device not in stand_in.NONE:
+        nodes = stand_in.stand_in(nodes, device, path.name)
     if not run.axes:
         wanted = dict.fromkeys(
             axis for node, spec in nodes.items() for axis in load(kinds[spec.kind]).axes(spec.parameters, node)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import msgspec
 
@@ -16,7 +17,7 @@ from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
 from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
 from sim.device.model import DeviceModel, Hand, move_towards
-from sim.device.presets import preset
+from sim.device.presets import preset, provenance
 from sim.device.state import VirtualDevice
 
 if TYPE_CHECKING:
@@ -38,7 +39,8 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
         Lets a page drag the target of the device's hand (nodes/view/pointer.py). Real time only: in lockstep the hand keeps to
         its path. None for a hand that nobody drags.
     preset : str
-        A real device whose published values go before those of `device`, e.g. ``touch_x``; empty or ``none`` for none.
+        A real device whose published values go before those of `device`, e.g. ``touch_x``; empty or ``none`` for none. Its
+        largest force is a limit of the driver too.
     """
 
     device: DeviceModel
@@ -49,8 +51,12 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
     def __post_init__(self) -> None:
         if self.preset not in ("", "none"):
             values = msgspec.to_builtins(self.device) | preset(self.preset)
+            device = msgspec.convert(values, DeviceModel)
             # Frozen for everybody else: this is a part of its making.
-            msgspec.structs.force_setattr(self, "device", msgspec.convert(values, DeviceModel))
+            msgspec.structs.force_setattr(self, "device", device)
+            if device.peak_force is not None:
+                peak = min(self.safety.peak_force or math.inf, device.peak_force)
+                msgspec.structs.force_setattr(self, "safety", msgspec.structs.replace(self.safety, peak_force=peak))
 
 
 class DraggedHand:
@@ -221,6 +227,26 @@ class SimDriver(Driver):
         from sim.device.tick.ticks import DriverTicks
 
         return DriverTicks(self, kernel)
+
+    @classmethod
+    def stand_in(
+        cls, parameters: Mapping[str, Any], name: str, device: str
+    ) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Put a preset in the place of the device that is described."""
+        changed = {**parameters, "preset": device}
+        model: DeviceModel = convert(changed, cls.Parameters, name).device
+        return changed, {
+            "mass": model.moving_mass,
+            "damping": model.moving_damping,
+            "stiffness": model.grip,
+            "device_delay": model.delay,
+        }
+
+    def configure(self) -> None:
+        """Make the device, and say what is known of the real one that it stands for."""
+        super().configure()
+        if self.store.current.preset not in ("", "none"):
+            self.announce("device", provenance(self.store.current.preset))
 
     @classmethod
     def check(cls, setup: Setup) -> None:

@@ -101,6 +101,14 @@ def preset(name: str) -> dict[str, float]:
     return {field: fact.value for field, fact in PRESETS[name].model.items()}
 
 
+def provenance(name: str) -> str:
+    """Tell in a line where a device's values come from."""
+    one = PRESETS[name]
+    known = [f"{field} {fact.value:g} ({fact.source})" for field, fact in one.model.items()]
+    advised = [f"{field} {fact.value:g} ({fact.source})" for field, fact in one.limits.items()]
+    return f"{one.title}: {', '.join(known)}" + (f"; advised, not applied: {', '.join(advised)}" if advised else "")
+
+
 def figures() -> list[dict[str, Any]]:
     """Tell all presets with their sources."""
 

@@ -153,8 +153,9 @@ def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple
                 left_out.append(f"{name}.safety.{limit}")
                 safety[limit] = nothing
         parameters: dict[str, Any] = {"safety": safety}
-        if "passivity" in spec.parameters:
-            parameters["passivity"] = spec.parameters["passivity"]
+        for kept in ("passivity", *(() if device else ("preset",))):
+            if kept in spec.parameters:
+                parameters[kept] = spec.parameters[kept]
         if device is not None:
             parameters["device"] = {k: v for k, v in msgspec.to_builtins(device).items() if v is not None}
         elif "device" in spec.parameters:

@@ -13,7 +13,7 @@ from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDriverParameters
 from sim.device.model import DeviceModel
 from sim.device.presets import MEMORY, PRESETS, preset
-from tests.support.launching import haptic, launch_json
+from tests.support.launching import haptic
 
 SCENE = {"mass": 0.1, "damping": 0.7, "friction": 0.03, "delay": 0.4, "resolution": 1e-6}
 
@@ -46,14 +46,42 @@ def test_no_preset_changes_nothing(name: str) -> None:
 
 
 def test_an_unknown_one_is_refused_with_those_there_are() -> None:
-    launch = launch_file.read("identify", {"device": "tuch_x"})
-    with pytest.raises(ParameterError, match=r"tuch_x.*touch_x"):
-        convert(launch.nodes["driver"].parameters, SimDriverParameters, "driver")
+    with pytest.raises(ParameterError, match=r"driver: preset is 'tuch_x'.*touch_x"):
+        launch_file.read("identify", {"device": "tuch_x"})
+
+
+@pytest.mark.parametrize("scenario", launch_file.scenarios())
+def test_every_scenario_takes_one_and_judges_laws_by_it(scenario: str) -> None:
+    assert "device" in launch_file.read_arguments(launch_file.find(scenario))[1]
+    before, launch = launch_file.read(scenario, {}), launch_file.read(scenario, {"device": "touch_x"})
+    device, described = (
+        convert(one.nodes["driver"].parameters, SimDriverParameters, "driver").device for one in (launch, before)
+    )
+    assert (device.mass, device.damping, device.hand) == (0.035, described.damping, described.hand)
+    # Its own limit, or the scene's stricter one.
+    limit = before.nodes["driver"].parameters["safety"]["peak_force"]
+    assert convert(launch.nodes["driver"].parameters, SimDriverParameters, "driver").safety.peak_force == min(
+        limit, 7.9
+    )
+    plant = launch.nodes["coupling"].parameters.get("plant")
+    if plant is not None:
+        assert (plant["mass"], plant["damping"]) == (device.moving_mass, device.moving_damping)
+    assert launch.arguments["device"] == "touch_x"
+
+
+def test_a_launch_without_a_virtual_device_takes_none(tmp_path: Path) -> None:
+    path = tmp_path / "bare.yaml"
+    path.write_text("summary: s\nnodes: {logger: {kind: logger}}\n")
+    with pytest.raises(ParameterError, match="no argument 'device'"):
+        launch_file.read(str(path), {"device": "touch_x"})
 
 
 def test_one_word_at_the_launch(tmp_path: Path) -> None:
     words = ("identify", "device:=touch_x", "pace:=lockstep", "duration:=5")
-    recording = launch_json(tmp_path, *words)["recording"]
+    launched = haptic(tmp_path, "launch", *words, "--json", "--no-plot")
+    recording = json.loads(launched.stdout.splitlines()[-1])["recording"]
+    assert "mass 0.035 (remembered, not checked)" in launched.stderr
+    assert "resolution 2.3e-05 (3D Systems, data sheet" in launched.stderr
     done = haptic(tmp_path, "study", "identify", recording, "--json")
     told = json.loads(done.stdout.splitlines()[-1])
     assert told["mass_kg"]["value"] == pytest.approx(0.035, rel=0.01)

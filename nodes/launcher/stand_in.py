@@ -1,0 +1,48 @@
+"""``device:=NAME``: a real device in the place of the virtual one that a launch file describes, in any launch that has one."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from nodes.base.kinds import load, node_kinds
+from nodes.base.node import Node
+from nodes.launcher.launch_spec import Argument, NodeSpec
+from nodes.parameters.store import ParameterError, merge
+
+DEVICE = "device"
+"""The argument."""
+NONE = ("", "none")
+"""What asks for no device."""
+ARGUMENT = Argument(default="none", help="a real device whose known values are taken: haptic device presets")
+
+
+def offered(nodes: Mapping[str, Any]) -> dict[str, Argument]:
+    """Give the argument, where one of the nodes, as written, has a virtual device."""
+    kinds = node_kinds()
+    for node in nodes.values():
+        # A kind that is not installed, or does not import, is refused when the launch is read.
+        with contextlib.suppress(ParameterError, AttributeError, KeyError):
+            if load(kinds[node["kind"]]).stand_in.__func__ is not Node.stand_in.__func__:  # type: ignore[attr-defined]
+                return {DEVICE: ARGUMENT}
+    return {}
+
+
+def stand_in(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict[str, NodeSpec]:
+    """Put a real device in the place of every virtual one, and of the plant that a coupling judges its laws by."""
+    kinds, found = node_kinds(), dict(nodes)
+    plant: dict[str, Any] | None = None
+    for name, spec in nodes.items():
+        stood = load(kinds[spec.kind]).stand_in(spec.parameters, name, device)
+        if stood is not None:
+            parameters, plant = stood
+            found[name] = msgspec.structs.replace(spec, parameters=parameters)
+    if plant is None:
+        raise ParameterError(f"{where}: {DEVICE}:={device}: no node of it has a virtual device; leave it out")
+    for name, spec in found.items():
+        if isinstance(spec.parameters.get("plant"), Mapping):
+            found[name] = msgspec.structs.replace(spec, parameters=merge(spec.parameters, {"plant": plant}))
+    return found
