@@ -83,7 +83,7 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     overruns : int
         Ticks so far that had to be left out because the driver itself was late by a whole period or more.
     safety : str
-        ``ramp``, ``active``, ``damping``, ``zero`` or ``fault``: what the driver does with forces now.
+        ``ramp``, ``active``, ``damping``, ``zero``, ``fault`` or ``stopped``: what the driver does with forces now.
     energy : float
         Energy given out by the virtual side up to this tick, exact under zero-order hold [J].
     delay : float

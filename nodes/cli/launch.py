@@ -160,14 +160,14 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _ending(final: dict[str, Any]) -> str:
+def _ending(final: dict[str, Any], stopped: bool) -> str:
     """Say how the motion ended: a mass that buzzes or falls is not at rest."""
     motion, where = final["motion"], f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N"
     swing, speed = f"{final['swing_m'] * 1e3:.3g} mm", f"{final['velocity_m_per_s']:+.3g} m/s"
     if motion == "swinging":
         return f"  swinging  {where}, {swing} to and fro at {final['frequency_hz']:.3g} Hz"
     if motion == "falling":
-        return f"  falling   {where}, {speed}: there is nothing under it"
+        return f"  falling   {where}, {speed}: {'the driver has stopped' if stopped else 'there is nothing under it'}"
     return f"  at rest   {where}" if motion == "at rest" else f"  moving    {where}, {speed}"
 
 
@@ -193,7 +193,7 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
     lines += _safety_text(figures["safety"])
     final = figures["final"]
     if isinstance(final["position_m"], float):
-        lines.append(_ending(final))
+        lines.append(_ending(final, figures["safety"].get("state") == "stopped"))
     lines += [f"  recording {path}" for path in figures["recordings"]]
     if figures["plot"]:
         lines.append(f"  plot      {figures['plot']}")

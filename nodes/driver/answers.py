@@ -77,7 +77,7 @@ class Answers(Node):
         while self._untold:
             kind, reason = self._untold.popleft()
             # Every change of state is published, whatever else happened.
-            self.tell(kind, reason, always=kind == "safety")
+            self.tell(kind, reason, always=kind in ("safety", "stopped"))
 
     def between_ticks(self, seq: int) -> None:
         """Tell what happened, then do what every node does."""

@@ -41,6 +41,9 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         Time in which forces grow to their full size after a start or a recovery [s].
     workspace : tuple of tuple of float, shape (3, 2), or None
         Smallest and largest coordinate of each axis [m]; a position outside is a fault and no data, and there is no force.
+    stop_after : int or None
+        How often within 2 s the force may come to `peak_force` while the loop gives out energy; then the loop is unstable, and
+        the driver stops for good: damping, then no force until it is started again. None for never.
     hang : float or None
         After so long within one tick the device is taken to hang, and the driver ends [s]; None for a debugger.
     without : list of str
@@ -57,6 +60,7 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     slew: Positive | None = None
     ramp: NonNegative = 0.0
     workspace: Workspace | None = None
+    stop_after: Annotated[int, msgspec.Meta(ge=2)] | None = 6
     hang: Positive | None = 1.0
     without: list[Literal["peak_force", "workspace", "hold"]] = []
 

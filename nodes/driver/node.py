@@ -147,6 +147,8 @@ class Driver(Answers):
             stepped = motion.sample(position, stamp)
             if guard is not None and stepped:
                 guard.observe(motion.acted, motion.before, position, motion.elapsed)
+            if safety.swings:
+                safety.watch_swings(motion.energy, motion.velocity, seq)
         self.seq = seq
         payload = encode(
             DeviceState(

@@ -6,7 +6,9 @@ A small machine of states, the same for the virtual device and for hardware::
                               ▲                                                                  │
                               ├──────────────────────── a fresh force ───────────────────────────┘
                             zero ◀──back inside── fault ◀──outside the workspace── any of them
+                         stopped ◀──the force swings between its limits, and gives out energy── any of them
 
+``stopped`` is for good: damping, then no force, until the driver is started again.
 Limits come from the device and from the launch file, whichever is lower; a launch file that asks for more is told so.
 Whatever messages come in whatever order: on each axis the force stays within the peak, all changes made during one tick
 add up to no more than the slew, and the mean square of the force stays within the continuous limit.
@@ -27,6 +29,9 @@ from nodes.kernels import limit
 
 REACH = 1e6
 """Farther than this no device is: a position beyond is a fault of whoever measured it [m]."""
+
+STOP_WINDOW = 2.0
+"""Within so long a loop that swings brings its force to the largest magnitude `stop_after` times, and gives out energy [s]."""
 
 REASONS = 8
 """Changes of state that the summary of a run tells; all of them are on the driver's event topic."""
@@ -53,7 +58,7 @@ class Safety:
     Attributes
     ----------
     state : str
-        ``waiting``, ``ramp``, ``active``, ``damping``, ``zero`` or ``fault``.
+        ``waiting``, ``ramp``, ``active``, ``damping``, ``zero``, ``fault`` or ``stopped``.
     force : tuple of float, shape (3,)
         What was handed over last [N].
     force_seq : int
@@ -66,6 +71,8 @@ class Safety:
         What holds.
     motor : Motor or None
         What watches its heat; None without a limit.
+    swings : bool
+        Whether `watch_swings` has something to watch.
     slewed : list of float, shape (3,)
         How far the force has changed on each axis in the newest tick [N].
     """
@@ -97,6 +104,14 @@ class Safety:
         )
         # A device without limits needs none of what watches them.
         self._unlimited = self.motor is None and self.limits.peak is None and self.limits.slew is None
+        # Ticks at which the force came to its largest magnitude, and the energy that was given out until then [J].
+        self._peaks: deque[tuple[int, float]] = deque(maxlen=parameters.stop_after)
+        # On which side each axis asks for more than that, 0 for neither; and whether one has come to a new side.
+        self._sides = [0, 0, 0]
+        self._peaked = False
+        self._stopped = 0
+        self._brake: Vector = ZERO
+        self.swings = parameters.stop_after is not None and self.limits.peak is not None
         self._since = 0
         self._tick = -1
         self.slewed = [0.0, 0.0, 0.0]
@@ -122,12 +137,13 @@ class Safety:
         }
 
     def _enter(self, state: str, seq: int, reason: str) -> None:
-        if state != self.state:
+        if state != self.state and self.state != "stopped":
             text = f"{self.state} → {state} at tick {seq}: {reason}"
             self.state = state
             self._entered[state] = self._entered.get(state, 0) + 1
             self._reasons.append(text)
-            self._tell("safety", text)
+            # By a name of its own: among many changes of state it must not be overlooked.
+            self._tell("stopped" if state == "stopped" else "safety", text)
 
     def admit(self, force: Force, seq: int) -> bool:
         """Judge whether a received force may be used at all."""
@@ -153,10 +169,40 @@ class Safety:
         self._since = seq
         return self._hand_over(wanted if self.state == "active" else self._become_active(wanted, seq), seq)
 
+    def watch_swings(self, energy: float, velocity: Callable[[], Vector], seq: int) -> None:
+        """Stop for good when the force comes to its limit again and again and the loop gives out energy meanwhile [J].
+
+        Energy is compared between moments at which the force comes to its limit, so that what a surface has in store then is
+        no part of it. A surface that takes energy, as one does that somebody taps hard, is not stopped.
+        """
+        if self.state == "stopped":
+            b, (x, y, z) = -self._damping, velocity()
+            damped = seq - self._stopped < self.limits.damping_ticks
+            self._brake = (b * x, b * y, b * z) if damped else ZERO
+            return
+        if not self._peaked:
+            return
+        self._peaked = False
+        self._peaks.append((seq, energy))
+        first, before = self._peaks[0]
+        span = (seq - first) * self._period
+        if len(self._peaks) == self._peaks.maxlen and span <= STOP_WINDOW and energy > before:
+            self._stopped = seq
+            self._enter(
+                "stopped",
+                seq,
+                f"the loop swings: its force came to the limit of {self.limits.peak:g} N {len(self._peaks)} times within "
+                f"{span:.2g} s and gave out {(energy - before) * 1e3:.3g} mJ; no force until the next start: launch again with "
+                "a softer law",
+            )
+            self.watch_swings(energy, velocity, seq)
+
     def _become_active(self, wanted: Vector, seq: int) -> Vector:
-        """Let forces in again: none in a fault, a growing share of them during the ramp."""
+        """Let forces in again: none in a fault, a brake when stopped, a growing share of them during the ramp."""
         if self.state == "fault":
             return ZERO
+        if self.state == "stopped":
+            return self._brake
         if self.state != "ramp":
             self._ramp_from = seq
             reason = "the first force" if self.state == "waiting" else "fresh forces again"
@@ -172,6 +218,7 @@ class Safety:
     def answered(self, force: Vector, seq: int, slewed: list[float]) -> None:
         """Take over what compiled ticks did, in the state ``active`` and below all limits."""
         self.force, self.force_seq, self._since = force, seq, seq
+        self._sides = [0, 0, 0]
         if not self._unlimited:
             self._tick, self.slewed = seq, slewed
 
@@ -181,6 +228,8 @@ class Safety:
         silent = seq - self._since
         if self.state == "waiting":
             return None
+        if self.state == "stopped":
+            return self._hand_over(self._brake, seq)
         if self.state in ("active", "ramp"):
             if silent < limits.watchdog:
                 last = self.force
@@ -202,12 +251,14 @@ class Safety:
         x, y, z = position
         if not (-REACH <= x <= REACH and -REACH <= y <= REACH and -REACH <= z <= REACH):
             self._enter("fault", seq, f"the device gives position {position}")
+            self._brake = ZERO
             return False
         for axis, low, high in self._workspace:
             if not low <= position[axis] <= high:
                 self._enter(
                     "fault", seq, f"{'xyz'[axis]} = {position[axis]:.4g} m, workspace {low:.4g} to {high:.4g} m"
                 )
+                self._brake = ZERO
                 return False
         if self.state == "fault":
             # Not active yet: a force must come first, which may then grow by the ramp.
@@ -234,8 +285,11 @@ class Safety:
             left = None if slew is None else max(slew - slewed[i], 0.0)
             value = limited[i] = limit(wanted[i], last[i], peak, left)
             if value != wanted[i]:
-                which = "peak" if peak is not None and abs(wanted[i]) > peak else "slew"
-                self.limited[which] += 1
+                over = peak is not None and abs(wanted[i]) > peak
+                self.limited["peak" if over else "slew"] += 1
+            side = 0 if peak is None or abs(wanted[i]) <= peak else 1 if wanted[i] > 0.0 else -1
+            self._peaked = self._peaked or side not in (0, self._sides[i])
+            self._sides[i] = side
         if motor is not None:
             lefts = None if slew is None else min(max(slew - slewed[i], 0.0) for i in self._axes)
             cooled = motor.lower(last, limited, lefts)

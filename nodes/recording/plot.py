@@ -34,7 +34,7 @@ FORMATS = ("png", "svg", "pdf")
 
 DPI = 120
 
-_SAFETY = {"ramp": "#e8d9a0", "damping": "#f2b48a", "zero": "#e58c8c", "fault": "#c0262d"}
+_SAFETY = {"ramp": "#e8d9a0", "damping": "#f2b48a", "zero": "#e58c8c", "fault": "#c0262d", "stopped": "#7a1620"}
 
 _ROWS = 3
 

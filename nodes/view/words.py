@@ -16,6 +16,7 @@ _STATES = {
     "waiting": "the driver waits for the first force of the coupling",
     "damping": "the coupling is late; the driver damps the device meanwhile",
     "zero": "the coupling is silent; the watchdog has let go until a fresh force comes",
+    "stopped": "the loop was unstable, and the driver has stopped it for good; end this launch and start another",
     "fault": "the device is outside its workspace; bring it back inside",
 }
 
@@ -35,7 +36,7 @@ def explain(
         return "stop", f"No force: nothing has come from the driver for {silent:.1f} s."
     because = f" ({told})" if told else ""
     given = size(state.force)
-    if state.safety in ("waiting", "zero", "fault") and given <= LITTLE:
+    if state.safety in ("waiting", "zero", "fault", "stopped") and given <= LITTLE:
         return "stop", f"No force: {_STATES[state.safety]}{because}."
     if state.safety in _STATES:
         return "warn", f"{given:.2f} N: {_STATES[state.safety]}{because}."

@@ -150,7 +150,9 @@ def push(
 ) -> Pushed:
     """Push the device once, record it, and put everything back."""
     start = loop.progress()
-    if start["safety"] in ("fault",):
+    if start["safety"] == "stopped":
+        raise RefusedError(f"{loop.driver}: has stopped for good; launch again")
+    if start["safety"] == "fault":
         raise RefusedError(f"{loop.driver}: the device is outside its workspace; bring it back first")
     here = tuple(float(x) for x in start["position_m"])
     centre = tuple(float(x) for x in place) if place is not None else here
@@ -216,9 +218,10 @@ def _watch(loop: Loop, duration: float, say: Callable[[str], None]) -> str:
         now = loop.progress()
         done = now["tick"] - first["tick"]
         say(f"pushing: {min(100, 100 * done // ticks)} %")
-        alarmed = alarmed + 1 if now["safety"] in ("fault", "zero") else 0
+        alarmed = alarmed + 1 if now["safety"] in ("fault", "zero", "stopped") else 0
         if alarmed * _POLL >= ALARM:
-            return f"the driver took the force away ({now['safety']}): the device left its workspace, or forces stopped"
+            why = "the device left its workspace, the loop swung, or forces stopped"
+            return f"the driver took the force away ({now['safety']}): {why}"
         if done >= ticks:
             return "done"
         moved = max(abs(now["position_m"][i] - still_at[i]) for i in loop.axes)

@@ -233,6 +233,68 @@ def test_axes_that_the_scene_does_not_compute_get_no_force() -> None:
     assert port.safety.missed(1, (3.0, 3.0, 0.5)) == (0.0, 0.0, -0.5)
 
 
+# -- a loop that swings -----------------------------------------------------------------------------------------------
+
+
+def swung(port: Port, times: int, apart: int, gained: float, both: bool = False) -> int:
+    """Ask for more than the peak again and again; give the tick after."""
+    tick = 0
+    for n in range(times):
+        for k in range(apart):
+            port.safety.watch_swings(gained * n, lambda: (0.0, 0.0, -0.2), tick)
+            z = 20.0 if k == 0 else -20.0 if both else 1.0
+            port.answer(force(tick, z), tick)
+            tick += 1
+    port.safety.watch_swings(gained * times, lambda: (0.0, 0.0, -0.2), tick)
+    return tick
+
+
+@pytest.mark.parametrize(
+    ("times", "apart", "gained", "both", "state"),
+    [
+        (6, 10, 1e-9, False, "stopped"),
+        (5, 10, 1e-9, False, "active"),  # once less
+        (6, 10, 0.0, False, "active"),  # nobody who taps a surface hard gets energy from it
+        (6, 10, -1e-3, False, "active"),
+        (6, 200, 1e-9, False, "stopped"),  # 5 times 0.4 s are 2 s
+        (6, 201, 1e-9, False, "active"),
+        (3, 10, 1e-9, True, "stopped"),  # from one side to the other is a swing too, with no tick in between
+    ],
+)
+def test_a_force_that_swings_at_its_limit_and_gives_out_energy_stops_the_driver(
+    times: int, apart: int, gained: float, both: bool, state: str
+) -> None:
+    port = Port(peak_force=8.0)
+    swung(port, times, apart, gained, both)
+    assert port.safety.state == state
+    assert [kind for kind, _ in port.events if kind == "stopped"] == ["stopped"] * (state == "stopped")
+
+
+def test_a_stop_is_for_good_and_damps_first() -> None:
+    port = Port(peak_force=8.0, damping=0.5, damping_ticks=5, workspace=((-0.1, 0.1),) * 3)
+    tick = swung(port, 6, 2, 1e-3)  # stopped in the tick before this one: 4 of 5 are left
+    for passed, answered in enumerate([True, False] * 5):
+        port.safety.watch_position(ZERO, tick)
+        port.safety.watch_swings(1.0, lambda: (0.0, 0.0, -0.2), tick)
+        if answered:
+            assert port.answer(force(tick, 3.0), tick)
+        else:
+            port.safety.missed(tick, (0.0, 0.0, -0.2))
+        assert port.safety.force[2] == pytest.approx(0.5 * 0.2 if passed < 4 else 0.0, abs=1e-15)
+        tick += 1
+    # A position that is none must not leave a brake behind that no position answers.
+    port.safety._stopped = tick
+    port.safety.watch_swings(1.0, lambda: (0.0, 0.0, -0.2), tick)
+    assert not port.safety.watch_position((0.2, 0.0, 0.0), tick)
+    assert port.safety.missed(tick, ZERO) == ZERO
+    assert port.safety.state == "stopped"
+
+
+def test_without_a_largest_force_or_by_request_nobody_stops_it() -> None:
+    for port in (Port(), Port(peak_force=8.0, stop_after=None)):
+        assert not port.safety.swings
+
+
 # -- the end ----------------------------------------------------------------------------------------------------------
 
 
