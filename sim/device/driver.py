@@ -18,6 +18,7 @@ from nodes.parameters.store import ParameterError, convert
 from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
 from sim.device.model import DeviceModel, Hand, move_towards
 from sim.device.presets import preset, provenance
+from sim.device.several_axes import SeveralAxes, along
 from sim.device.state import VirtualDevice
 
 if TYPE_CHECKING:
@@ -216,7 +217,7 @@ class TimedDevice:
 
 
 class SimDriver(Driver):
-    """A driver node with a virtual device of one axis."""
+    """A driver node with a virtual device, alike along every axis of the scene."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = SimDriverParameters
     virtual: ClassVar[bool] = True
@@ -250,13 +251,8 @@ class SimDriver(Driver):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check that it has one axis, and a pointer a hand to drag, beside what every driver checks."""
+        """Check that a pointer has a hand to drag, beside what every driver checks."""
         super().check(setup)
-        if len(setup.axes) > 1:
-            raise ParameterError(
-                f"{setup.name}: the virtual device moves along one axis, but the scene computes {', '.join(setup.axes)} "
-                "(run.axes, or the axes along which its surface pushes); name the one that it moves along"
-            )
         parameters: SimDriverParameters = convert(setup.parameters, cls.Parameters, setup.name)
         if parameters.pointer is not None and parameters.device.hand is None:
             raise ParameterError(
@@ -271,8 +267,23 @@ class SimDriver(Driver):
         dragged = None
         if hand is not None and parameters.pointer is not None and self.setup.pace == "realtime":
             dragged = DraggedHand(hand, parameters.pointer, self.setup)
-        self._timed = TimedDevice(parameters.device, self.setup, parameters.hold, dragged)
+        axes = self.setup.axes
+        parts = [
+            TimedDevice(model, msgspec.structs.replace(self.setup, axes=[axis]), parameters.hold, dragged)
+            for axis, model in zip(axes, along(parameters.device, axes), strict=True)
+        ]
+        for part in parts[1:]:
+            # The pointer drags the hand along the first axis.
+            part.dragged = None
+        self._timed = parts[0] if len(parts) == 1 else SeveralAxes(parts)
         return self._timed
+
+    def load_kernel(self) -> None:
+        """Load the compiled ticks, which are those of one axis."""
+        if len(self.setup.axes) == 1:
+            super().load_kernel()
+        elif self.setup.tick == "compiled":
+            self.tell("tick", "plain: the device has several axes")
 
     @property
     def target(self) -> Vector:

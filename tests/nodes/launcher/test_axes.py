@@ -51,7 +51,6 @@ def test_a_wall_across_x_without_axes_is_felt(tmp_path: Path) -> None:
     [
         ("{kind: plane, axis: x}", "[z]", "environment.surface: a plane that pushes along x, but run.axes is [z]"),
         ("{kind: anchor, position: [0.0, 0.01, 0.0]}", "[x]", "pushes along y, but run.axes is [x]"),
-        ("{kind: plane, axis: x}", "[x, y]", "the virtual device moves along one axis, but the scene computes x, y"),
     ],
 )
 def test_a_scene_whose_parts_do_not_meet_is_refused(surface: str, axes: str, told: str, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ def parameters(launch: Running) -> tuple[str, Any]:
 def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) -> None:
     with running(tmp_path, *SCENE) as launch:
         before = parameters(launch)
-        done = launch.haptic("device", "identify", "--duration", "6", "--json")
+        done = launch.haptic("device", "identify", "--duration", "4", "--json")
         figures = json.loads(done.stdout.splitlines()[-1])
         assert parameters(launch) == before
         assert before[0] == "pd"
@@ -42,6 +43,26 @@ def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) ->
         assert figures[key]["value"] == pytest.approx(truth, rel=0.05), key
     assert figures["encoder_m"]["value"] == pytest.approx(2.3e-5, rel=1e-9)
     assert len(figures["places"]) == 1
+
+
+def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path) -> None:
+    hand = "hand: {mass: 0.1, damping: 3.0, stiffness: 150.0, path: [[0.0, 0.0]]}"
+    (tmp_path / "held.yaml").write_text(f"driver: {{device: {{{hand}}}}}", encoding="utf-8")
+    words = ("identify", "axes:=[x,y,z]", "apply:=next_tick", "duration:=0", "--params", "held.yaml")
+    with running(tmp_path, *words) as launch:
+        done = launch.haptic("device", "identify", "--duration", "4", "--json")
+        launch.finish(signal.SIGINT, code=None)
+    told = json.loads(done.stdout.splitlines()[-1])["places"]
+    assert [one["axis"] for one in told] == ["x", "y", "z"] * 3
+    # Three places, 20 mm apart along every axis.
+    places = [one["place_m"] for one in told[::3]]
+    for nearer, farther in pairwise(places):
+        assert [b - a for a, b in zip(nearer, farther, strict=True)] == pytest.approx([0.02] * 3, abs=1e-12)
+    for one in told:
+        assert one["held"] is True
+        # Four seconds in real time on a loaded machine: 5 %.
+        for key, truth in (("mass_kg", 0.2), ("damping_n_s_per_m", 4.0), ("hand_stiffness_n_per_m", 150.0)):
+            assert one[key]["value"] == pytest.approx(truth, rel=0.05), (key, one["axis"])
 
 
 def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> None:
