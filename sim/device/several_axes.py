@@ -6,16 +6,20 @@ Where it begins, and the path of its hand, are along the first axis; weight is a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import msgspec
 
 from messages.types import Vector
-from nodes.driver.device import DeviceLimits
+from nodes.driver.device import Device, DeviceLimits
 from sim.device.model import DeviceModel
 
-if TYPE_CHECKING:
-    from sim.device.driver import TimedDevice
+
+class Part(Device, Protocol):
+    """A device of one axis."""
+
+    target: Vector
+    """Where its hand pulls to [m]."""
 
 
 def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
@@ -36,7 +40,7 @@ def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
 class SeveralAxes:
     """The devices of all axes as one."""
 
-    def __init__(self, parts: Sequence[TimedDevice]) -> None:
+    def __init__(self, parts: Sequence[Part]) -> None:
         self._parts = parts
 
     @property

@@ -15,6 +15,8 @@ from nodes.recording.reader import Recording
 
 Array = NDArray[np.float64]
 
+BRIDGED = 25
+"""So many ticks that the driver slept through do not end a stretch: forces held meanwhile, and the motion is known [ticks]."""
 SHORTEST = 400
 """Fewer ticks in a row tell no device [ticks]."""
 
@@ -30,7 +32,7 @@ class Experiment:
     position : ndarray, shape (N,)
         Measured position at each tick [m].
     segments : tuple of tuple of int, shape (s, 2)
-        First tick and end of each stretch without a gap: indices into `position`.
+        First tick and end of each stretch without a long gap: indices into `position`.
     at : ndarray, shape (M,)
         When each force was handed to the device [ticks since the first position], rising.
     force : ndarray, shape (M,)
@@ -39,6 +41,8 @@ class Experiment:
         Delay of each answered tick as the driver measured it, the device's own not included [ticks].
     axis : str
         ``x``, ``y`` or ``z``.
+    unread : ndarray of bool, shape (N,), or None
+        Ticks whose position was not sampled: filled in for a first guess, never compared with a model. None for none.
     """
 
     period: float
@@ -48,6 +52,12 @@ class Experiment:
     force: Array
     delay: Array
     axis: str = "x"
+    unread: NDArray[np.bool_] | None = None
+
+    @property
+    def missing(self) -> NDArray[np.bool_]:
+        """Whether a tick's position was not sampled, shape (N,)."""
+        return np.zeros(len(self.position), dtype=bool) if self.unread is None else self.unread
 
     def between(self, start: int, end: int) -> Experiment:
         """Cut out a stretch of time."""
@@ -94,11 +104,11 @@ def read(path: Path, axis: str | None = None) -> Experiment:
     took = seq - 1 + np.where(fresh, told - age, 1.0)
     used = fresh | changed
     at = np.maximum.accumulate(took[used]) - seq[0]
-    breaks = np.flatnonzero(np.diff(seq) != 1) + 1
+    breaks = np.flatnonzero(np.diff(seq) > BRIDGED) + 1
     ends = [0, *breaks.tolist(), len(seq)]
-    # Indices of `position` are ticks: what is missing between two segments is never looked at.
-    whole = np.zeros(int(seq[-1] - seq[0]) + 1)
-    whole[seq - seq[0]] = positions[:, column]
+    # Indices of `position` are ticks.
+    ticks = np.arange(int(seq[-1] - seq[0]) + 1)
+    whole = np.interp(ticks, seq - seq[0], positions[:, column])
     segments = tuple(
         (int(seq[first] - seq[0]), int(seq[last - 1] - seq[0]) + 1)
         for first, last in itertools.pairwise(ends)
@@ -109,4 +119,5 @@ def read(path: Path, axis: str | None = None) -> Experiment:
             f"{path}: no {SHORTEST} ticks without gaps between them; record by a faster disk or a shorter run"
         )
     delays = told[fresh & (age == 0)]
-    return Experiment(1.0 / rate, whole, segments, at, forces[used, column], delays, axis)
+    missing = ~np.isin(ticks, seq - seq[0])
+    return Experiment(1.0 / rate, whole, segments, at, forces[used, column], delays, axis, missing)

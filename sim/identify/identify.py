@@ -169,7 +169,10 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
         return _nothing(
             experiment, length, "the force never changed: nothing tells the device; push it (haptic launch identify)"
         )
-    grid = encoder(np.concatenate([experiment.position[first:end] for first, end in experiment.segments]))
+    within = np.zeros(len(experiment.position), dtype=bool)
+    for first, end in experiment.segments:
+        within[first:end] = True
+    grid = encoder(experiment.position[within & ~experiment.missing])
     scale = grid.step or 1e-6
     unseen = starts[HELD_OUT - 1 :: HELD_OUT]
     seen = np.setdiff1d(starts, unseen)
@@ -229,7 +232,7 @@ def _nothing(experiment: Experiment, length: int, why: str) -> Identified:
         friction=unknown,
         delay=unknown,
         device_delay=unknown,
-        encoder=_step(encoder(experiment.position)),
+        encoder=_step(encoder(experiment.position[~experiment.missing])),
         stiffness=unknown,
         load=unknown,
         jitter=jitter,

@@ -102,6 +102,7 @@ def _normal(
     length: int,
     period: float,
     position: Array,
+    missing: NDArray[np.bool_],
     at: Array,
     force: Array,
     scale: float,
@@ -123,6 +124,8 @@ def _normal(
         start, x, v = starts[w], states[w, 0], states[w, 1]
         _window(theta, x, v, start, length, period, at, force, here)
         residual = position[start : start + length] - here
+        unread = missing[start : start + length]
+        residual[unread] = 0.0
         errors[w] = residual @ residual
         for i in range(p):
             moved = theta.copy()
@@ -134,6 +137,7 @@ def _normal(
         nudge = 0.1 * scale / (length * period)
         _window(theta, x, v + nudge, start, length, period, at, force, there)
         slopes[p + 1] = (there - here) / nudge
+        slopes[:, unread] = 0.0
         # The state's own 2 × 2 block, a hair away from singular where friction holds the device all the time.
         a = slopes[p] @ slopes[p]
         d = slopes[p + 1] @ slopes[p + 1]
@@ -282,8 +286,8 @@ def fit(
     def normal(theta: Array, states: Array) -> Any:
         widths = _STEPS * np.maximum(_SIZES, np.abs(theta))
         return _normal(
-            theta, chosen, widths, states, starts, length, experiment.period, experiment.position, experiment.at,
-            experiment.force, scale,
+            theta, chosen, widths, states, starts, length, experiment.period, experiment.position, experiment.missing,
+            experiment.at, experiment.force, scale,
         )  # fmt: skip
 
     now = normal(theta, states)

@@ -184,21 +184,6 @@ def push(
     return result
 
 
-def _await_recording(recorder: subprocess.Popen[bytes], out: Path) -> None:
-    """Wait until messages reach the file: a push that nobody records is for nothing."""
-    until = time.monotonic() + 20.0
-    first = 0
-    while time.monotonic() < until and recorder.poll() is None:
-        size = out.stat().st_size if out.exists() else 0
-        if first and size > first:
-            return
-        first = first or size
-        time.sleep(_POLL)
-    raise RefusedError(
-        f"{out}: no message was recorded within 20 s; does the launch tick, and can the file be written?"
-    )
-
-
 def _centre(loop: Loop, here: Sequence[float], centre: Sequence[float]) -> None:
     """Bring the spring's far end there in steps of a millimetre, which the soft spring turns into a slow pull."""
     steps = max(1, round(max(abs(c - h) for c, h in zip(centre, here, strict=True)) / 1e-3))

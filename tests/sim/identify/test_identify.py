@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -160,6 +161,18 @@ def test_no_window_spans_a_gap() -> None:
     gap = Experiment(T, position, ((0, 1000), (1010, 4000)), whole.at, whole.force, whole.delay)
     found = identify(gap)
     assert found.mass.value == pytest.approx(0.1, rel=1e-3)
+
+
+def test_ticks_that_were_slept_through_are_bridged() -> None:
+    """Every 80 ticks 20 are missing, so no window of 100 is whole; the forces that held meanwhile are known."""
+    truth = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.0, resolution=23e-6)
+    whole = excite(truth, T, 8.0, seed=1)
+    missing = np.arange(len(whole.position)) % 100 >= 80
+    # What is filled in there must not be compared with.
+    position = np.where(missing, whole.position + 0.01, whole.position)
+    found = identify(replace(whole, position=position, unread=missing))
+    assert found.mass.value == pytest.approx(0.1, rel=1e-3)
+    assert found.encoder.value == pytest.approx(23e-6, rel=1e-9)
 
 
 def test_study_identify_reads_a_launch(tmp_path: Path) -> None:
