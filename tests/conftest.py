@@ -1,4 +1,4 @@
-"""What several rooms of tests start from: a ZeroMQ context, a place for a socket, keys of their own."""
+"""What several rooms of tests start from: a ZeroMQ context, a place for a socket, keys of their own, the machine."""
 
 from __future__ import annotations
 
@@ -12,9 +12,20 @@ from messages.transport import keys
 from messages.transport.keys import Identity
 from messages.transport.sockets import new_context
 from tests.support.launching import private_runtime_dir
+from tests.support.machine import machine
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Hold the machine from before a test's fixtures are set up until they are gone."""
+    worker = getattr(item.config, "workerinput", None)
+    if worker is None:
+        return (yield)
+    with machine(worker["testrunuid"], alone=item.get_closest_marker("realtime") is not None):
+        return (yield)
 
 
 @pytest.fixture
