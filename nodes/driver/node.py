@@ -61,6 +61,8 @@ class Driver(Answers):
     publishes: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
     virtual: ClassVar[bool] = False
+    # A stop may be asked for before the node is configured.
+    _ahead: Ahead | None = None
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -118,7 +120,6 @@ class Driver(Answers):
             )
         self._latency = Latency(round(latency / self.setup.period, 9)) if latency else None
         self._motion = Motion(self.setup.period, self._axes, self.virtual, self._latency)
-        self._ahead: Ahead | None = None
         self._open = False
         self._soft_stop_ticks = 0
         # What is on the device, which under ``next_tick`` is not yet what was decided last; and the tick it was written in.

@@ -20,6 +20,8 @@ from sim.measure.rig import full_pipe
 from tests.support import FIXTURES
 from tests.support.launching import Running, running, wait_for
 
+pytestmark = pytest.mark.realtime
+
 INSTALLED = {"PYTHONPATH": f"{FIXTURES / 'installed'}:{os.environ.get('PYTHONPATH', '')}"}
 STIFFNESS, DAMPING = 1000.0, 0.5
 LAW_DAMPING = 3.0

@@ -19,6 +19,8 @@ from nodes.laws.excitation import ASTRAY, Excitation, held_back
 from nodes.laws.parse import parse_law
 from tests.support.launching import HAPTIC, Running, haptic, running, wait_for
 
+pytestmark = pytest.mark.realtime
+
 T = 0.002
 SCENE = ("floor_buzz", "duration:=0")
 

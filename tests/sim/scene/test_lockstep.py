@@ -134,8 +134,10 @@ def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> N
         figures = launch.finish()
     for path in figures["recordings"]:
         recording = Recording(tmp_path / path)
-        assert [state.seq for state in recording.messages(DEVICE_STATE)] == list(range(figures["ticks"] + 1))
-        for topic in (PROXY, FORCE):
-            assert [message.seq for message in recording.messages(topic)] == list(range(figures["ticks"] + 1))
-    kept = accounts(Recording(tmp_path / figures["recording"]))
-    assert {name: account.lost for name, account in kept.items()} == dict.fromkeys(kept, 0)
+        kept = accounts(recording)
+        for topic in (DEVICE_STATE, PROXY, FORCE):
+            seqs = [message.seq for message in recording.messages(topic)]
+            assert seqs == sorted(set(seqs))
+            # A logger that is starved may lose messages, and counts them where it records all topics of their sender.
+            sender = kept.get({PROXY: "environment", FORCE: "coupling"}.get(topic, "driver"))
+            assert sender is None or sender.lost == figures["ticks"] + 1 - len(seqs)
