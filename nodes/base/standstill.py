@@ -6,10 +6,13 @@ nothing then.
 
 from __future__ import annotations
 
+import faulthandler
+import math
 import os
 import sys
 import time
 import traceback
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from messages import topics
@@ -18,6 +21,7 @@ from nodes.base.words import last_words
 
 if TYPE_CHECKING:
     from nodes.base.node import Node
+    from nodes.base.setup import Setup
 
 HUNG = 3
 """Exit code of a node that has given itself up."""
@@ -27,6 +31,50 @@ SENDING = 0.2
 
 LOOK = 0.4
 """Shortest time between two looks [s]."""
+
+
+GRACE = 5.0
+"""So much longer than its limit may a call hold the interpreter's lock, in which nobody can look [s]."""
+
+
+class LastResort:
+    """Ends the process when not even the thread that looks can run: the call that hangs holds the interpreter's lock.
+
+    It is a timer of the interpreter's own, in C, which needs no lock. All that it can say is where the threads were, to a file
+    that the launcher reads.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._file = open(_last_place(setup), "wb")  # noqa: SIM115  # as long as the process
+        self._limit = self._wound = 0.0
+
+    def wind(self, limit: float) -> None:
+        """Put off the end, as long as somebody can."""
+        if self._wound == math.inf:
+            return
+        now = time.monotonic()
+        if limit != self._limit or now - self._wound >= LOOK:
+            self._limit, self._wound = limit, now
+            faulthandler.dump_traceback_later(limit + GRACE, exit=True, file=self._file)
+
+    def stop(self) -> None:
+        """Let the process end by itself."""
+        self._limit = self._wound = math.inf
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _last_place(setup: Setup) -> Path:
+    return Path(setup.run_dir) / f"{setup.name}.hung"
+
+
+def held_in(setup: Setup) -> str:
+    """Tell where the loop's thread of a process that `LastResort` has ended was; empty for any other end."""
+    path = _last_place(setup)
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
+    # The main thread comes last, its innermost call first.
+    heads = [number for number, line in enumerate(lines) if line.startswith("Thread ")]
+    places = lines[heads[-1] + 1 :] if heads else lines
+    return places[0].strip() if places else ""
 
 
 class Standstill:

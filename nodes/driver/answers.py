@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from nodes.base.node import Node
-from nodes.base.standstill import Standstill, give_up
+from nodes.base.standstill import LastResort, Standstill, give_up
 from nodes.driver.device import Device
 from nodes.driver.ending import Ending
 from nodes.driver.motion import Motion
@@ -30,6 +30,7 @@ class Answers(Node):
     _guard_is_own: bool
     _motion: Motion
     _standstill: Standstill
+    _last_resort: LastResort | None
     _responses: ResponseTimes
     _untold: deque[tuple[str, str]]
     _doing: tuple[str, float]
@@ -89,10 +90,20 @@ class Answers(Node):
     def look_after(self) -> None:
         """End the process when the device hangs: nobody but the device itself can bring its force down then."""
         what, limit = self._doing
+        self._wind(limit)
         if self._standstill.look((what, self.seq, self.ticks, self._soft_stop_ticks)) >= limit:
             hold = self._device.limits.hold
             lets_go = f"it lets go by itself after {hold:g} s" if math.isfinite(hold) else "it may hold its last force"
             give_up(self, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
+
+    def _begin(self, what: str, limit: float = math.inf) -> None:
+        """Note what the loop's thread is at from now on, and how long it may take."""
+        self._doing = (what, limit)
+        self._wind(limit)
+
+    def _wind(self, limit: float) -> None:
+        if self._last_resort is not None:
+            self._last_resort.wind(limit if math.isfinite(limit) else self._device.limits.opening)
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the launcher's status line asks for."""

@@ -22,7 +22,7 @@ from messages.types import ZERO, DeviceState, Force, Vector
 from nodes.base import realtime
 from nodes.base.node import IDLE_MS
 from nodes.base.setup import AXIS_INDEX, Setup
-from nodes.base.standstill import Standstill
+from nodes.base.standstill import LastResort, Standstill
 from nodes.driver.ahead import Ahead
 from nodes.driver.answers import Answers
 from nodes.driver.device import Device
@@ -128,6 +128,8 @@ class Driver(Answers):
         # The device lets go by itself so many ticks after the last force that was written.
         self._bears = self._device.limits.hold / self.setup.period
         self._standstill = Standstill()
+        debugged = self.store.current.safety.hang is None
+        self._last_resort = None if self.virtual or debugged else LastResort(self.setup)
         # What the loop's thread is at, and how long it may take [s].
         self._doing = ("", math.inf)
         self._first_seq = 0
@@ -195,9 +197,9 @@ class Driver(Answers):
             return
         # Set first: a device that failed half-way is closed too.
         self._open = True
-        self._doing = ("open()", self._device.limits.opening)
+        self._begin("open()", self._device.limits.opening)
         self._device.open()
-        self._doing = ("", math.inf)
+        self._begin("")
         self.started.wait()
         self.state = "running"
         ticks: Any = self.compiled()
@@ -292,7 +294,7 @@ class Driver(Answers):
         heard = False
         sent: float | None
         # A virtual device waits for whoever debugs it; what exists does not.
-        self._doing = ("a tick", self.store.current.safety.hang or math.inf)
+        self._begin("a tick", self.store.current.safety.hang or math.inf)
         while seq < end and not self.stopping:
             guard, sent = self._guard, None
             if self._ahead is not None and belated is None:
@@ -413,7 +415,7 @@ class Driver(Answers):
         self._open = False
         period = self.setup.period
         try:
-            self._doing = ("the soft stop", SOFT_STOP)
+            self._begin("the soft stop", SOFT_STOP)
             start = time.monotonic()
             for n, force in enumerate(self._safety.soft_stop(self._handed), 1):
                 self._soft_stop_ticks = n
@@ -422,7 +424,9 @@ class Driver(Answers):
                 if self.setup.pace == "realtime":
                     realtime.sleep_until(start + n * period)
         finally:
-            self._doing = ("close()", self._device.limits.closing)
+            self._begin("close()", self._device.limits.closing)
             self._device.close()
-            self._doing = ("", math.inf)
+            self._begin("")
+            if self._last_resort is not None:
+                self._last_resort.stop()
             self._tell_all()

@@ -17,6 +17,7 @@ from messages.topics import DEVICE_STATE
 from messages.transport.requests import ControlError, call
 from nodes.base.kinds import load
 from nodes.base.setup import Setup
+from nodes.base.standstill import held_in
 
 PYTHON = (sys.executable, "-P")
 """The interpreter that our processes run in: without the working directory on its path, where a ``sim.py`` may be anybody's."""
@@ -84,7 +85,8 @@ class Child:
         code = self.code
         if code is not None and code < 0:
             return signal.Signals(-code).name
-        return f"exit code {code}"
+        place = held_in(self.setup) if code else ""
+        return f"exit code {code}" + (f": it hung, and let no other thread run: {place}" if place else "")
 
     @property
     def ended_badly(self) -> bool:
