@@ -110,10 +110,6 @@ def _starve(rig: Rig) -> None:
         _let_pass(rig, 3 * STOPPED)
 
 
-def _no_fifo(content: dict[str, Any]) -> None:
-    content["run"]["fifo"] = 0
-
-
 CLOCK = """
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -218,7 +214,7 @@ def faults() -> list[Fault]:
         Fault(
             name="clock step", what="wall clock −1 h, +2 h", strike=clock.strike, prepare=clock.prepare, tidy=clock.tidy
         ),
-        Fault(name="starvation", what="4 busy processes per core, no FIFO", strike=_starve, change=_no_fifo),
+        Fault(name="starvation", what="4 busy processes per core, no FIFO", strike=_starve, change=last_line.no_fifo),
         *last_line.faults(),
         *intruders.faults(),
     ]

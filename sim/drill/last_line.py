@@ -6,7 +6,8 @@ import contextlib
 import os
 import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from sim.drill.drill import Fault, another, kill
@@ -20,6 +21,10 @@ HANG_LIMIT = 0.5
 
 ON, OFF, ROUNDS = 0.015, 0.085, 8
 """A quota of 15 % in periods of 0.1 s [s]."""
+
+GROUPS = Path("/sys/fs/cgroup")
+LIMITS = ((GROUPS / "cpu", "cpu.cfs_quota_us", "{}", "-1"), (GROUPS, "cpu.max", "{} 100000", "max 100000"))
+"""Where the kernel keeps processor quotas, the file of one, a quota [µs] and none: of control groups version 1 and 2."""
 
 ATTEMPTS = 5
 """Launches killed while they start, each a little later."""
@@ -54,14 +59,58 @@ def _misplace(position: str) -> Callable[[Rig], None]:
     return strike
 
 
-def _quota(rig: Rig) -> None:
-    """Hold up all that share the loop's quota, again and again."""
-    pids = [rig.pid(node) for node in ("driver", "environment", "coupling")]
-    for _ in range(ROUNDS):
-        for number, seconds in ((signal.SIGSTOP, OFF), (signal.SIGCONT, ON)):
-            for pid in pids:
-                os.kill(pid, number)
+class _Quota:
+    """A control group with a processor quota; where none may be made, the processes are stopped and continued instead."""
+
+    def __init__(self) -> None:
+        self._group: Path | None = None
+        for root, self._file, self._some, self._none in LIMITS:
+            group = root / f"haptic-drill-{os.getpid()}"
+            with contextlib.suppress(OSError):
+                group.mkdir()
+                is_there = (group / self._file).exists()
+                group.rmdir()
+                if is_there:
+                    self._group = group
+                    break
+        way = "a cgroup" if self._group else "stopped and continued: no cgroup can be made"
+        self.what = f"{ON / (ON + OFF):.0%} of a processor for the loop, no FIFO ({way})"
+
+    def prepare(self) -> Mapping[str, str]:
+        if self._group:
+            self._group.mkdir()
+        return {}
+
+    def strike(self, rig: Rig) -> None:
+        """Hold up all that share the loop's quota, again and again."""
+        pids = [rig.pid(node) for node in ("driver", "environment", "coupling")]
+
+        def let_pass(seconds: float) -> None:
             within(lambda: rig.process.poll() is not None, seconds)
+
+        if self._group:
+            for pid in pids:
+                (self._group / "cgroup.procs").write_text(str(pid), encoding="ascii")
+            (self._group / self._file).write_text(self._some.format(round(1e6 * ON)), encoding="ascii")
+            let_pass(ROUNDS * (ON + OFF))
+            (self._group / self._file).write_text(self._none, encoding="ascii")
+            return
+        for _ in range(ROUNDS):
+            for number, seconds in ((signal.SIGSTOP, OFF), (signal.SIGCONT, ON)):
+                for pid in pids:
+                    os.kill(pid, number)
+                let_pass(seconds)
+
+    def tidy(self) -> None:
+        if self._group:
+            # The launch, and with it whoever was in it, has ended.
+            with contextlib.suppress(OSError):
+                self._group.rmdir()
+
+
+def no_fifo(content: dict[str, Any]) -> None:
+    """Let the loop be as urgent as anything else: neither quotas nor hogs reach a FIFO thread."""
+    content["run"]["fifo"] = 0
 
 
 def _kill_at_start(rig: Rig) -> None:
@@ -90,6 +139,7 @@ def _kill_at_start(rig: Rig) -> None:
 
 def faults() -> list[Fault]:
     """List them."""
+    quota = _Quota()
     return [
         Fault(
             name="blocked stderr",
@@ -99,6 +149,13 @@ def faults() -> list[Fault]:
         ),
         Fault(name="hung device", what="a force that is never taken", strike=_hang, change=_faulty),
         Fault(name="huge position", what="the device gives 1.7e308 m", strike=_misplace("1.7e308"), change=_faulty),
-        Fault(name="ticks lost by quota", what="85 of every 100 ms without a processor", strike=_quota),
+        Fault(
+            name="ticks lost by quota",
+            what=quota.what,
+            strike=quota.strike,
+            change=no_fifo,
+            prepare=quota.prepare,
+            tidy=quota.tidy,
+        ),
         Fault(name="killed in start-up", what="launcher and reaper of 5 launches", strike=_kill_at_start),
     ]
