@@ -20,12 +20,14 @@ import random
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import msgspec
 import pytest
+import zmq
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -35,11 +37,11 @@ from messages.transport import keys
 from messages.transport.endpoints import EndpointRefusedError, split
 from messages.transport.keys import KeyRefusedError, parse_key
 from messages.transport.requests import Reply, Request, decode_reply, decode_request
-from messages.types import Event, NodeStatus
+from messages.types import DeviceState, Event, Force, NodeStatus, Proxy
 from nodes.base.setup import Setup
 from nodes.launcher import launch_file
 from nodes.launcher.join import Starter
-from nodes.launcher.runs import RunError
+from nodes.launcher.runs import RunError, RunInfo
 from nodes.laws.parse import LawRefusedError, parse_law
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
@@ -47,6 +49,10 @@ from nodes.recording import mcap_walk
 from nodes.recording.reader import Recording
 from nodes.recording.recover import recover
 from nodes.recording.writer import RecordError, RecordWriter
+from nodes.view import server
+from nodes.view.commands import Commander, CommandError
+from nodes.view.pointer import PointerReader, SharedHand
+from tests.nodes.tick.test_messages import assert_read_alike
 from tests.support.launching import private_runtime_dir
 from tests.support.recorded import drop
 
@@ -223,6 +229,48 @@ def _setup(starter: Starter) -> bytes:
     )
 
 
+def _key_file(content: bytes) -> None:
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HAPTIC_KEYS", folder)
+        (Path(folder) / "allowed").mkdir(mode=0o700)
+        for path in (Path(folder) / "identity.key", Path(folder) / "allowed" / "robot.key"):
+            path.write_bytes(content)
+            path.chmod(0o600)
+        # It never raises: what cannot be read lets in nobody.
+        keys.trusted()
+        keys.identity()
+
+
+def _identity() -> bytes:
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HAPTIC_KEYS", folder)
+        keys.new_identity()
+        return (Path(folder) / "identity.key").read_bytes()
+
+
+def _page_request(content: bytes) -> None:
+    """Do what a page asks in a run without nodes: no request can be granted, and none may be answered otherwise."""
+    request = server._decoded(content)
+    if request is not None and request.get("op") == "hand":
+        server._moved(cast("server.Page", _NoHand()), request.get("target"))
+    elif request is not None and request.get("op") != "record":
+        with contextlib.suppress(CommandError):
+            Commander(RunInfo(run="r", scenario="s", launcher=0, nodes={}), zmq.Context.instance()).do(request)
+
+
+class _NoHand:
+    """A page whose hand is a file, as a driver maps it."""
+
+    def hand(self, target: Sequence[float] | None) -> str:
+        with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
+            reader = PointerReader(Path(folder) / "hand", 1.0)
+            hand = SharedHand(Path(folder) / "hand")
+            told = hand.move(1, target)
+            hand.close()
+            reader.close()
+        return told
+
+
 def targets() -> list[Target]:
     """List every parser of the project that reads what others wrote."""
     wire = [(topic, encode(message)) for topic, message in drop(12, switch=5)]
@@ -273,6 +321,33 @@ def targets() -> list[Target]:
             [b"tcp://127.0.0.1:1#" + b"ab" * 32, b"ipc:///x"],
             _text(split),
             (EndpointRefusedError, KeyRefusedError),
+        ),
+        Target("key file", [_identity()], _key_file, (KeyRefusedError,)),
+        Target(
+            "page request",
+            [
+                b'{"op":"hand","target":[0.1,0,1]}',
+                b'{"op":"set","id":1,"node":"a","values":{"law":"pd","x":[1.5]}}',
+                b'{"op":"law","field":"gain","value":1}',
+                b'{"op":"switch","law":"pd","ramp":2}',
+                b'{"op":"undo"}',
+                # Once not answered at all: names that are no names, and a number that no float can hold.
+                b'{"op":[1],"id":1}',
+                b'{"op":"set","node":[1],"values":3}',
+                b'{"op":"hand","target":[0,0,1' + b"0" * 400 + b"]}",
+            ],
+            _page_request,
+            (),
+        ),
+        *(
+            # What is read compiled, the plain decoder must read too, and the same.
+            Target(
+                f"compiled {kind.__name__}",
+                [payload for name, payload in wire if name == topic],
+                partial(assert_read_alike, kind),
+                (),
+            )
+            for topic, kind in ((topics.DEVICE_STATE, DeviceState), (topics.PROXY, Proxy), (topics.FORCE, Force))
         ),
         Target("recording", [recording], _read, (RecordError,)),
         Target("recover", [recording], _recover, (RecordError,)),

@@ -279,6 +279,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             say(f"no plot: interrupted; haptic bag plot {here[0]} draws it")
     last_words()
+    page.drain()
     try:
         answer(arguments.json, figures, _text(launch, figures))
     except BrokenPipeError:

@@ -6,10 +6,11 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import msgspec
 
+from nodes.base.words import Words
 from nodes.launcher.launch_spec import Launch, NodeSpec
 
 if TYPE_CHECKING:
@@ -28,9 +29,9 @@ def with_view(launch: Launch) -> Launch:
     return msgspec.structs.replace(launch, nodes={**launch.nodes, name: spec})
 
 
-def announce(url: str, as_json: bool) -> None:
+def announce(url: str, as_json: bool, out: IO[str] | Words | None = None) -> None:
     """Print where the page is, and open it where somebody sits at a screen."""
-    print(json.dumps({"url": url}) if as_json else f"page  {url}", flush=True)
+    print(json.dumps({"url": url}) if as_json else f"page  {url}", file=out or sys.stdout, flush=True)
     screen = "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
     if screen and not as_json and sys.stdout.isatty():
         import webbrowser
@@ -39,7 +40,7 @@ def announce(url: str, as_json: bool) -> None:
 
 
 class PageAnnouncer:
-    """Tells once where the pages of a launch are.
+    """Tells once where the pages of a launch are, to whoever reads it: the launcher does not wait for that.
 
     Parameters
     ----------
@@ -50,6 +51,12 @@ class PageAnnouncer:
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
         self._told: set[str] = set()
+        self._words: Words | None = None
+
+    def drain(self) -> None:
+        """Give a reader the time that it may take, before anything else is printed."""
+        if self._words is not None:
+            self._words.drain()
 
     def __call__(self, supervisor: Supervisor) -> None:
         """Look for pages that are served by now."""
@@ -59,4 +66,5 @@ class PageAnnouncer:
                 path = Path(supervisor.run_dir) / f"{name}.page.json"
                 if path.exists():
                     self._told.add(name)
-                    announce(msgspec.json.decode(path.read_bytes())["url"], self._as_json)
+                    self._words = self._words or Words(sys.stdout.fileno())
+                    announce(msgspec.json.decode(path.read_bytes())["url"], self._as_json, self._words)

@@ -68,12 +68,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> int:
+    from messages.transport.links import Links, say_link
     from messages.transport.sockets import Subscription, new_context
     from nodes.recording.logger import QUEUE
     from nodes.view.run_pages import RunPages
 
     context = new_context()
-    inbox = Subscription(context, set(found.publishers().values()), [""], QUEUE)
+    links = Links(context, say_link, say_link)
+    inbox = Subscription(context, set(found.publishers().values()), [""], QUEUE, links)
     try:
         pages = RunPages(found, inbox, context)
 
@@ -84,10 +86,11 @@ def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> 
                 port = pages.bridge(arguments.foxglove)
                 print(f"Foxglove and Lichtblick find the run at ws://127.0.0.1:{port}", file=sys.stderr, flush=True)
             # A launch tells its end; one that was killed does not.
-            await pages.run(lambda: bool(ended or pages.live.ended or not alive(found.launcher)), lambda: None)
+            await pages.run(lambda: bool(ended or pages.live.ended or not alive(found.launcher)), links.keep)
 
         asyncio.run(serve())
     finally:
+        links.close()
         inbox.close()
         context.term()
     answer(arguments.json, {"run": found.run, "ended": pages.live.ended}, f"{found.run}: {pages.live.ended}")

@@ -11,8 +11,9 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, get_type_hints
 
+import msgspec
 import zmq
 
 from messages.errors import HapticError
@@ -91,12 +92,15 @@ class Commander:
             "record": self._record,
         }
         op = request.get("op")
-        if op not in known:
-            raise CommandError(f"view: unknown request {op!r}; a page can ask: {', '.join(known)}")
+        if not isinstance(op, str) or op not in known:
+            raise CommandError(f"view: unknown request {str(op)[:100]!r}; a page can ask: {', '.join(known)}")
         arguments = {key: value for key, value in request.items() if key not in ("op", "id")}
+        types = get_type_hints(known[op])
         try:
             inspect.signature(known[op]).bind(**arguments)
-        except TypeError as error:
+            for name, value in arguments.items():
+                msgspec.convert(value, types[name])
+        except (TypeError, msgspec.ValidationError) as error:
             raise CommandError(f"view: {op}: {error}") from error
         return known[op](**arguments)
 

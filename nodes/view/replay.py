@@ -36,6 +36,9 @@ SCENES = 60.0
 MOST_BINS, MOST_SCENES = 400_000.0, 40_000.0
 """Most bins and pictures that a recording is kept in: of a longer one, each holds more ticks."""
 
+FOREVER = 1e9
+"""No recording is so long [s]."""
+
 IDLE = 0.05
 """How often the server looks whether to end [s]."""
 
@@ -291,7 +294,7 @@ class ReplayPage:
                 self._go(self._pages.begin)
         elif op == "pause":
             self._playing = False
-        elif op == "seek" and isinstance(request.get("t"), int | float):
+        elif op == "seek" and isinstance(request.get("t"), int | float) and abs(request["t"]) < FOREVER:
             self._go(float(request["t"]))
         elif op == "speed" and isinstance(request.get("factor"), int | float) and 0.0 < request["factor"] <= 100.0:
             self._speed = float(request["factor"])

@@ -37,6 +37,9 @@ LOCAL = ("127.0.0.1", "localhost")
 SEND_PERIOD = 1.0 / 50.0
 """Pause between two messages to a page [s]."""
 
+FAR = 1e6
+"""No target of a hand is so far away [m]."""
+
 MAX_REQUEST = 1 << 18
 """Longest request of a page [bytes]: a law of thousands of taps fits."""
 
@@ -254,9 +257,9 @@ def _decoded(text: str | bytes) -> dict[str, Any] | None:
 
 
 def _moved(page: Page, target: Any) -> str:
-    fits = isinstance(target, list) and len(target) == 3 and all(isinstance(part, int | float) for part in target)
-    if target is not None and not fits:
-        return "hand: the target is three numbers [m], or null to let go"
+    fits = isinstance(target, list) and len(target) == 3
+    if target is not None and not (fits and all(isinstance(part, int | float) and abs(part) < FAR for part in target)):
+        return f"hand: the target is three numbers [m] below {FAR:g}, or null to let go"
     return page.hand(target)
 
 
