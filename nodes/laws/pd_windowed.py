@@ -7,7 +7,8 @@ function of the deflection history. Its stability is known by simulation and lau
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import msgspec
@@ -40,7 +41,7 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def compile(self, period: float) -> CompiledLaw:
         """Turn the spring into a tap; the damper is the law's own code."""
         taps = (self.stiffness, *(0.0,) * self.window)
-        return CompiledLaw(taps, evaluate=_damper(self.damping / period, self.resolution, self.window))
+        return CompiledLaw(taps, evaluate=WindowedDamper(self.damping / period, self.resolution, self.window))
 
 
 def windowed_slope(ring: Sequence[float], head: int, error: float, window: int) -> float:
@@ -59,8 +60,14 @@ def windowed_slope(ring: Sequence[float], head: int, error: float, window: int) 
     return slope
 
 
-def _damper(gain: float, error: float, window: int) -> Callable[[Sequence[float], int], float]:
-    def damp(ring: Sequence[float], head: int) -> float:
-        return gain * windowed_slope(ring, head, error, window)
+@dataclass(frozen=True)
+class WindowedDamper:
+    """The damper's code of its own, over three numbers: a simulator can compile it."""
 
-    return damp
+    gain: float
+    error: float
+    window: int
+
+    def __call__(self, ring: Sequence[float], head: int) -> float:
+        """Force of the damper [N]."""
+        return self.gain * windowed_slope(ring, head, self.error, self.window)

@@ -295,7 +295,11 @@ def law_figures(
     Returns
     -------
     dict
-        ``taps_n_per_m``, ``sections`` (count), ``delay_ticks`` and the fields of `Rendered`.
+        ``taps_n_per_m``, ``sections`` (count), ``delay_ticks`` and the fields of `Rendered`; of a law with code of its own
+        all of these but H(1) are None.
     """
     figures: dict[str, Any] = {"taps_n_per_m": list(law.taps), "sections": len(law.sections), "delay_ticks": delay}
-    return figures | asdict(rendered(law, period, mass, damping, delay, stiffness))
+    linear = asdict(rendered(law, period, mass, damping, delay, stiffness))
+    if law.evaluate is not None:
+        linear = {key: value if key == "h1_n_per_m" else None for key, value in linear.items()}
+    return figures | linear

@@ -138,8 +138,11 @@ def k_max(derivative: CompiledLaw, period: float, device: Plant, method: str | N
     Raises
     ------
     ValueError
-        When the closed form is asked for and there is none: more than two taps, sections, or a delay.
+        When the closed form is asked for and there is none: more than two taps, sections, or a delay; and for a law with
+        code of its own, which has no poles.
     """
+    if derivative.evaluate is not None:
+        raise ValueError("law: has code of its own and no poles; take --method simulation or lockstep")
     closed = len(derivative.taps) <= 2 and not derivative.sections and device.delay == 0.0
     if method == "closed_form" and not closed:
         raise ValueError(

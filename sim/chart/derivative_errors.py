@@ -163,9 +163,9 @@ def lengths_taken(kind: str, order: float, period: float, upto: int = 2000) -> t
     return first, low
 
 
-def analyse(kind: str, order: float, taps: int, period: float) -> Analysis:
-    """Measure one realisation."""
-    law = realise(kind, order, taps, period)
+def analyse(kind: str, order: float, taps: int, period: float, law: CompiledLaw | None = None) -> Analysis:
+    """Measure one realisation, or a law that stands for one."""
+    law = realise(kind, order, taps, period) if law is None else law
     angles = {
         name: math.pi * np.geomspace(low, high, _PER_BAND, dtype=np.float64) for name, (low, high) in BANDS.items()
     }

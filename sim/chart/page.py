@@ -114,6 +114,9 @@ def conclusions(groups: Sequence[Group]) -> list[str]:
     for name, group in named.items():
         if name.startswith("derivative_time_"):
             lines.append(_derivatives(group, named.get(name.replace("time", "stiffness")), name.rpartition("_")[2]))
+    demands = [group for name, group in named.items() if name.startswith("equal_demand_")]
+    if demands:
+        lines.append(_equal_demand(demands))
     if "integrator_trajectory" in named:
         lines.append(_integrators(named["integrator_trajectory"], named["integrator_k_max"]))
     ways = [group for name, group in named.items() if name.startswith("k_max_delay_")]
@@ -155,10 +158,36 @@ def _derivatives(time: Group, stiffness: Group | None, order: str) -> str:
     if stiffness is not None:
         stiffest = _best(stiffness.points)
         text += (
-            f"; stiffest floor at the same gain and one tick of delay: {stiffest.name} with "
+            f"; stiffest floor at one common gain and one tick of delay: {stiffest.name} with "
             f"{_number(stiffest, 'h1_max_n_per_m'):.0f} N/m, against {_number(best, 'h1_max_n_per_m'):.0f} of {best.name}"
         )
     return text + "."
+
+
+def _equal_demand(groups: Sequence[Group]) -> str:
+    """Say what accuracy is worth in stiffness, when all keep one demand."""
+    parts = []
+    for group in groups:
+        kept = [p for p in group.points if _number(p, "h1_tuned_n_per_m") > 0.0]
+        if len(kept) < 3:
+            continue
+        stiff, exact = min(kept, key=lambda p: p.error), min(kept, key=lambda p: (p.cost, p.error))
+        ranks = _rank_correlation([p.cost for p in kept], [_number(p, "h1_tuned_n_per_m") for p in kept])
+        word = "costs stiffness" if ranks > 0.3 else "brings stiffness" if ranks < -0.3 else "is not stiffness"
+        parts.append(
+            f"{group.title.partition(':')[0]}{group.title.rpartition(',')[2]}: accuracy {word} (rank correlation of error and "
+            f"stiffness {ranks:+.2f}, {len(kept)} of {len(group.points)} keep the demand); the stiffest, {stiff.name}, has "
+            f"{_number(stiff, 'h1_tuned_n_per_m'):.0f} N/m and errs by {_figure(100 * stiff.cost)} %, the most accurate, "
+            f"{exact.name}, {_number(exact, 'h1_tuned_n_per_m'):.0f} N/m and {_figure(100 * exact.cost)} %"
+        )
+    return "At equal demand, each at its own best gain. " + "; ".join(parts) + "."
+
+
+def _rank_correlation(first: Sequence[float], second: Sequence[float]) -> float:
+    """Spearman's, ties sharing their mean rank."""
+    from scipy.stats import spearmanr
+
+    return float(spearmanr(first, second).statistic)
 
 
 def _integrators(path: Group, limit: Group) -> str:

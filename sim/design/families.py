@@ -6,7 +6,7 @@ every PDα and the paper's optimum are then just narrower families than free tap
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,10 +19,11 @@ from nodes.laws.presets import PRESETS
 from nodes.parameters.yaml_io import write_yaml
 from nodes.stability.every_delay import every_delay
 from nodes.stability.k_max import Plant, tolerance
-from sim.design.robust import Demand, Robust, stiffest
-from sim.device.model import DeviceModel
+from sim.design.demand import Demand, Robust
+from sim.design.robust import stiffest
 
 __all__ = [
+    "CUTOFFS",
     "ORDERS",
     "REFINED",
     "Tuned",
@@ -30,13 +31,12 @@ __all__ = [
     "best_paper_optimum",
     "best_pd",
     "best_pd_alpha",
+    "best_pd_filtered",
     "certificate",
     "certified",
     "compare",
     "designed",
-    "drops",
     "fir",
-    "landing",
     "latest_delay",
     "to_yaml",
 ]
@@ -50,6 +50,10 @@ REFINED = 0.0125
 """Spacing of the orders at which refining stops."""
 
 
+CUTOFFS = (0.05, 0.1, 0.2, 0.4, 0.8)
+"""Cutoffs of the filtered velocity that are tried first, as shares of the loop's rate: above 0.8 it is plain PD."""
+
+
 @dataclass(frozen=True)
 class Tuned:
     """The stiffest member of a family at one demand.
@@ -57,7 +61,7 @@ class Tuned:
     Attributes
     ----------
     family : str
-        ``pd``, ``pd_alpha``, ``paper_optimum`` or ``designed``.
+        ``pd``, ``pd_filtered``, ``pd_alpha``, ``paper_optimum`` or ``designed``.
     law : dict or None
         Its description, as `nodes.laws.parse.parse_law` reads it; None when no member keeps the demand.
     found : Robust or None
@@ -129,6 +133,34 @@ def best_pd(demand: Demand) -> Tuned:
     return _best("pd", {"kind": "pd"}, demand)
 
 
+def best_pd_filtered(demand: Demand, cutoffs: Sequence[float] | None = None) -> Tuned:
+    """Tune stiffness and damping of PD with a filtered velocity at every cutoff, then refine the best cutoff.
+
+    Parameters
+    ----------
+    demand : Demand
+        What to keep.
+    cutoffs : sequence of float or None
+        Cutoffs to begin with [Hz]; None for `CUTOFFS` of the loop's rate.
+
+    Returns
+    -------
+    Tuned
+        The stiffest of all cutoffs.
+    """
+
+    def at(cutoff: float, wanted: Demand) -> Tuned:
+        return _best("pd_filtered", {"kind": "pd_filtered", "cutoff": cutoff}, wanted)
+
+    tried = [share / demand.period for share in CUTOFFS] if cutoffs is None else cutoffs
+    best = _stiffest_of(at, tried, demand)
+    for step in (1.3, 1.1):
+        if best.law is not None:
+            cutoff = float(best.law["cutoff"])
+            best = _stiffest_of(at, (cutoff / step, cutoff * step), demand, best)
+    return best
+
+
 def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = None) -> Tuned:
     """Tune stiffness and damping of PDα at every order, then refine the best order.
 
@@ -147,16 +179,15 @@ def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = 
         The stiffest of all orders.
     """
 
-    def at(order: float) -> Tuned:
+    def at(order: float, wanted: Demand) -> Tuned:
         shape = {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}
-        return _best("pd_alpha", shape, demand)
+        return _best("pd_alpha", shape, wanted)
 
-    best = max((at(order) for order in (ORDERS if orders is None else orders)), key=_stiffness)
+    best = _stiffest_of(at, ORDERS if orders is None else orders, demand)
     step = 0.1
     while step >= REFINED and best.law is not None:
         order = float(best.law["order"])
-        beside = [at(other) for other in (order - step, order + step) if 0.0 < other < 4.0]
-        best = max([best, *beside], key=_stiffness)
+        best = _stiffest_of(at, [x for x in (order - step, order + step) if 0.0 < x < 4.0], demand, best)
         step *= 0.5
     return best
 
@@ -177,7 +208,7 @@ def best_paper_optimum(demand: Demand) -> Tuned:
     return _best("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, demand)
 
 
-def compare(demand: Demand, taps: int, say: Callable[[str], None], land: bool = False) -> Iterator[Tuned]:
+def compare(demand: Demand, taps: int, say: Callable[[str], None]) -> Iterator[Tuned]:
     """Tune every family to the same demand.
 
     Parameters
@@ -188,23 +219,22 @@ def compare(demand: Demand, taps: int, say: Callable[[str], None], land: bool = 
         n + 1 of PDα and of the designed law.
     say : callable
         Told what is being tuned, for a progress line.
-    land : bool
-        Whether all of them must also settle when dropped, see `landing`.
 
     Yields
     ------
     Tuned
-        PD, PDα, the paper's optimum, and the designed law.
+        PD, PD with a filtered velocity, PDα, the paper's optimum, and the designed law.
     """
     families: dict[str, Callable[[Demand], Tuned]] = {
         "PD": best_pd,
+        "PD with a filtered velocity": best_pd_filtered,
         f"PDα, {len(ORDERS)} orders": lambda wanted: best_pd_alpha(wanted, taps),
         "the paper's optimum": best_paper_optimum,
         f"{taps} free taps": lambda wanted: designed(wanted, taps),
     }
     for name, tune in families.items():
         say(name)
-        yield landing(tune, demand) if land else tune(demand)
+        yield tune(demand)
 
 
 def _stiffness(tuned: Tuned) -> float:
@@ -213,13 +243,39 @@ def _stiffness(tuned: Tuned) -> float:
 
 def _best(family: str, shape: dict[str, Any], demand: Demand) -> Tuned:
     """Tune K and B of a law that is linear in both: its taps at (K, B) = (1, 0) and what one B adds."""
-    spring = np.array(parse_law({**shape, "stiffness": 1.0, "damping": 0.0}).compile(demand.period).taps)
-    both = np.array(parse_law({**shape, "stiffness": 1.0, "damping": 1.0}).compile(demand.period).taps)
-    found = stiffest(demand, np.array([spring, both - spring]), free=False)
+    spring, pole = _numerator(parse_law({**shape, "stiffness": 1.0, "damping": 0.0}).compile(demand.period))
+    both, _ = _numerator(parse_law({**shape, "stiffness": 1.0, "damping": 1.0}).compile(demand.period))
+    found = stiffest(demand, np.array([spring, both - spring]), free=False, pole=pole)
     if found is None or not found.parameters[0] > 0.0:
         return Tuned(family, None, None)
     law = {**shape, "stiffness": float(found.parameters[0]), "damping": float(found.parameters[1])}
     return Tuned(family, law, found)
+
+
+def _stiffest_of(
+    at: Callable[[float, Demand], Tuned], values: Sequence[float], demand: Demand, best: Tuned | None = None
+) -> Tuned:
+    """Tune at each value; where laws must land, only while what the linear demand allows is above the best so far."""
+    if not demand.lands:
+        found = [at(value, demand) for value in values]
+        return max(found if best is None else [best, *found], key=_stiffness)
+    linear = replace(demand, lands=())
+    bounds = sorted(((_stiffness(at(value, linear)), value) for value in values), reverse=True)
+    for bound, value in bounds:
+        if best is None or bound > _stiffness(best):
+            tuned = at(value, demand)
+            best = tuned if best is None else max(best, tuned, key=_stiffness)
+    if best is None:
+        raise ValueError("no value was given")
+    return best
+
+
+def _numerator(law: CompiledLaw) -> tuple[Vector, float]:
+    """Taps of a law, or its two numerator taps over 1 − pole·w."""
+    if not law.sections:
+        return np.array(law.taps), 0.0
+    ((b0, b1, a1, _),) = law.sections
+    return np.array([law.taps[0] + b0, law.taps[0] * a1 + b1]), -a1
 
 
 def latest_delay(tuned: Tuned, demand: Demand) -> float | None:
@@ -239,7 +295,7 @@ def latest_delay(tuned: Tuned, demand: Demand) -> float | None:
     """
     if tuned.found is None:
         return None
-    compiled = CompiledLaw(tuple(tuned.found.taps.tolist()))
+    compiled = tuned.found.law
     known = []
     for mass in np.geomspace(*demand.mass, 5).tolist():
         device = Plant(mass, demand.damping, demand.delay[1], demand.stiffness[0])
@@ -249,72 +305,13 @@ def latest_delay(tuned: Tuned, demand: Demand) -> float | None:
     return min(known) if known else None
 
 
-def drops(taps: Vector, demand: Demand) -> dict[str, bool]:
-    """Drop the lightest, the middle and the heaviest device of a demand on a floor, under every contact convention.
-
-    The demand is about the loop in contact, which is linear. Landing is not: contact comes and goes, the history outside it
-    and the clamping of forces into the floor are conventions (THEORY.md §4), and no pole radius covers them.
-
-    Parameters
-    ----------
-    taps : ndarray, shape (n + 1,)
-        The law [N/m].
-    demand : Demand
-        What it was designed for; the longest delay is used.
-
-    Returns
-    -------
-    dict of str to bool
-        Whether the run settled, by convention and mass, e.g. ``penetration clamped 0.05 kg``.
-    """
-    from sim.experiments.drop import Criterion, drop_scene, settles
-
-    law = CompiledLaw(tuple(taps.tolist()))
-    told = {}
-    for mass in np.unique(np.geomspace(*demand.mass, 3)).tolist():
-        for raw in (False, True):
-            for clamp in (True, False):
-                model = DeviceModel(mass=mass, damping=demand.damping, delay=demand.delay[1])
-                scene = drop_scene(model, demand.period, raw, clamp)
-                name = f"{'position' if raw else 'penetration'} {'clamped' if clamp else 'free'} {mass:.3g} kg"
-                told[name] = settles(scene, [law], Criterion())[0]
-    return told
-
-
-def landing(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
-    """Tune for lighter devices than demanded until every drop of the demanded ones settles.
-
-    Landing punishes what a lighter device punishes: too much force per tick. The law still keeps the demand, whose masses
-    are a part of those it is tuned for.
-
-    Parameters
-    ----------
-    tune : callable
-        From a demand to a law, e.g. `best_pd`.
-    demand : Demand
-        What to keep.
-
-    Returns
-    -------
-    Tuned
-        The first that settles, in steps of 10 % of the lightest mass; without a law when none does down to a quarter.
-    """
-    lightest = demand.mass[0]
-    while lightest > 0.25 * demand.mass[0]:
-        tuned = tune(replace(demand, mass=(lightest, demand.mass[1])))
-        if tuned.found is None or all(drops(tuned.found.taps, demand).values()):
-            return tuned
-        lightest *= 0.9
-    return Tuned(tuned.family, None, None)
-
-
-def certificate(taps: Vector, demand: Demand) -> bool | str | None:
+def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
     """Certify a law for every sequence of the demanded delays, at five masses, both ends of hand and damping (THEORY.md §10).
 
     Parameters
     ----------
-    taps : ndarray, shape (n + 1,)
-        The law [N/m].
+    law : CompiledLaw
+        The law.
     demand : Demand
         With the range of delay.
 
@@ -326,7 +323,6 @@ def certificate(taps: Vector, demand: Demand) -> bool | str | None:
     """
     if demand.delay[1] > demand.delay[0] + 1.0:
         return "too wide"
-    law = CompiledLaw(tuple(taps.tolist()))
     worst: bool | None = True
     for mass in np.unique(np.geomspace(*demand.mass, 5)).tolist():
         for damping in sorted(set(demand.dampings)):
@@ -363,7 +359,7 @@ def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
         raise ValueError(f"delay {demand.delay[0]:g}..{demand.delay[1]:g} ticks: a certificate takes at most one tick")
     for _ in range(10):
         tuned = tune(replace(demand, radius=1.0 - margin))
-        if tuned.found is None or certificate(tuned.found.taps, demand) is True:
+        if tuned.found is None or certificate(tuned.found.law, demand) is True:
             return tuned
         margin = max(1.1 * margin, 1e-3)
     return Tuned(tuned.family, None, None)

@@ -10,132 +10,20 @@ between those of the search are checked afterwards, and the worst one joins it u
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nodes.stability.held_plant import held_plant
-from nodes.stability.roots import largest_roots
+from sim.design.cases import Loop, alternating, cases_of, verified_cases
+from sim.design.demand import Demand, Robust, Vector, filtered
+from sim.design.landing import landed
 
 __all__ = [
-    "Demand",
-    "Robust",
-    "Vector",
     "stiffest",
-    "verified_cases",
 ]
 
-Vector = NDArray[np.float64]
-
 _MASSES = 5
-_VERIFIED = 801
-
-
-@dataclass(frozen=True)
-class Demand:
-    """What a law must keep, whatever its stiffness.
-
-    Attributes
-    ----------
-    mass : tuple of float, shape (2,)
-        Lightest and heaviest device, a hand's share included [kg].
-    damping : float
-        Viscous damping b of the device, the least of it where it is a range [N s/m].
-    delay : tuple of float, shape (2,)
-        Shortest and longest delay of the loop, fractions allowed [ticks].
-    period : float
-        Sampling period T [s].
-    radius : float
-        Largest pole radius R allowed at any mass, delay and hand of the ranges.
-    nyquist : float
-        Largest |H(−1)| allowed [N/m].
-    stiffness : tuple of float, shape (2,)
-        Softest and stiffest hand [N/m].
-    damping_max : float or None
-        Most damping of the device; None where it is known [N s/m].
-    """
-
-    mass: tuple[float, float]
-    damping: float
-    delay: tuple[float, float]
-    period: float
-    radius: float
-    nyquist: float
-    stiffness: tuple[float, float] = (0.0, 0.0)
-    damping_max: float | None = None
-
-    @property
-    def dampings(self) -> tuple[float, float]:
-        """Least and most damping of the device [N s/m]."""
-        return self.damping, self.damping if self.damping_max is None else self.damping_max
-
-
-@dataclass(frozen=True)
-class Robust:
-    """The stiffest law found in a family.
-
-    Attributes
-    ----------
-    taps : ndarray, shape (n + 1,)
-        h_0 ... h_n [N/m].
-    parameters : ndarray, shape (p,)
-        Weights of the family's basis.
-    h1_n_per_m : float
-        H(1) [N/m].
-    h_nyquist_n_per_m : float
-        H(−1) [N/m].
-    radius : float
-        Largest pole radius over all verified cases.
-    worst : tuple of float, shape (4,)
-        The case where that is: mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m].
-    """
-
-    taps: Vector
-    parameters: Vector
-    h1_n_per_m: float
-    h_nyquist_n_per_m: float
-    radius: float
-    worst: tuple[float, ...]
-
-
-class _Loop:
-    """Closed-loop polynomials at given cases (mass, delay, hand), linear in the taps."""
-
-    def __init__(self, demand: Demand, cases: Vector, taps: int) -> None:
-        plants = [held_plant(mass, b, demand.period, delay, hand) for mass, delay, hand, b in cases.tolist()]
-        # A shorter delay is the same polynomial times a power of z: roots at zero that nobody minds.
-        size = max(plant.whole for plant in plants) + 3 + taps
-        self.taps = taps
-        self.fixed = np.zeros((len(plants), size))
-        self.by_tap = np.zeros((len(plants), taps, size))
-        for i, plant in enumerate(plants):
-            self.fixed[i, :3] = plant.denominator
-            for j in range(taps):
-                start = plant.whole + 1 + j
-                self.by_tap[i, j, start : start + 3] = plant.numerator
-
-    def polynomials(self, taps: Vector) -> Vector:
-        """Coefficients of (..., taps) for every case: (..., cases, size)."""
-        return np.asarray(self.fixed + np.einsum("...j,ijk->...ik", taps, self.by_tap), dtype=np.float64)
-
-    def radii(self, taps: Vector) -> Vector:
-        return largest_roots(self.polynomials(taps))
-
-    def poles(self, taps: Vector) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """All poles (cases, k) and their slopes along the taps (cases, k, taps)."""
-        polynomials = self.polynomials(taps)
-        degree = polynomials.shape[1] - 1
-        companion = np.zeros((len(polynomials), degree, degree))
-        companion[:, 0, :] = -polynomials[:, 1:]
-        companion[:, np.arange(1, degree), np.arange(degree - 1)] = 1.0
-        poles = np.asarray(np.linalg.eigvals(companion), dtype=np.complex128)
-        powers = poles[:, :, None] ** np.arange(degree, -1, -1)
-        steep = np.einsum("ik,ipk->ip", polynomials[:, :-1] * np.arange(degree, 0, -1), powers[:, :, 1:])
-        steep = np.where(np.abs(steep) < 1e-9, 1e-9, steep)
-        slopes = -np.einsum("ijk,ipk->ipj", self.by_tap, powers) / steep[:, :, None]
-        return poles, slopes
 
 
 def stiffest(
@@ -145,6 +33,7 @@ def stiffest(
     seed: int = 1,
     effort: int = 1,
     known: Sequence[Vector] = (),
+    pole: float = 0.0,
 ) -> Robust | None:
     """Find the law of a family with the largest H(1) that keeps the demand.
 
@@ -162,6 +51,8 @@ def stiffest(
         Multiplies the generations of the global search.
     known : sequence of ndarray, shape (p,)
         Parameters of members that keep the demand, e.g. of a shorter law: the search climbs from them too.
+    pole : float
+        Of a filter behind the taps, see `Robust`.
 
     Returns
     -------
@@ -172,106 +63,84 @@ def stiffest(
     # One unit of each parameter: a force that moves the lightest device by the deflection within one tick.
     scale = demand.mass[0] / demand.period**2 / np.abs(basis).max(axis=1)
     basis = basis * scale[:, None]
-    cases, everywhere = _cases(demand, _MASSES, 3), verified_cases(demand)
-    fine = _Loop(demand, everywhere, basis.shape[1])
-    # A hair inside, so that rounding of the printed taps cannot cross the bound.
-    target = demand.radius - 1e-9
+    # Behind a filter, taps have (1 + pole) times the gain at ω_N that is allowed, and 1/(1 − pole) times the stiffness.
+    asked = replace(demand, nyquist=demand.nyquist * (1.0 + pole))
+    everywhere = verified_cases(demand)
+    fine = Loop(demand, everywhere, basis.shape[1], pole)
     starts = [np.asarray(start, dtype=np.float64) / scale for start in known]
-    best = max(
-        (start for start in starts if _keeps(demand, basis, fine, start)),
-        key=lambda start: float(start @ basis.sum(axis=1)),
-        default=None,
-    )
-    for start in [*starts, *_global(demand, basis, cases, free, seed, effort)]:
-        found = _settle(demand, basis, fine, everywhere, cases, start, target, free)
-        if found is not None and (best is None or found @ basis.sum(axis=1) > best @ basis.sum(axis=1)):
-            best = found
+    search = landed if demand.lands else _climbed
+    best = search(asked, basis, fine, starts, free, seed, effort)
     if best is None:
         return None
     taps = best @ basis
     radii = fine.radii(taps)
     worst = int(np.argmax(radii))
+    law = filtered(taps, pole)
     return Robust(
         taps=taps,
         parameters=best * scale,
-        h1_n_per_m=float(taps.sum()),
-        h_nyquist_n_per_m=float(taps @ _alternating(taps.size)),
+        h1_n_per_m=law.h1,
+        h_nyquist_n_per_m=law.h_nyquist,
         radius=float(radii[worst]),
         worst=tuple(everywhere[worst].tolist()),
+        pole=pole,
     )
 
 
-def verified_cases(demand: Demand) -> Vector:
-    """Cases on which a design is verified after the search.
-
-    Parameters
-    ----------
-    demand : Demand
-        With the ranges.
-
-    Returns
-    -------
-    ndarray, shape (c, 4)
-        Mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m]: 801 masses evenly spaced in the
-        logarithm, or 101 masses with 11 delays and hands and 5 dampings where those are ranges too; all ends are among them.
-    """
-    ranges = (demand.delay, demand.stiffness, demand.dampings)
-    return _cases(demand, 101 if any(low < high for low, high in ranges) else _VERIFIED, 11)
-
-
-def _cases(demand: Demand, masses: int, others: int) -> Vector:
-    axes = [
-        np.geomspace(*demand.mass, masses) if demand.mass[0] < demand.mass[1] else np.array(demand.mass[:1]),
-        np.linspace(*demand.delay, others) if demand.delay[0] < demand.delay[1] else np.array(demand.delay[:1]),
-        np.linspace(*demand.stiffness, others)
-        if demand.stiffness[0] < demand.stiffness[1]
-        else np.array(demand.stiffness[:1]),
-        np.linspace(*demand.dampings, min(others, 5)) if demand.damping_max is not None else np.array([demand.damping]),
-    ]
-    return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+def _climbed(
+    demand: Demand, basis: Vector, fine: Loop, starts: list[Vector], free: bool, seed: int, effort: int
+) -> Vector | None:
+    """Climb from all starts, by linear programmes."""
+    cases = cases_of(demand, _MASSES, 3)
+    # A hair inside, so that rounding of the printed taps cannot cross the bound.
+    target = demand.radius - 1e-9
+    best = max(
+        (start for start in starts if _keeps(demand, basis, fine, start)),
+        key=lambda start: float(start @ basis.sum(axis=1)),
+        default=None,
+    )
+    for start in [*starts, *_global(demand, basis, Loop(demand, cases, fine.taps, fine.pole), free, seed, effort)]:
+        found = _settle(demand, basis, fine, cases, start, target, free)
+        if found is not None and (best is None or found @ basis.sum(axis=1) > best @ basis.sum(axis=1)):
+            best = found
+    return best
 
 
 def _settle(
     demand: Demand,
     basis: Vector,
-    fine: _Loop,
-    everywhere: Vector,
+    fine: Loop,
     cases: Vector,
     start: Vector,
     target: float,
     free: bool,
 ) -> Vector | None:
     """Climb, verify everywhere, take the worst case in and come back inside, until there is none."""
-    here = start
+    here, everywhere = start, verified_cases(demand)
     for _ in range(12):
-        here = _climb(demand, basis, _Loop(demand, cases, fine.taps), here, target, free)
+        here = _climb(demand, basis, Loop(demand, cases, fine.taps, fine.pole), here, target, free)
         radii = fine.radii(here @ basis)
         worst = int(np.argmax(radii))
         if radii[worst] <= demand.radius:
             return here if _quiet(demand, basis, here) else None
         cases = np.vstack([cases, everywhere[worst]])
-        here = _retreat(demand, basis, _Loop(demand, cases, fine.taps), here, target, free)
+        here = _retreat(demand, basis, Loop(demand, cases, fine.taps, fine.pole), here, target, free)
     return None
 
 
-def _keeps(demand: Demand, basis: Vector, fine: _Loop, parameters: Vector) -> bool:
+def _keeps(demand: Demand, basis: Vector, fine: Loop, parameters: Vector) -> bool:
     return _quiet(demand, basis, parameters) and float(fine.radii(parameters @ basis).max()) <= demand.radius
 
 
 def _quiet(demand: Demand, basis: Vector, parameters: Vector) -> bool:
-    return abs(float(parameters @ basis @ _alternating(basis.shape[1]))) <= demand.nyquist * (1.0 + 1e-12)
+    return abs(float(parameters @ basis @ alternating(basis.shape[1]))) <= demand.nyquist * (1.0 + 1e-12)
 
 
-def _alternating(size: int) -> Vector:
-    return np.asarray(np.where(np.arange(size) % 2, -1.0, 1.0), dtype=np.float64)
-
-
-def _global(demand: Demand, basis: Vector, cases: Vector, free: bool, seed: int, effort: int) -> list[Vector]:
+def _global(demand: Demand, basis: Vector, loop: Loop, free: bool, seed: int, effort: int) -> list[Vector]:
     """Feasible starts in different corners: narrow and wide boxes, each with its own seed."""
     from scipy.optimize import Bounds, differential_evolution
 
-    loop = _Loop(demand, cases, basis.shape[1])
-    signs = _alternating(basis.shape[1])
+    signs = alternating(basis.shape[1])
     unit = demand.mass[0] / demand.period**2
 
     def score(columns: Vector, /) -> Any:
@@ -302,11 +171,11 @@ def _global(demand: Demand, basis: Vector, cases: Vector, free: bool, seed: int,
     return starts
 
 
-def _climb(demand: Demand, basis: Vector, loop: _Loop, start: Vector, target: float, free: bool) -> Vector:
+def _climb(demand: Demand, basis: Vector, loop: Loop, start: Vector, target: float, free: bool) -> Vector:
     """Raise H(1) by linear programmes over the linearised poles, never leaving the bound."""
     from scipy.optimize import linprog
 
-    signs = _alternating(basis.shape[1])
+    signs = alternating(basis.shape[1])
     gain, noise = basis.sum(axis=1), basis @ signs
     here, trust = start, 0.05
     for _ in range(300):
@@ -344,11 +213,11 @@ def _climb(demand: Demand, basis: Vector, loop: _Loop, start: Vector, target: fl
     return here
 
 
-def _retreat(demand: Demand, basis: Vector, loop: _Loop, start: Vector, target: float, free: bool) -> Vector:
+def _retreat(demand: Demand, basis: Vector, loop: Loop, start: Vector, target: float, free: bool) -> Vector:
     """Bring a law back inside after a case has joined: to where the excess is least, then back as far as allowed."""
     from scipy.optimize import minimize
 
-    signs = _alternating(basis.shape[1])
+    signs = alternating(basis.shape[1])
 
     def excess(p: Vector) -> float:
         if not free and p.min() < 0.0:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from nodes.laws import CompiledLaw
+from nodes.laws.pd_windowed import WindowedDamper
 from nodes.tick.kernels.sources import kernel
 from sim.device.model import DeviceModel, Hand
 from sim.scene.compiled import compiled
@@ -172,7 +173,15 @@ def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
 
 
 def _trials(
-    first: int, last: int, ticks: int, motion: Motion, contact: Contact, taps: Any, recursive: Any, results: Any
+    first: int,
+    last: int,
+    ticks: int,
+    motion: Motion,
+    contact: Contact,
+    taps: Any,
+    recursive: Any,
+    windows: Any,
+    results: Any,
 ) -> None:
     length = taps.shape[1]
     width = 0 if recursive is None else recursive.shape[1]
@@ -191,6 +200,8 @@ def _trials(
             np.zeros(2 * max(length, 2)),
             np.zeros(motion.waiting),
             Records(positions, None, None, None, forces),
+            None,
+            _row(windows, p),
         )
         verdict = _judge(positions, forces, contact.surface, contact.normal)
         for i in range(5):
@@ -251,9 +262,17 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     """
     if scene.passivity is not None and scene.passivity.guard == "on":
         raise ValueError("scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out")
-    if any(law.evaluate is not None for law in laws):
-        # Code of its own is not compiled: such a law is played by the interpreter, one run after the other.
-        return [_played(scene, law, criterion) if law.evaluate else settles(scene, [law], criterion)[0] for law in laws]
+    own = [law.evaluate for law in laws]
+    dampers = [one for one in own if isinstance(one, WindowedDamper)]
+    if any(one is not None for one in own) and len(dampers) < len(laws):
+        # Other code of its own is not compiled: such a law is played by the interpreter, one run after the other.
+        return [
+            _played(scene, law, criterion)
+            if law.evaluate is not None and not isinstance(law.evaluate, WindowedDamper)
+            else settles(scene, [law], criterion)[0]
+            for law in laws
+        ]
+    windows = np.array([(one.gain, one.error, one.window) for one in dampers]) if dampers else None
     ticks = criterion.ticks
     taps = np.zeros((len(laws), max(len(law.taps) for law in laws)))
     most = max(len(law.sections) for law in laws)
@@ -270,8 +289,8 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     bounds = [len(laws) * i // cores for i in range(cores + 1)]
 
     def play(part: int) -> None:
-        own = recursive if most else None
-        _trials_compiled(bounds[part], bounds[part + 1], ticks, motion, contact, taps, own, results)
+        sections = recursive if most else None
+        _trials_compiled(bounds[part], bounds[part + 1], ticks, motion, contact, taps, sections, windows, results)
 
     # Compiled code holds no interpreter lock: threads are cores.
     with ThreadPoolExecutor(cores) as threads:

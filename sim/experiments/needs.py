@@ -46,7 +46,7 @@ class Outcome:
     limit_cycle_m : float
         Swing over the last fifth, peak to peak [m].
     h1_max_n_per_m : float or None
-        Stiffness at which the loop becomes unstable (K_max in terms of H(1)); None without contact [N/m].
+        Stiffness at which the loop becomes unstable (K_max in terms of H(1)); None without contact or poles [N/m].
     """
 
     settling_s: float
@@ -78,8 +78,8 @@ class Finding:
         Relative movement of each outcome that counts [1].
     cost_spread_us : float or None
         How far that cost may be off by the spread of the rounds that were timed [µs]; None with one round.
-    cost_us : float
-        What the term costs per tick in plain Python [µs].
+    cost_us : float or None
+        What the term costs per tick in plain Python [µs]; None where the spread is larger, and for a convention.
     """
 
     term: str
@@ -88,7 +88,7 @@ class Finding:
     moved: float
     most: str
     changes: dict[str, float]
-    cost_us: float
+    cost_us: float | None
     cost_spread_us: float | None = None
 
 
@@ -141,11 +141,11 @@ def outcome(scene: LaunchedScene, trace: Trace) -> Outcome:
 
 
 def _stiffest(scene: LaunchedScene) -> float | None:
-    if scene.scene.surface.kind == "free":
+    law = scene.swaps[-1].law if scene.swaps else scene.law
+    if scene.scene.surface.kind == "free" or law.evaluate is not None:
         return None
     device = scene.scene.device
     delay = device.delay + (1.0 if scene.scene.next_tick else 0.0)
-    law = scene.swaps[-1].law if scene.swaps else scene.law
     taps = (law.taps[0] - law.h1, *law.taps[1:])
     rest = CompiledLaw(taps, law.sections)
     body = Plant(device.moving_mass, device.moving_damping, delay, device.grip)
@@ -198,10 +198,11 @@ def needs(scene: LaunchedScene, model: Model, rounds: int = 5, step: Callable[[s
     whole = timings[""].median
     costed = []
     for label, finding in zip(variants, findings, strict=True):
-        sign = 1.0 if finding.switched == "off" else -1.0
         mine = timings[label]
+        cost = 1e6 * (whole - mine.median) * (1.0 if finding.switched == "off" else -1.0)
         spread = 0.5e6 * ((mine.high - mine.low) + (timings[""].high - timings[""].low)) if rounds > 1 else None
-        costed.append(replace(finding, cost_us=1e6 * sign * (whole - mine.median), cost_spread_us=spread))
+        known = finding.switched != "other" and spread is not None and abs(cost) > spread
+        costed.append(replace(finding, cost_us=cost if known else None, cost_spread_us=spread))
     return Needs(before, tuple(costed), 1e6 * whole)
 
 
@@ -261,4 +262,4 @@ def _finding(
         verdict = "brought by the loop"
     else:
         verdict = "missing"
-    return Finding(" and ".join(terms), switched, verdict, moved, most, changes, 0.0)
+    return Finding(" and ".join(terms), switched, verdict, moved, most, changes, None)

@@ -10,8 +10,8 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
+from sim.design.demand import Demand
 from sim.design.families import best_pd, designed
-from sim.design.robust import Demand
 from sim.device.model import DeviceModel
 from sim.identify.identify import Identified, identify
 from sim.identify.tune import Wanted, demand

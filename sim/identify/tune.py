@@ -16,8 +16,9 @@ from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.every_delay import every_delay
 from nodes.stability.rest import rest
-from sim.design.families import Tuned, best_pd, designed, drops, landing, latest_delay
-from sim.design.robust import Demand
+from sim.design.demand import CONVENTIONS, Demand
+from sim.design.families import Tuned, best_pd, designed, latest_delay
+from sim.design.landing import drops
 from sim.device.model import DeviceModel
 from sim.identify.identify import Identified
 from sim.identify.knock import Edge, factors, predicted_edge
@@ -94,6 +95,7 @@ def demand(found: Identified, wanted: Wanted) -> Demand:
         radius=wanted.radius,
         nyquist=wanted.nyquist,
         stiffness=(softest, stiffest),
+        lands=CONVENTIONS if wanted.land else (),
     )
 
 
@@ -118,12 +120,7 @@ def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
         When the device is not known well enough.
     """
     asked = demand(found, wanted)
-
-    def free(one: Demand) -> Tuned:
-        return designed(one, wanted.taps, wanted.effort)
-
-    law = landing(free, asked) if wanted.land else free(asked)
-    pd = landing(best_pd, asked) if wanted.land else best_pd(asked)
+    law, pd = designed(asked, wanted.taps, wanted.effort), best_pd(asked)
     if pd.found is not None and (law.found is None or pd.found.h1_n_per_m > law.found.h1_n_per_m):
         law = pd
     return law, pd, asked
@@ -241,8 +238,8 @@ def predict(
     """
     if law.found is None:
         raise ValueError("no law keeps the demand: allow a larger radius, less spread or more taps")
-    taps = tuple(law.found.taps.tolist())
-    compiled = CompiledLaw(taps)
+    compiled = law.found.law
+    taps = compiled.taps
     linear = linear_edge(compiled, found)
     tried = factors(max(1.0, 0.8 * linear), 1.25 * linear)
     knock = knock_size(taps, linear, found, peak)
@@ -250,7 +247,7 @@ def predict(
     # Far below the edge every third step will do.
     near = 0.93 * (knocked.factor or tried[-1])
     tried = [factor for n, factor in enumerate(tried) if n % 3 == 0 or factor > near]
-    dropped = drops(law.found.taps, asked)
+    dropped = drops(law.found.law, asked)
     figures: dict[str, Any] = {
         "h1_n_per_m": law.found.h1_n_per_m,
         "h_nyquist_n_per_m": law.found.h_nyquist_n_per_m,

@@ -217,8 +217,8 @@ class _Tuning:
         """Predict edge, margins, landing and rest."""
         import numpy as np
 
+        from sim.design.demand import Robust
         from sim.design.families import Tuned
-        from sim.design.robust import Robust
         from sim.identify.report import from_figures
         from sim.identify.tune import Wanted, demand, predict
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from nodes.laws.pd import PD
 from nodes.stability.k_max import Plant, edge_of, k_max, with_spring, without_spring
 from sim.paper.claims import Claim, verdict
-from sim.paper.fig4 import DELAYS, LAWS, Curve, Setting, best, published
+from sim.paper.fig4 import CUTOFF, DELAYS, LAWS, Curve, Setting, best, published
 
 
 def claims_4(setting: Setting, curves: list[Curve], spreads: list[tuple[float, str, float]]) -> list[Claim]:
@@ -138,8 +138,11 @@ def _ranges(gains: tuple[float, ...], good: set[float]) -> str:
 
 
 _NAMES = {
+    "pd_filtered": f"PD with its velocity behind {CUTOFF:g} Hz",
+    "pd_windowed": "PD with a windowed velocity",
     "paper_optimum": "the paper's optimum",
-    "designed": "a law designed for this delay",
+    "designed": "a law designed for this delay and half to twice the mass",
+    "designed_drop": "a law designed for this very drop",
 }
 
 

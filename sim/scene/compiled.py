@@ -11,14 +11,16 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.extending import overload
 
 import nodes.driver.passivity
 import nodes.kernels
+import nodes.laws.pd_windowed
 import sim.device.friction
 import sim.device.model
 from nodes.tick.kernels.sources import kernel
@@ -38,6 +40,7 @@ KERNELS: tuple[Callable[..., Any], ...] = (
     nodes.kernels.sections,
     nodes.kernels.warm_up,
     nodes.kernels.cross_fade,
+    nodes.laws.pd_windowed.windowed_slope,
     nodes.driver.passivity.observe,
     nodes.driver.passivity.forget,
     nodes.driver.passivity.control,
@@ -58,12 +61,33 @@ for _kernel in KERNELS:
     kernel(_kernel)
 
 
+def own_force(own: Callable[[Sequence[float], int], float], history: Any, head: int) -> float:
+    """Force of a law's code of its own."""
+    return own(history, head)
+
+
+_slope = nodes.laws.pd_windowed.windowed_slope
+# Compiled, the code of its own is the windowed damper's, handed over as its three numbers.
+overload(own_force)(
+    lambda own, history, head: (  # noqa: ARG005
+        lambda own, history, head: own[0] * _slope(history, head, own[1], int(own[2]))
+    )
+)
+
+
 def _cache_folder() -> str | None:
     """Folder for compiled code, None where nothing can be written."""
     text = hashlib.sha256()
-    for module in (nodes.kernels, nodes.driver.passivity, sim.device.model, sim.device.friction):
+    for module in (
+        nodes.kernels,
+        nodes.laws.pd_windowed,
+        nodes.driver.passivity,
+        sim.device.model,
+        sim.device.friction,
+    ):
         text.update(Path(str(module.__file__)).read_bytes())
-    text.update(Path(__file__).with_name("tick_loop.py").read_bytes())
+    for path in (Path(__file__), Path(__file__).with_name("tick_loop.py")):
+        text.update(path.read_bytes())
     base = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(base) / "haptic-nodes" / f"numba-{text.hexdigest()[:16]}"
     try:

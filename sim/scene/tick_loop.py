@@ -13,7 +13,7 @@ from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_d
 from nodes.tick.kernels.sources import kernel
 from sim.device.friction import move
 from sim.device.model import Coefficients, quantise, saturate
-from sim.scene.compiled import compiled
+from sim.scene.compiled import compiled, own_force
 
 Numbers: TypeAlias = Any
 """A list of numbers when the loop is interpreted, an array when it is compiled."""
@@ -234,7 +234,7 @@ def play(
             )
             force = evaluate(now_taps, now_recursive, now_state, history, head)
             if own is not None:
-                force = force + own(history, head)
+                force = force + own_force(own, history, head)
             if done < ramp:
                 force = cross_fade(evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp)
                 done += 1

@@ -17,6 +17,7 @@ from nodes.stability.k_max import Plant, edge_of, k_max, tolerance, without_spri
 from nodes.stability.rest import rest, stiffest_at_rest
 from sim.results import fresh
 from sim.studies import arguments as shared
+from sim.studies.rest_map import rest_map
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -48,6 +49,11 @@ def run(arguments: argparse.Namespace) -> int:
         derivative = without_spring(law, period)
     except LawRefusedError as error:
         raise UsageError(str(error)) from error
+    if compiled.evaluate is not None:
+        raise UsageError(
+            f"{law.kind}: has code of its own, so no transfer function and no poles to analyse; drop it: "
+            "haptic study kmax --method simulation"
+        )
     figures = law_figures(compiled, period, device.mass, device.damping, device.delay, device.stiffness)
     limits = tolerance(compiled, period, device)
     boundary = k_max(derivative, period, device)
@@ -56,6 +62,12 @@ def run(arguments: argparse.Namespace) -> int:
     figures["edge"] = None if edge is None else asdict(edge)
     figures["every_delay"] = _every_delay(arguments, compiled, device, period)
     figures["rest"] = _rest(arguments, compiled, derivative, device, period)
+    if arguments.resolution is not None:
+        friction = arguments.friction or figures["rest"]["friction_bound_n"]
+        nominal = compiled.taps[0] - derivative.taps[0]
+        figures["rest"]["map"] = rest_map(
+            compiled, nominal, period, device, arguments.resolution, friction, arguments.out / "rest.png"
+        )
     figures["plot"] = str(_draw(arguments, compiled, device, period))
     answer(arguments.json, figures, _text(figures))
     return 0
@@ -149,6 +161,7 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
             lines.append(
                 f"stiffest rest   {'none' if stiffest is None else f'{stiffest:.6g} N/m'} with the declared friction"
             )
+        lines.append(f"rest map        {still['map']['plot']}")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Chart speed against accuracy: realisations of D^α, integrators, ways to K_max, loop rates; Pareto front marked."""
+"""Chart speed against accuracy: realisations of D^α, also at equal demand, integrators, ways to K_max, loop rates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim.studies.arguments import add_answer
 if TYPE_CHECKING:
     from sim.measure.stopwatch import Progress
 
-PARTS = ("derivatives", "integrators", "kmax", "rates")
+PARTS = ("derivatives", "demand", "integrators", "kmax", "rates")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
         if part not in PARTS:
             raise UsageError(f"--parts {part}: there is none of that name; choose from {', '.join(PARTS)}")
     from sim.chart.derivatives import derivative_groups, derivative_steps
+    from sim.chart.equal_demand import demand_groups, demand_steps
     from sim.chart.integrators import integrator_groups, integrator_steps
     from sim.chart.k_max import kmax_groups, kmax_steps
     from sim.chart.page import conclusions, draw, page
@@ -48,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {
         # The weight is about how many tenths of a second one step takes, so that the bar moves evenly.
         "derivatives": (derivative_groups, derivative_steps, 1),
+        "demand": (demand_groups, demand_steps, 1),
         "integrators": (integrator_groups, integrator_steps, 1),
         "kmax": (kmax_groups, kmax_steps, 1),
         "rates": (rate_groups, rate_steps, 30),

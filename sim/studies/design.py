@@ -6,7 +6,7 @@ import argparse
 import itertools
 import math
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,8 @@ from nodes.laws import CompiledLaw
 from nodes.recording.writer import RecordError
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import Plant
+from nodes.stability.rest import rest
+from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.families import (
     Tuned,
     best_pd,
@@ -22,18 +24,17 @@ from sim.design.families import (
     certified,
     compare,
     designed,
-    drops,
     fir,
-    landing,
     latest_delay,
     to_yaml,
 )
+from sim.design.landing import drops
 from sim.design.passive import Passive, stiffest_passive
 from sim.design.recorded_loop import Measured, measure
 from sim.design.replay import replayed_radius
-from sim.design.robust import Demand
 from sim.results import fresh
 from sim.studies import arguments as shared
+from sim.studies.rest_map import rest_map
 
 _REPLAYED = 2000
 """Ticks of a recording that are replayed; a decay of 0.99 per tick is down to rounding by then."""
@@ -61,7 +62,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--effort", type=int, default=1, help="multiplies the search (default: %(default)s)")
     parser.add_argument(
-        "--land", action="store_true", help="tune for lighter devices until every drop of the demanded ones settles"
+        "--land",
+        action="store_true",
+        help="demand that every drop settles too, from 5 to 20 mm and 3 %% beyond the masses, under all contact conventions",
     )
     parser.add_argument(
         "--every-delay",
@@ -125,6 +128,7 @@ def _demand(arguments: argparse.Namespace) -> tuple[Demand, Measured | None]:
         radius=arguments.radius,
         nyquist=nyquist,
         stiffness=arguments.hand,
+        lands=CONVENTIONS if arguments.land else (),
     )
     return demand, run
 
@@ -144,6 +148,7 @@ def _wanted(demand: Demand) -> dict[str, Any]:
         "radius_limit": demand.radius,
         "h_nyquist_limit_n_per_m": demand.nyquist,
         "hand_n_per_m": list(demand.stiffness),
+        "lands": bool(demand.lands),
     }
 
 
@@ -153,15 +158,12 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
     def free(wanted: Demand) -> Tuned:
         return designed(wanted, arguments.taps, arguments.effort)
 
-    def tune(wanted: Demand) -> Tuned:
-        return landing(free, wanted) if arguments.land else free(wanted)
-
     try:
-        law = certified(tune, demand) if arguments.every_delay else tune(demand)
+        law = certified(free, demand) if arguments.every_delay else free(demand)
     except ValueError as error:
         raise UsageError(f"--every-delay: {error}") from error
     _say("PD, to compare")
-    pd = landing(best_pd, demand) if arguments.land else best_pd(demand)
+    pd = best_pd(demand)
     passive = None
     if demand.damping > 0.0:
         _say("passive")
@@ -185,7 +187,7 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         path.write_text(to_yaml(law.law, comment=_describe(demand)), encoding="utf-8")
         figures["designed"] = _row(law, demand) | {
             "yaml": str(path),
-            "every_delay": certificate(law.found.taps, demand),
+            "every_delay": certificate(law.found.law, demand),
         }
         proof = figures["designed"]["every_delay"]
         told = {True: "certified", False: "NOT stable", None: "not decided"}.get(
@@ -201,6 +203,8 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         _draw(plot, demand, law, pd, passive)
         figures["plot"] = str(plot)
         lines.append(str(plot))
+        if arguments.friction is not None:
+            lines += _at_rest(arguments, law.found, demand, figures["designed"])
     else:
         lines.append("no law of this length keeps the demand: allow a larger radius, a narrower range or more taps")
     if passive is not None:
@@ -217,11 +221,26 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
     return 0 if law.found is not None else 1
 
 
+def _at_rest(arguments: argparse.Namespace, found: Robust, demand: Demand, figures: dict[str, Any]) -> list[str]:
+    """Friction that the law asks for at the heaviest, least damped device, and the map of its K about this one."""
+    device = Plant(demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0])
+    needed = rest(found.law, demand.period, arguments.resolution, device.mass, device.damping, device.delay)
+    path = arguments.out / "design_rest.png"
+    drawn = rest_map(found.law, found.h1_n_per_m, demand.period, device, arguments.resolution, arguments.friction, path)
+    figures["rest"] = asdict(needed) | {"map": drawn}
+    stops = "stops" if needed.friction_bound_n <= arguments.friction else "need not stop"
+    return [
+        f"every motion {stops} with {arguments.friction:g} N: for certain from {needed.friction_bound_n:.4g} N, by estimate "
+        f"from {needed.friction_estimated_n:.4g} N (THEORY.md §5)",
+        str(path),
+    ]
+
+
 def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dict[str, Any]:
     """Replay the recorded delays on the lightest and the heaviest device: jitter is not a constant delay."""
     worst = None
     if law.found is not None:
-        compiled = CompiledLaw(tuple(law.found.taps.tolist()))
+        compiled = law.found.law
         worst = max(
             replayed_radius(
                 compiled, demand.period, Plant(mass, demand.damping, 0.0, hand), measured.delays[:_REPLAYED]
@@ -263,7 +282,7 @@ def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
         "pole_radius": tuned.found.radius,
         "worst_mass_kg": tuned.found.worst[0],
         "stable_up_to_delay_ticks": latest_delay(tuned, demand),
-        "drops_settled": drops(tuned.found.taps, demand),
+        "drops_settled": drops(tuned.found.law, demand),
     }
 
 
@@ -305,7 +324,7 @@ def _compare(arguments: argparse.Namespace, demand: Demand) -> int:
             lines.append(_describe(case))
             laws = []
             _say(lines[-1])
-            for one in compare(case, arguments.taps, _say, arguments.land):
+            for one in compare(case, arguments.taps, _say):
                 laws.append(_row(one, case))
                 lines.append(f"  {_line(laws[-1])}")
             rows.append(_verdict(case, laws, lines))

@@ -1,4 +1,4 @@
-"""The paper's figure 4: largest stiffness that settles in a drop over B, for PD, the paper's optimum and a designed law."""
+"""The paper's figure 4: largest stiffness that settles in a drop over B, for PD, the paper's optimum and designed laws."""
 
 from __future__ import annotations
 

@@ -6,10 +6,14 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from nodes.cli.main import UsageError, add_json, answer
+from nodes.cli.main import UsageError, answer
+from sim.studies.arguments import add_answer
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from sim.experiments.needs import Needs
+    from sim.scene.from_launch import LaunchedScene
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -17,7 +21,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", help="name of a launch file, or the path of one")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of timing (default: %(default)s)")
-    add_json(parser)
+    add_answer(parser)
     parser.set_defaults(run=run)
 
 
@@ -45,9 +49,42 @@ def run(arguments: argparse.Namespace) -> int:
         "terms": [asdict(finding) for finding in found.findings],
         "superfluous": list(found.superfluous),
         "missing": list(found.missing),
+        "rest": _rest(scene, arguments.out / "needs_rest.png"),
     }
-    answer(arguments.json, figures, _text(launch.scenario, launch.model, found))
+    text = _text(launch.scenario, launch.model, found)
+    if (told := figures["rest"]) is not None:
+        text += (
+            f"\nrest: {1e6 * told['resolution_m']:.3g} µm of encoder and {told['friction_n']:.3g} N of friction"
+            f"{'' if told['declared'] else ' (a Touch X: the scene has none)'}; every motion stops for certain from "
+            f"{told['friction_bound_n']:.4g} N, by estimate from {told['friction_estimated_n']:.4g} N\n{told['map']['plot']}"
+        )
+    answer(arguments.json, figures, text)
     return 1 if found.superfluous or found.missing else 0
+
+
+def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
+    """Tell what encoder and friction do to the scene's last law at rest; None without contact or for a law that has no taps."""
+    from dataclasses import asdict
+
+    from nodes.stability.k_max import Plant
+    from nodes.stability.rest import rest
+    from sim.experiments.terms import FRICTION, RESOLUTION
+    from sim.studies.rest_map import rest_map
+
+    law = scene.swaps[-1].law if scene.swaps else scene.law
+    if scene.scene.surface.kind == "free" or law.evaluate is not None:
+        return None
+    body, period = scene.scene.device, scene.scene.period
+    device = Plant(
+        body.moving_mass, body.moving_damping, body.delay + (1.0 if scene.scene.next_tick else 0.0), body.grip
+    )
+    declared = body.resolution is not None and bool(body.friction)
+    resolution, friction = (
+        (body.resolution or RESOLUTION, body.friction or FRICTION) if declared else (RESOLUTION, FRICTION)
+    )
+    found = rest(law, period, resolution, device.mass, device.damping, device.delay)
+    drawn = rest_map(law, law.h1, period, device, resolution, friction, path)
+    return {"declared": declared, "resolution_m": resolution, "friction_n": friction, **asdict(found), "map": drawn}
 
 
 def _text(name: str, model: Any, found: Needs) -> str:
@@ -62,9 +99,7 @@ def _text(name: str, model: Any, found: Needs) -> str:
     ]
     for f in found.findings:
         moved = "∞" if f.moved == float("inf") else f"{100 * f.moved:.3g} %"
-        # What is smaller than the spread of the rounds is not known: left blank.
-        known = f.switched != "other" and f.cost_spread_us is not None and abs(f.cost_us) > f.cost_spread_us
-        cost = f"{f.cost_us:+.2f} ± {f.cost_spread_us:.2f}" if known else ""
+        cost = "" if f.cost_us is None else f"{f.cost_us:+.2f} ± {f.cost_spread_us:.2f}"
         lines.append(f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>14}  {f.verdict}")
     lines += [
         "",

@@ -15,14 +15,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nodes.cli.main import main
+from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from nodes.stability.k_max import Plant, k_max, without_spring
 from sim.bench.tap_timing import TapTimings
 from sim.chart.derivatives import largest_stable, with_stiffness
+from sim.chart.equal_demand import NYQUIST, keeps, tuned
 from sim.chart.integrators import DAMPING, MASS, PERIOD, drop, integrators, reference, spring_limit
 from sim.chart.k_max import light, poles, simulated
 from sim.chart.points import Group, Point, on_front, save, with_front
 from sim.chart.rates import GAIN, calms_down, continuous, force_error, launch
+from sim.design.demand import Demand
+from sim.design.families import best_pd
 from sim.device.model import DeviceModel
 from sim.measure.stopwatch import Progress, Timing, interleaved, machine
 from sim.scene.loop import Scene, Surface, run
@@ -123,6 +127,25 @@ def test_leak_does_not_change_the_stiffness_that_is_compared() -> None:
     assert law.h1 == pytest.approx(400.0, rel=1e-9)
 
 
+@pytest.mark.parametrize("radius", [0.99, 1.0 - 1e-9])
+def test_equal_demand_is_kept_just_inside_and_broken_just_outside(radius: float) -> None:
+    unit = without_spring(PD(stiffness=1.0, damping=1.0), 0.002)
+
+    def way(stiffness: float, gain: float) -> CompiledLaw:
+        return with_stiffness(unit, stiffness, gain, 1.0, 0.002)
+
+    stiffness, gain = tuned(way, radius)
+    # To 1e-3 along K, at this gain; the demand is kept by poles at the masses and by H(−1) = K + 2B/T.
+    assert keeps(way(stiffness, gain), radius)
+    assert not keeps(way(1.002 * stiffness, gain), radius)
+    assert stiffness + 2.0 * gain / 0.002 <= NYQUIST
+    # The design's own search, global and with linear programmes over 801 masses, finds the same best PD.
+    if radius == 0.99:
+        best = best_pd(Demand((0.05, 0.2), 1.0, (1.0, 1.0), 0.002, radius, NYQUIST)).found
+        assert best is not None
+        assert stiffness == pytest.approx(best.h1_n_per_m, rel=5e-3)
+
+
 # --- integrators: the reference is scipy's matrix exponential --------------------------------------------------------
 
 
@@ -211,7 +234,16 @@ def chart(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     out = io.StringIO()
     with redirect_stdout(out):
         code = main(
-            ["study", "chart", "--parts", "derivatives,integrators,kmax", "--quick", "--json", "--out", str(folder)]
+            [
+                "study",
+                "chart",
+                "--parts",
+                "derivatives,demand,integrators,kmax",
+                "--quick",
+                "--json",
+                "--out",
+                str(folder),
+            ]
         )
     assert code == 0
     answer: dict[str, Any] = json.loads(out.getvalue().splitlines()[-1])
@@ -245,6 +277,13 @@ def test_chart_conclusions_are_true_to_the_data(chart: tuple[Path, dict[str, Any
     for line in answer["conclusions"]:
         assert line in page
     points = {(p["group"], p["name"]): p for p in answer["points"]}
+    equal = next(line for line in answer["conclusions"] if line.startswith("At equal demand"))
+    for order in ("0.5", "1.5"):
+        group = [p for p in answer["points"] if p["group"] == f"equal_demand_{order}_stable"]
+        stiffest = max(group, key=lambda p: p["detail"]["h1_tuned_n_per_m"])
+        assert stiffest["error"] == 0.0
+        assert f"the stiffest, {stiffest['name']}, has {stiffest['detail']['h1_tuned_n_per_m']:.0f} N/m" in equal
+    assert {p["family"] for p in answer["points"] if p["group"] == "equal_demand_1_calm"} >= {"gl", "pd_filtered"}
     assert points["integrator_k_max", "exact map"]["error"] < 1e-9
     assert points["integrator_k_max", "semi-implicit Euler 10"]["error"] == pytest.approx(1.0 / 9.0, rel=0.05)
     best = min((p for p in answer["points"] if p["group"] == "derivative_time_0.5"), key=lambda p: p["error"])

@@ -1,0 +1,120 @@
+"""Accuracy against stiffness at equal demand: whether the better derivative makes the stiffer wall.
+
+At one common gain it says little: each realisation has its own best gain. So the gain of every law is tuned, and all keep the
+same demand: pole radius over a range of mass at one tick of delay, and a bound on |H(−1)|. At a radius of 0.99 a derivative
+that remembers for longer is out by its own memory, so mere stability is asked for too. The error is that of the derivative,
+the best pure delay removed. D^1 has the baselines: PD, and PD with a filtered velocity; a windowed velocity has no poles, and
+is dropped instead (`sim.paper.fig4`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.laws.pd_filtered import PDFiltered
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.k_max import without_spring
+from sim.chart.derivative_errors import Analysis, analyse
+from sim.chart.derivatives import DAMPING, DELAY, PERIOD, candidates, with_stiffness
+from sim.chart.points import Detail, Group, Point
+
+ORDERS = (0.5, 1.0, 1.5)
+MASSES, NYQUIST = (0.05, 0.1, 0.2), 1e4
+RADII = {"calm": 0.99, "stable": 1.0 - 1e-9}
+CUTOFFS = (50.0, 100.0, 200.0)
+"""Of the filtered velocity [Hz]."""
+
+_LONGEST, _QUICK_LONGEST = 64, 8
+_GAINS, _STIFFNESSES = np.geomspace(0.5, 40.0, 14), np.geomspace(6000.0, 200.0, 26)
+
+_FIRST = {("gl", 4), ("bdf2", 4), ("bdf3", 4)}
+"""Realisations of D^1 that differ; all others are PD's difference."""
+
+Way = Callable[[float, float], CompiledLaw]
+
+
+def keeps(law: CompiledLaw, radius: float) -> bool:
+    """Tell whether a law keeps the demand, the lightest device first."""
+    return abs(law.h_nyquist) <= NYQUIST and all(
+        pole_radius(law, PERIOD, mass, DAMPING, DELAY) <= radius for mass in MASSES
+    )
+
+
+def tuned(way: Way, radius: float) -> tuple[float, float]:
+    """Find the largest stiffness that keeps the demand at any gain, and that gain; both 0 when none does."""
+    best, at = 0.0, 0.0
+    gains = _GAINS
+    for spread in (1.2, 1.05):
+        for gain in gains.tolist():
+            kept = next((k for k in _STIFFNESSES.tolist() if k > best and keeps(way(k, gain), radius)), None)
+            if kept is None and not (best > 0.0 and keeps(way(best * 1.001, gain), radius)):
+                continue
+            low, high = kept or best, (kept or best) * float(_STIFFNESSES[0] / _STIFFNESSES[1])
+            while high > 1.001 * low:
+                middle = math.sqrt(low * high)
+                low, high = (middle, high) if keeps(way(middle, gain), radius) else (low, middle)
+            best, at = low, gain
+        gains = np.geomspace(at / spread, at * spread, 5) if at else gains[:0]
+    return best, at
+
+
+def laws(order: float, quick: bool) -> Iterator[tuple[str, str, Way, Analysis]]:
+    """Go through what is compared: name, family, the law at a stiffness and a gain, and the errors of its derivative."""
+    for kind, taps, unit in candidates(order, quick):
+        if len(unit.taps) <= (_QUICK_LONGEST if quick else _LONGEST) and (order != 1.0 or (kind, taps) in _FIRST):
+            yield (
+                "pd" if (order, kind) == (1.0, "gl") else f"{kind} {taps}",
+                kind,
+                lambda k, g, unit=unit: with_stiffness(unit, k, g, order, PERIOD),  # type: ignore[misc]
+                analyse(kind, order, taps, PERIOD),
+            )
+    if order == 1.0:
+        for cutoff in CUTOFFS[1:2] if quick else CUTOFFS:
+            unit = without_spring(PDFiltered(stiffness=1.0, damping=1.0, cutoff=cutoff), PERIOD)
+            yield (
+                f"pd_filtered {cutoff:g} Hz",
+                "pd_filtered",
+                lambda k, g, unit=unit: with_stiffness(unit, k, g, 1.0, PERIOD),  # type: ignore[misc]
+                analyse("pd_filtered", 1.0, 2, PERIOD, unit),
+            )
+
+
+def demand_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
+    """Tune every realisation to the same demand."""
+    found = []
+    for order in ORDERS:
+        for demand, radius in RADII.items():
+            rows = []
+            for name, family, way, errors in laws(order, quick):
+                rows.append((name, family, errors.error(), *tuned(way, radius)))
+                step(f"D^{order:g} {name} at equal demand")
+            found.append(_group(order, demand, radius, rows))
+    return found
+
+
+def _group(order: float, demand: str, radius: float, rows: list[tuple[str, str, float, float, float]]) -> Group:
+    best = max(stiffness for *_, stiffness, _ in rows)
+    points = []
+    for name, family, error, stiffness, gain in rows:
+        detail: dict[str, Detail] = {"order": order, "h1_tuned_n_per_m": stiffness, "gain_tuned_n_s_per_m": gain}
+        points.append(Point(name, error, 1.0 - stiffness / best, family, detail))
+    return Group(
+        f"equal_demand_{order:g}_{demand}",
+        f"D^{order:g}: accuracy and stiffness at equal demand, pole radius ≤ {radius:.3g}",
+        "relative error of the derivative, best delay removed (rms)",
+        f"stiffness lost against the best, {best:.0f} N/m",
+        tuple(points),
+        f"Gain and K tuned for each: pole radius ≤ {radius:.3g} for {', '.join(f'{m:g}' for m in MASSES)} kg, b = {DAMPING:g} "
+        f"N s/m, {DELAY:g} tick of delay, |H(−1)| ≤ {NYQUIST:g} N/m, T = {1e3 * PERIOD:g} ms. "
+        "At 1: keeps the demand with no gain.",
+        linear=True,
+    )
+
+
+def demand_steps(quick: bool = False) -> int:
+    """Count the pieces of work of `demand_groups`."""
+    return len(RADII) * sum(1 for order in ORDERS for _ in laws(order, quick))

@@ -1,0 +1,88 @@
+"""The loop at all cases that a design is searched and verified on: masses, delays, hands, dampings."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.stability.held_plant import held_plant
+from nodes.stability.roots import largest_roots
+from sim.design.demand import Demand, Vector
+
+_VERIFIED = 801
+
+
+class Loop:
+    """Closed-loop polynomials at given cases (mass, delay, hand), linear in the taps."""
+
+    def __init__(self, demand: Demand, cases: Vector, taps: int, pole: float = 0.0) -> None:
+        plants = [held_plant(mass, b, demand.period, delay, hand) for mass, delay, hand, b in cases.tolist()]
+        # A shorter delay is the same polynomial times a power of z: roots at zero that nobody minds.
+        size = max(plant.whole for plant in plants) + 3 + taps + (pole != 0.0)
+        self.taps, self.pole = taps, pole
+        self.fixed = np.zeros((len(plants), size))
+        self.by_tap = np.zeros((len(plants), taps, size))
+        for i, plant in enumerate(plants):
+            self.fixed[i, :3] = plant.denominator
+            self.fixed[i, 1:] -= pole * self.fixed[i, :-1].copy()
+            for j in range(taps):
+                start = plant.whole + 1 + j
+                self.by_tap[i, j, start : start + 3] = plant.numerator
+
+    def polynomials(self, taps: Vector) -> Vector:
+        """Coefficients of (..., taps) for every case: (..., cases, size)."""
+        return np.asarray(self.fixed + np.einsum("...j,ijk->...ik", taps, self.by_tap), dtype=np.float64)
+
+    def radii(self, taps: Vector) -> Vector:
+        """Largest pole radius of each case."""
+        return largest_roots(self.polynomials(taps))
+
+    def poles(self, taps: Vector) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """All poles (cases, k) and their slopes along the taps (cases, k, taps)."""
+        polynomials = self.polynomials(taps)
+        degree = polynomials.shape[1] - 1
+        companion = np.zeros((len(polynomials), degree, degree))
+        companion[:, 0, :] = -polynomials[:, 1:]
+        companion[:, np.arange(1, degree), np.arange(degree - 1)] = 1.0
+        poles = np.asarray(np.linalg.eigvals(companion), dtype=np.complex128)
+        powers = poles[:, :, None] ** np.arange(degree, -1, -1)
+        steep = np.einsum("ik,ipk->ip", polynomials[:, :-1] * np.arange(degree, 0, -1), powers[:, :, 1:])
+        steep = np.where(np.abs(steep) < 1e-9, 1e-9, steep)
+        slopes = -np.einsum("ijk,ipk->ipj", self.by_tap, powers) / steep[:, :, None]
+        return poles, slopes
+
+
+def verified_cases(demand: Demand) -> Vector:
+    """Cases on which a design is verified after the search.
+
+    Parameters
+    ----------
+    demand : Demand
+        With the ranges.
+
+    Returns
+    -------
+    ndarray, shape (c, 4)
+        Mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m]: 801 masses evenly spaced in the
+        logarithm, or 101 masses with 11 delays and hands and 5 dampings where those are ranges too; all ends are among them.
+    """
+    ranges = (demand.delay, demand.stiffness, demand.dampings)
+    return cases_of(demand, 101 if any(low < high for low, high in ranges) else _VERIFIED, 11)
+
+
+def cases_of(demand: Demand, masses: int, others: int) -> Vector:
+    """Grid of cases over the ranges of a demand, shape (c, 4) as in `verified_cases`."""
+    axes = [
+        np.geomspace(*demand.mass, masses) if demand.mass[0] < demand.mass[1] else np.array(demand.mass[:1]),
+        np.linspace(*demand.delay, others) if demand.delay[0] < demand.delay[1] else np.array(demand.delay[:1]),
+        np.linspace(*demand.stiffness, others)
+        if demand.stiffness[0] < demand.stiffness[1]
+        else np.array(demand.stiffness[:1]),
+        np.linspace(*demand.dampings, min(others, 5)) if demand.damping_max is not None else np.array([demand.damping]),
+    ]
+    return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
+def alternating(size: int) -> Vector:
+    """Signs of the taps in H(−1)."""
+    return np.asarray(np.where(np.arange(size) % 2, -1.0, 1.0), dtype=np.float64)

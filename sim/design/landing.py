@@ -1,0 +1,187 @@
+"""Landing as a constraint of the search: laws that keep a demand and settle when dropped, with a margin.
+
+The demand is about the loop in contact, which is linear. Landing is not: contact comes and goes, the history outside it and
+the clamping of forces into the floor are conventions (THEORY.md §4), and no pole radius covers them. Where drops settle has a
+ragged edge, so a law must settle a little beyond the demand too: from half to twice the height, with masses 3 % outside the
+range. The edge then runs through that margin, not through what is demanded. The search is differential evolution in boxes that
+shrink about the best so far, every candidate dropped.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from sim.design.cases import Loop, alternating, cases_of
+from sim.design.demand import CONVENTIONS, Demand, Vector, filtered
+from sim.device.model import DeviceModel
+from sim.experiments.drop import Criterion, drop_scene, settles
+from sim.scene.loop import Scene
+
+MARGIN = 0.03
+"""How far the masses that must land lie outside the demanded range."""
+
+HEIGHTS = (0.01, 0.005, 0.02)
+"""From which they must land [m]; the first is the drop's own."""
+
+_BOXES = (1.5, 0.5, 0.15, 0.05, 0.015)
+"""Half widths of the boxes, in forces that move the lightest device by the deflection within one tick."""
+
+
+def dropped(demand: Demand, mass: float, raw: bool, clamp: bool, height: float) -> Scene:
+    """Drop a device of a demand, its damping the least and its delay the longest."""
+    device = DeviceModel(mass=mass, damping=demand.damping, delay=demand.delay[1])
+    return drop_scene(device, demand.period, raw, clamp, height)
+
+
+def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
+    """Drop the lightest, the middle and the heaviest device of a demand on a floor, under every contact convention.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        The law.
+    demand : Demand
+        What it was designed for; the longest delay and the least damping are used.
+
+    Returns
+    -------
+    dict of str to bool
+        Whether the run settled, by convention and mass, e.g. ``penetration clamped 0.05 kg``.
+    """
+    told = {}
+    for mass in np.unique(np.geomspace(*demand.mass, 3)).tolist():
+        for raw, clamp in CONVENTIONS:
+            name = f"{'position' if raw else 'penetration'} {'clamped' if clamp else 'free'} {mass:.3g} kg"
+            told[name] = settles(dropped(demand, mass, raw, clamp, HEIGHTS[0]), [law], Criterion())[0]
+    return told
+
+
+def landings(demand: Demand) -> list[Scene]:
+    """Give every drop that a landing law settles in, those that fail first in front.
+
+    Parameters
+    ----------
+    demand : Demand
+        What is demanded.
+
+    Returns
+    -------
+    list of Scene
+        Three masses, 3 % beyond the range at either end, the demanded conventions, three heights.
+    """
+    low, high = demand.mass
+    masses = np.geomspace(low / (1.0 + MARGIN), high * (1.0 + MARGIN), 3).tolist()
+    cases = itertools.product(masses, demand.lands, HEIGHTS)
+    return [dropped(demand, mass, *convention, height) for mass, convention, height in cases]
+
+
+def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Vector:
+    """Share of the drops before the first in which a law does not settle; 1 for a law that lands."""
+    share = np.ones(len(laws))
+    going = list(range(len(laws)))
+    for i, scene in enumerate(scenes):
+        if not going:
+            break
+        good = settles(scene, [laws[j] for j in going], Criterion())
+        for j in [j for j, settled in zip(going, good, strict=True) if not settled]:
+            share[j] = i / len(scenes)
+            going.remove(j)
+    return share
+
+
+def landed(
+    demand: Demand, basis: Vector, fine: Loop, starts: list[Vector], free: bool, seed: int, effort: int
+) -> Vector | None:
+    """Search a family for the stiffest law that keeps a demand and lands.
+
+    Parameters
+    ----------
+    demand : Demand
+        What to keep.
+    basis : ndarray, shape (p, n + 1)
+        Taps per unit of each parameter [N/m].
+    fine : Loop
+        The loop at all cases that a law is verified on.
+    starts : list of ndarray, shape (p,)
+        Members to begin with.
+    free : bool
+        Whether parameters may be negative.
+    seed, effort : int
+        Of the search, and a factor on its length.
+
+    Returns
+    -------
+    ndarray, shape (p,) or None
+        Parameters; None when no member was found.
+    """
+    scenes = landings(demand)
+    best, most = None, 0.0
+    for start in [*starts, None]:
+        found = _shrunk(demand, basis, fine, scenes, start, free, seed, effort)
+        for one in [start, found]:
+            if one is None or one.sum() == 0.0 or (stiffness := float(one @ basis.sum(axis=1))) <= most:
+                continue
+            taps = one @ basis
+            quiet = abs(float(taps @ alternating(taps.size))) <= demand.nyquist * (1.0 + 1e-12)
+            kept = quiet and float(fine.radii(taps).max()) <= demand.radius
+            if kept and _settled([filtered(taps, fine.pole)], scenes)[0] == 1.0:
+                best, most = one, stiffness
+    return best
+
+
+def _shrunk(
+    demand: Demand,
+    basis: Vector,
+    fine: Loop,
+    scenes: list[Scene],
+    start: Vector | None,
+    free: bool,
+    seed: int,
+    effort: int,
+) -> Vector | None:
+    """Search in boxes that shrink about the best so far; without a start the first is wide."""
+    parameters, signs = len(basis), alternating(basis.shape[1])
+    unit = demand.mass[0] / demand.period**2
+    loop = Loop(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
+    source = np.random.default_rng(seed)
+
+    def score(members: Vector, beaten: Vector) -> Vector:
+        taps = members @ basis
+        excess = np.maximum(loop.radii(taps).max(axis=-1) - demand.radius + 1e-7, 0.0)
+        noise = np.maximum(np.abs(taps @ signs) - demand.nyquist, 0.0) / unit
+        scores = np.asarray(1.0 + 10.0 * (excess + noise), dtype=np.float64)
+        # Laws that land compete by H(1), the others by how many drops settle or how far they are from the demand. A law that
+        # would not beat its rival even if it landed is not dropped.
+        felt = -taps.sum(axis=1) / unit
+        kept = np.flatnonzero((scores == 1.0) & (felt < beaten))
+        share = _settled([filtered(one, fine.pole) for one in taps[kept]], scenes)
+        scores[kept] = np.where(share == 1.0, felt[kept], 1.0 - share)
+        return scores
+
+    here, size = start, 12 * parameters
+    for span in _BOXES if start is None else _BOXES[1:]:
+        middle = np.zeros(parameters) if here is None else here
+        low, high = np.maximum(middle - span, -np.inf if free else 0.0), middle + span
+        members = source.uniform(low, high, (size, parameters))
+        if here is not None:
+            members[0] = here
+        scores = score(members, np.full(size, np.inf))
+        for _ in range((10 + 15 * parameters) * effort):
+            # Differential evolution, best/1/bin.
+            pairs = np.array([source.choice(size, 2, replace=False) for _ in range(size)])
+            mutants = members[np.argmin(scores)] + source.uniform(0.5, 1.0) * (
+                members[pairs[:, 0]] - members[pairs[:, 1]]
+            )
+            mixed = source.random((size, parameters)) < 0.7
+            mixed[np.arange(size), source.integers(parameters, size=size)] = True
+            tried = np.where(mixed, mutants, members)
+            outside = (tried < low) | (tried > high)
+            tried = np.where(outside, source.uniform(low, high, tried.shape), tried)
+            fresh = score(tried, scores)
+            better = fresh < scores
+            members[better], scores[better] = tried[better], fresh[better]
+        here = members[np.argmin(scores)].copy()
+    return here if scores.min() < 0.0 else None

@@ -1,0 +1,86 @@
+"""The map of stiffness that comes to rest: over dry friction and encoder step, for one law on one device (THEORY.md §5)."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from nodes.laws import CompiledLaw
+from nodes.stability.k_max import Plant, k_max, with_spring
+from nodes.stability.rest import rest, stiffest_at_rest
+from sim.results import fresh
+
+DECADES = 1.5
+"""How far the map reaches to either side of the device, in powers of ten."""
+
+_SHOWN, _TOLD = 121, 13
+
+
+def rest_map(
+    law: CompiledLaw, stiffness: float, period: float, device: Plant, resolution: float, friction: float, path: Path
+) -> dict[str, Any]:
+    """Work out the largest K without a limit cycle over friction and encoder step, and draw it.
+
+    Up to ``K_rest`` friction outweighs the encoder's error whatever the motion; beyond ``K_max`` the loop is unstable without
+    any encoder, so the map is the lesser of the two. Two lines belong to the law at its own K: on their right every motion
+    stops, by the bound and by the describing function's estimate.
+    """
+    import numpy as np
+
+    derivative = with_spring(law, -stiffness)
+    limit = k_max(derivative, period, device).k_max_n_per_m
+    top = math.inf if limit is None else limit
+
+    def over(count: int) -> tuple[Any, Any, Any]:
+        factors = np.logspace(-DECADES, DECADES, count)
+        frictions, steps = friction * factors, resolution * factors
+        k = np.array([[stiffest_at_rest(derivative, step, force) for force in frictions] for step in steps.tolist()])
+        return frictions, steps, np.minimum(k, top)
+
+    frictions, steps, k = over(_TOLD)
+    found = rest(law, period, resolution, device.mass, device.damping, device.delay)
+    _draw(path, over(_SHOWN), (resolution, friction), (found.friction_bound_n, found.friction_estimated_n), stiffness)
+    return {
+        "friction_n": frictions.tolist(),
+        "resolution_m": steps.tolist(),
+        "k_rest_n_per_m": [[value if value > 0.0 else None for value in row] for row in k.tolist()],
+        "k_max_n_per_m": limit if limit is not None and math.isfinite(limit) else None,
+        "plot": str(path),
+    }
+
+
+def _draw(
+    path: Path,
+    grid: tuple[Any, Any, Any],
+    here: tuple[float, float],
+    needed: tuple[float, float | None],
+    stiffness: float,
+) -> None:
+    import numpy as np
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+    from sim.axes import plain_log
+
+    frictions, steps, k = grid
+    resolution, friction = here
+    figure = Figure(figsize=(6.6, 4.6), layout="constrained")
+    axes = figure.add_subplot(xlabel="dry friction [N]", ylabel="encoder step [µm]", xscale="log", yscale="log")
+    axes.set_title("largest K whose every motion stops", fontsize=10)
+    shown = np.ma.masked_less_equal(k, 0.0)
+    if shown.count():
+        norm = LogNorm(max(float(shown.min()), 1e-2 * float(shown.max())), float(shown.max()) * (1.0 + 1e-9))
+        image = axes.pcolormesh(frictions, 1e6 * steps, shown, norm=norm, cmap="viridis", shading="nearest")
+        figure.colorbar(image, ax=axes, label="K [N/m]; blank: none")
+    for force, style, label in zip(needed, ("-", "--"), ("bound", "estimate"), strict=True):
+        if force:
+            axes.plot(
+                force / resolution * steps, 1e6 * steps, "k" + style, lw=1.2, label=f"K = {stiffness:.4g} N/m, {label}"
+            )
+    axes.plot(friction, 1e6 * resolution, "o", color="#d9822b", label="this device")
+    axes.set(xlim=(frictions[0], frictions[-1]), ylim=(1e6 * steps[0], 1e6 * steps[-1]))
+    plain_log(axes.xaxis, float(frictions[0]), float(frictions[-1]))
+    plain_log(axes.yaxis, 1e6 * float(steps[0]), 1e6 * float(steps[-1]))
+    axes.legend(fontsize=8, loc="lower right")
+    figure.savefig(fresh(path), dpi=150)

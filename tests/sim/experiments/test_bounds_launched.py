@@ -1,0 +1,106 @@
+"""Certificates and bounds on real launches: just inside, a loop that jitters decays and a device stops; just outside, not."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from nodes.launcher.launch_file import find
+from nodes.laws import CompiledLaw
+from nodes.laws.parse import parse_law
+from nodes.laws.pd import PD
+from nodes.recording.reader import Recording
+from nodes.stability.every_delay import every_delay
+from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
+from nodes.stability.rest import rest
+from sim.design.replay import replayed_radius
+from sim.device.model import DeviceModel
+from sim.experiments.drop import drop_scene
+from sim.experiments.k_max_launched import NO_LIMITS, launched
+from sim.scene.loop import Scene, run
+from tests.support.launching import launch_json
+
+T, STEP = 0.002, 2.3e-5
+INSTALLED = {"PYTHONPATH": f"{Path(__file__).parents[2] / 'fixtures' / 'installed'}:{os.environ.get('PYTHONPATH', '')}"}
+
+
+def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np.ndarray:
+    """Release 0.1 kg about an anchor, 10 mm away, through four processes in lockstep, the forces late by the given delays."""
+    content = yaml.safe_load(Path(find("floor_drop")).read_text())
+    driver = content["nodes"]["driver"]
+    driver["kind"] = "jittering_driver"
+    driver["parameters"] |= {"delays": delays, "safety": NO_LIMITS}
+    driver["parameters"]["device"] = {"mass": 0.1, "damping": 1.0, "position": 0.01}
+    content["nodes"]["environment"]["parameters"]["surface"] = {"kind": "anchor", "position": [0.0, 0.0, 0.0]}
+    content["nodes"]["coupling"]["parameters"] = {
+        "law": "tried",
+        "laws": {"tried": {"kind": "fir", "taps": list(law.taps), "period": T}},
+        "history": "position",
+        "clamp": False,
+        "stability": "off",
+    }
+    scenario = folder / "jitter.yaml"
+    scenario.write_text(yaml.safe_dump(content))
+    figures = launch_json(folder, str(scenario), "pace:=lockstep", f"duration:={ticks * T}", environment=INSTALLED)
+    return np.asarray(Recording(folder / figures["recording"]).arrays("/device/state")["position"][:ticks, 2])
+
+
+def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) -> None:
+    """A launch at 97 % of the stiffness of the worse delay, certified, and one at 102 %, over the sequence that grows there."""
+    delays = (0.6, 1.4)
+    derivative = without_spring(parse_law({"kind": "paper_optimum", "damping": 3.0}), T)
+    limit = min(k_max(derivative, T, Plant(0.1, 1.0, d)).k_max_n_per_m or math.inf for d in delays)
+    inside, outside = with_spring(derivative, 0.97 * limit), with_spring(derivative, 1.02 * limit)
+    assert every_delay(inside, T, 0.1, 1.0, delays).stable is True
+    found = every_delay(outside, T, 0.1, 1.0, delays)
+    assert found.stable is False
+    ticks = 1200 // len(found.growing) * len(found.growing)
+    repeated = list(found.growing) * (ticks // len(found.growing))
+    for name, law in (("inside", inside), ("outside", outside)):
+        folder = tmp_path / name
+        folder.mkdir()
+        position = np.abs(swing(folder, law, list(found.growing), ticks))
+        quarter = ticks // 4
+        rate = (position[-quarter:].max() / position[:quarter].max()) ** (1.0 / (ticks - quarter))
+        assert (rate < 1.0) == (name == "inside")
+        # The launch swings as the replay of that sequence does, which other code plays; a history that begins empty and the
+        # phase of the swing are left: a factor of 2 over all ticks.
+        assert rate == pytest.approx(
+            replayed_radius(law, T, Plant(0.1, 1.0), repeated), abs=math.log(2.0) / (ticks - quarter)
+        )
+
+
+def resting(friction: float, height: float = 1e-4) -> Scene:
+    return drop_scene(
+        DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP), T, False, True, height=height
+    )
+
+
+def test_a_launch_stops_at_the_bounds_friction_and_buzzes_just_below_the_edge() -> None:
+    """PD through an encoder: a dead stop with the friction of the bound; the edge itself by simulation, then by launches."""
+    law = PD(stiffness=2500.0, damping=12.0)
+    compiled = law.compile(T)
+    bound = rest(compiled, T, STEP, 0.1, 1.0).friction_bound_n
+    described = {"kind": "pd", "stiffness": law.stiffness, "damping": law.damping}
+
+    def still(position: np.ndarray, force: np.ndarray) -> bool:
+        return float(np.ptp(position[-400:])) == 0.0 == float(np.ptp(force[-400:]))
+
+    def simulated(friction: float) -> bool:
+        trace = run(resting(friction), compiled, 2000)
+        return still(trace.measured, trace.force)
+
+    low, high = 1e-3 * bound, bound
+    assert not simulated(low)
+    assert simulated(high)
+    while high > 1.002 * low:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if simulated(middle) else (middle, high)
+    assert high <= bound
+    for friction, stops in ((1.001 * bound, True), (high, True), (low, False)):
+        assert still(*launched(resting(friction), described, 2000)) == stops
