@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -125,79 +126,107 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def own_address() -> str:
+    """Find an address of this machine that is not loopback, where it has one: what the kernel would send from."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+        except OSError:
+            return "127.0.0.1"
+        return str(probe.getsockname()[0])
+
+
+def certificate(folder: Path) -> list[str]:
+    """Make a certificate that is its own authority, and give the options of scheduler and workers."""
+    key, signed = folder / "key.pem", folder / "cert.pem"
+    words = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2"]
+    subprocess.run([*words, "-subj", "/CN=sweep", "-keyout", key, "-out", signed], check=True, capture_output=True)
+    return ["--tls-ca-file", str(signed), "--tls-cert", str(signed), "--tls-key", str(key)]
+
+
+Cluster = tuple[list[str], list[subprocess.Popen[bytes]]]
+
+
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """Start a real scheduler and two workers, each a process of one thread."""
-    port = free_port()
-    address = f"tcp://127.0.0.1:{port}"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    """Start a real scheduler and two workers with certificates, off loopback: the options for it, and the workers."""
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl here, which makes the certificates")
+    tls = certificate(tmp_path)
+    host, port = own_address(), free_port()
+    address = f"tls://{host}:{port}"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "3"}
-    python = [sys.executable, "-m"]
-    started = [
-        subprocess.Popen(
-            [*python, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"],
+
+    def start(what: str, *words: str) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.dask_{what}", *words, "--no-dashboard", *tls],
             env=environment,
-            **quiet,  # type: ignore[call-overload]
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            cwd=tmp_path,
         )
-    ]
+
+    started = [start("scheduler", "--protocol", "tls", "--host", host, "--port", str(port))]
     for _ in range(2):
-        words = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(tmp_path)]
-        started.append(
-            subprocess.Popen(
-                [*python, "distributed.cli.dask_worker", address, *words],
-                env=environment,
-                **quiet,  # type: ignore[call-overload]
-            )
-        )
+        words = (address, "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
+        started.append(start("worker", *words))
     try:
-        yield address, started[1:]
+        yield ["--cluster", address, *tls], started[1:]
     finally:
         for process in started:
             process.kill()
             process.wait()
 
 
-def open_when_there(address: str) -> Any:
+def open_when_there(options: list[str]) -> Any:
     """Wait for the scheduler, which takes seconds to import."""
     until = time.monotonic() + 60.0
     while True:
-        opened = executor(arguments("--cluster", address))
+        opened = executor(arguments(*options))
         try:
             return opened, opened.__enter__()
         except RefusedError:
             assert time.monotonic() < until
 
 
-def test_a_cluster_of_two_workers_of_which_one_is_killed(
-    cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
+def test_a_cluster_with_tls_of_which_one_worker_is_killed_and_the_sweep_interrupted(
+    cluster: Cluster, tmp_path: Path
 ) -> None:
-    address, workers = cluster
-    opened, pool = open_when_there(address)
+    options, workers = cluster
+    opened, pool = open_when_there(options)
     assert isinstance(pool, Executor)
     (tmp_path / "marks").mkdir()
     jobs = [{"x": x, "folder": str(tmp_path / "marks")} for x in range(6)]
+    ledger = tmp_path / "l.jsonl"
 
     def begun() -> set[int]:
         return {int(mark.name.split("-")[1]) for mark in (tmp_path / "marks").glob("*-*")}
 
+    def ctrl_c(*_: object) -> None:
+        raise KeyboardInterrupt
+
     with ThreadPoolExecutor(1) as beside:
-        result = beside.submit(sweep, slow_square, jobs, pool, tmp_path / "l.jsonl")
+        result = beside.submit(sweep, slow_square, jobs, pool, ledger, step=ctrl_c)
         wait_for(lambda: len(begun()) == 2, "both workers to be at work")
         workers[0].send_signal(signal.SIGKILL)
         workers[0].wait()
         (tmp_path / "marks" / "go").touch()
-        rows = result.result(timeout=120.0)
+        # Interrupted as soon as there is a result: what is done is kept, what has not begun is not.
+        with pytest.raises(KeyboardInterrupt):
+            result.result(timeout=120.0)
+    before = read_ledger(ledger)
+    assert 1 <= len(before) < 6
+    rows = sweep(slow_square, jobs, pool, ledger)
     opened.__exit__(None, None, None)
     assert squares(rows) == SQUARES[:6]
-    # All by the one that is left.
+    # All by the one that is left, and none of them twice.
     assert {row["pid"] for row in rows} == {workers[1].pid}
-    assert len(read_ledger(tmp_path / "l.jsonl")) == 6
-
-
-def test_no_scheduler_is_told() -> None:
+    assert len(ledger.read_text().splitlines()) == 6
+    # Who has no certificate of that authority is not let in.
+    (tmp_path / "other").mkdir()
     with (
         pytest.raises(RefusedError, match="no scheduler answers"),
-        executor(arguments("--cluster", f"tcp://127.0.0.1:{free_port()}")),
+        executor(arguments("--cluster", options[1], *certificate(tmp_path / "other"))),
     ):
         pass
 
