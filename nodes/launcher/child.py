@@ -121,6 +121,8 @@ class Child:
             process_group=0,
         )
         self.again_at = None
+        # Another process: its interpreter is being set up again.
+        self.ready = False
 
     def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
         """Ask for its state."""

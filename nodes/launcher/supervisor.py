@@ -9,7 +9,6 @@ time to bring the force down.
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import shutil
 import signal
@@ -34,6 +33,7 @@ from nodes.launcher.wiring import manifest_of, settle_tick, wire
 INT_TIMEOUT = 3.0
 TERM_TIMEOUT = 2.0
 HURRY_TIMEOUT = 0.3
+KILL_TIMEOUT = 2.0
 _INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
@@ -280,7 +280,7 @@ class Supervisor:
         for number, patience in (
             (signal.SIGINT, INT_TIMEOUT),
             (signal.SIGTERM, TERM_TIMEOUT),
-            (signal.SIGKILL, math.inf),
+            (signal.SIGKILL, KILL_TIMEOUT),
         ):
             left = [child for child in group if child.running]
             for child in left:
@@ -291,10 +291,18 @@ class Supervisor:
             begun = time.monotonic()
             while any(child.running for child in left):
                 hurry = self._hurry and number != signal.SIGKILL and not any(child.drives for child in left)
-                granted = max((child.end_patience for child in left), default=0.0)
+                killed = number == signal.SIGKILL
+                granted = 0.0 if killed else max((child.end_patience for child in left), default=0.0)
                 if time.monotonic() - begun > (HURRY_TIMEOUT if hurry else patience + granted):
                     break
                 time.sleep(0.005)
+        for child in group:
+            if child.running:
+                # The kernel holds on to it: a frozen control group, a file system that is gone.
+                self.failures.append(
+                    f"{child.setup.name}: process still there {KILL_TIMEOUT:g} s after SIGKILL; left behind"
+                )
+                self._say(self.failures[-1])
 
     def _read_report(self, name: str) -> dict[str, Any]:
         report = self.reports.get(name) or self.children[name].report(self.run_dir)

@@ -9,6 +9,7 @@ import contextlib
 import os
 import signal
 import time
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from messages.transport.requests import ControlError
 from nodes.launcher.runs import alive
 from nodes.launcher.supervisor import INT_TIMEOUT
 from nodes.recording.reader import Recording
-from tests.support.launching import Running, haptic, processes_of, running, wait_for
+from tests.support.launching import DEADLINE, Running, haptic, processes_of, running, wait_for
 
 PACKAGE = '''
 import os, signal, time
@@ -243,6 +244,34 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
         assert time.monotonic() - begun < INT_TIMEOUT
         assert launch.errors.index("deaf: does not end; SIGTERM") < launch.errors.index("deaf: does not end; SIGKILL")
         assert figures["nodes"]["driver"]["state"] == "finished"
+
+
+@pytest.fixture
+def ice() -> Iterator[Path]:
+    """Make a control group whose processes the kernel does not let die when they are frozen."""
+    group = Path(f"/sys/fs/cgroup/freezer/haptic-test-{os.getpid()}")
+    try:
+        group.mkdir()
+    except OSError as error:
+        pytest.skip(f"no freezer to make a control group in: {error}")
+    yield group
+    (group / "freezer.state").write_text("THAWED")
+    group.rmdir()
+
+
+def test_what_not_even_sigkill_ends_does_not_hold_up_the_end(tmp_path: Path, ice: Path) -> None:
+    with running(tmp_path, scenario(tmp_path)) as launch:
+        (ice / "cgroup.procs").write_text(str(launch.pid("logger")))
+        (ice / "freezer.state").write_text("FROZEN")
+        launch.process.send_signal(signal.SIGINT)
+        wait_for(lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends")
+        launch.process.send_signal(signal.SIGINT)
+        # It once waited for ever.
+        assert launch.process.wait(DEADLINE) == 1
+        assert launch.figures["failures"][0].startswith("logger: process still there 2 s after SIGKILL")
+        assert launch.figures["nodes"]["driver"]["state"] == "finished"
+        (ice / "freezer.state").write_text("THAWED")
+        wait_for(lambda: not (ice / "cgroup.procs").read_text(), "the killed process ends")
 
 
 @pytest.mark.parametrize("fails", ["device", "bug", "signal"])
