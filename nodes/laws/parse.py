@@ -15,9 +15,9 @@ import msgspec
 
 from nodes.laws import CompiledLaw, Law, law_names, load_law
 from nodes.laws.presets import PRESETS, expand, preset_names
-from nodes.parameters.refusals import choices, worded
+from nodes.parameters.refusals import choices, short
 from nodes.parameters.registry import NotInstalledError
-from nodes.parameters.store import ParameterError
+from nodes.parameters.store import ParameterError, convert
 
 __all__ = [
     "LawRefusedError",
@@ -25,8 +25,6 @@ __all__ = [
     "law_to_dict",
     "parse_law",
 ]
-
-_AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<where>.*)`)?$", re.DOTALL)
 
 
 class LawRefusedError(ParameterError):
@@ -57,16 +55,13 @@ def parse_law(data: object, path: str = "law") -> Law:
     if isinstance(data, str) and data in PRESETS:
         data = {"kind": data}
     if not isinstance(data, Mapping):
-        raise LawRefusedError(f"{path}: expected a mapping with kind and parameters, got {_shown(data)}")
-    _refuse_non_finite(data, path)
+        raise LawRefusedError(f"{path}: expected a mapping with kind and parameters, got {short(data)}")
     named = data.get("kind")
     whole = expand(data)
     kind = whole.pop("kind", None)
     if not isinstance(kind, str) or kind not in law_names():
         known = [*law_names(), *preset_names()]
-        raise LawRefusedError(
-            f"{path}.kind: {_shown(named)} is not an installed law or preset; {choices(named, known)}"
-        )
+        raise LawRefusedError(f"{path}.kind: {short(named)} is not an installed law or preset; {choices(named, known)}")
     try:
         law = load_law(kind)
     except (NotInstalledError, TypeError) as error:
@@ -83,9 +78,9 @@ def parse_law(data: object, path: str = "law") -> Law:
             "that, or 'paper' for the paper's eq. (9), the sum to n that renders (THEORY.md §1: they differ by 2 % at n = 3)"
         )
     try:
-        return msgspec.convert(whole, law)
-    except msgspec.ValidationError as error:
-        raise LawRefusedError(_located(str(error), whole, path, kind)) from error
+        return convert(whole, law, path)
+    except ParameterError as error:
+        raise LawRefusedError(f"{error} (law kind {kind})") from error
 
 
 def law_to_dict(law: Law) -> dict[str, Any]:
@@ -164,41 +159,3 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             "into the wall; raise the stiffness, lower the damping or use more taps"
         )
     return compiled
-
-
-def _shown(value: object) -> str:
-    """Show a value in an error, short however long it is."""
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
-
-
-def _refuse_non_finite(data: object, path: str) -> None:
-    if isinstance(data, float) and not math.isfinite(data):
-        raise LawRefusedError(f"{path}: {data!r} is not a finite number")
-    if isinstance(data, Mapping):
-        for key, value in data.items():
-            _refuse_non_finite(value, f"{path}.{key}")
-    elif isinstance(data, list | tuple):
-        for i, value in enumerate(data):
-            _refuse_non_finite(value, f"{path}[{i}]")
-
-
-def _located(text: str, data: Mapping[str, Any], path: str, kind: str) -> str:
-    """Rewrite msgspec's ``... - at `$.terms[0].order``` as path, limit and the value found there."""
-    inner, said = worded(text, data, load_law(kind))
-    if said.startswith("expected "):
-        return f"{path}{inner}: {said} (law kind {kind})"
-    match = _AT.match(text)
-    what, where = (match["what"], match["where"] or "") if match else (text, "")
-    value: Any = data
-    for name, index in re.findall(r"\.([A-Za-z_]\w*)|\[(\d+)\]", where):
-        if name and isinstance(value, Mapping) and name in value:
-            value = value[name]
-        elif index and isinstance(value, list | tuple) and int(index) < len(value):
-            value = value[int(index)]
-        else:
-            value = data
-            break
-    what = what.replace("`", "'")
-    found = "" if value is data or what.startswith("Object ") else f", not {_shown(value)}"
-    return f"{path}{where}: {what[:1].lower()}{what[1:]}{found} (law kind {kind})"

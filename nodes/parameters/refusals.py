@@ -14,7 +14,11 @@ _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+|\.\.\.)\]")
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<name>.*)`", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<name>.*)`", re.DOTALL)
 _ENUM = re.compile(r"Invalid enum value (?P<value>.*)", re.DOTALL)
+_PATTERN = re.compile(r"Expected `str` matching regex (?P<pattern>.*)", re.DOTALL)
+_BOUND = re.compile(r"Expected `(?P<wanted>[a-z |]+)`(?P<length> of length)? (?P<sign>[<>]=?) (?P<limit>\S+)")
 _TYPE = re.compile(r"Expected `(?P<wanted>[a-z |]+)`, got `(?P<given>[a-z]+)`")
+
+_SIGNS = {">": "above", ">=": "of at least", "<": "below", "<=": "of at most"}
 
 _WORDS = {
     "float": "a number",
@@ -34,6 +38,12 @@ def choices(given: object, known: Iterable[str]) -> str:
     return f"there is: {', '.join(names) or 'nothing yet'}" + "".join(f"; did you mean {name}?" for name in close)
 
 
+def short(value: object) -> str:
+    """Show a value in an error, short however long it is."""
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
 def worded(told: str, data: Any, target: Any) -> tuple[str, str]:
     """Word a refusal."""
     match = _AT.match(told)
@@ -44,18 +54,28 @@ def worded(told: str, data: Any, target: Any) -> tuple[str, str]:
     if missing := _MISSING.fullmatch(reason):
         return f"{path}.{missing['name']}", "is missing, and has no default"
     value = _look_up(data, path)
-    shown = "" if value is None else f", got {value!r}"
+    shown = "" if value is None else f", got {short(value)}"
     if enum := _ENUM.fullmatch(reason):
         known = [str(one) for info in _types_at(target, path) for one in getattr(info, "values", ())]
         close = difflib.get_close_matches(str(value), known, 1)
         hint = "".join(f"; did you mean {name}?" for name in close)
         shown = shown or f", got {enum['value']}"
         return path, f"expected one of {', '.join(known)}{shown}{hint}"
+    if bound := _BOUND.fullmatch(reason):
+        sign = _SIGNS[bound["sign"]]
+        sign = f"of length {sign.removeprefix('of ')}" if bound["length"] else sign
+        words = f"{_said(bound['wanted'])} {sign} {float(bound['limit']):.12g}"
+        return path, f"expected {words}{shown}"
+    if pattern := _PATTERN.fullmatch(reason):
+        return path, f"expected a name that matches {pattern['pattern']}{shown}"
     if kinds := _TYPE.fullmatch(reason):
-        wanted = " or ".join(_WORDS.get(word, word) for word in kinds["wanted"].split(" | "))
-        shown = shown or f", got {_WORDS.get(kinds['given'], kinds['given'])}"
-        return path, f"expected {wanted}{shown}"
+        shown = shown or f", got {_said(kinds['given'])}"
+        return path, f"expected {_said(kinds['wanted'])}{shown}"
     return path, f"{reason.replace('`', '')}{shown}"
+
+
+def _said(types: str) -> str:
+    return " or ".join(_WORDS.get(word, word) for word in types.split(" | "))
 
 
 def _look_up(data: Any, path: str) -> Any:

@@ -111,7 +111,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     (
         "param.set",
         {"values": {"laws.pd.stiffness": -5.0}},
-        "coupling.laws.pd.stiffness: expected 'float' > 0.0, not -5.0",
+        "coupling.laws.pd.stiffness: expected a number above 0, got -5.0",
     ),
     (
         "param.set",
@@ -160,7 +160,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         {"law": "nix"},
         "coupling.law: no law is named 'nix'; there is: pd, pd_alpha, ",
     ),
-    ("law.switch", {"law": "pd_alpha", "ramp": -1}, "coupling.ramp: Expected int >= 0, got -1"),
+    ("law.switch", {"law": "pd_alpha", "ramp": -1}, "coupling.ramp: expected a whole number of at least 0, got -1"),
     ("law.switch", {"law": ["pd"]}, "coupling.law: expected text, got a list"),
     ("law.show", {"law": "nix"}, "no law is named 'nix'"),
     ("nix", {}, "coupling: unknown operation 'nix'; known: "),

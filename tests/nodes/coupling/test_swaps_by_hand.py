@@ -35,7 +35,7 @@ def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path
         for content, told in (
             (
                 "laws: {pd: {stiffness: 490.0, damping: -1.0}}",
-                "coupling.laws.pd.damping: expected 'float' >= 0.0, not -1.0",
+                "coupling.laws.pd.damping: expected a number of at least 0, got -1.0",
             ),
             ("laws: {pd: {stiffness: 490.0}", "not valid YAML"),
             ("laws: {pd: {stiffness: 490.0}, pd: {stiffness: 490.0}}", "'pd' stands twice"),

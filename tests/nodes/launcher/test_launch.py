@@ -106,7 +106,7 @@ def test_interrupt_before_the_time_ends_cleanly(tmp_path: Path) -> None:
         ),
         (("floor_drop", "rate:=1"), "floor_drop.yaml:3: arguments.rate: 1.0 Hz, limit: at least 50 Hz"),
         (("floor_drop", "pace:=slow"), "arguments.pace: 'slow', expected one of realtime, lockstep"),
-        (("floor_drop", "mass:=-1"), "driver.device.mass: Expected float > 0.0, got -1.0"),
+        (("floor_drop", "mass:=-1"), "driver.device.mass: expected a number above 0, got -1.0"),
         (("floor_drop", "law:=spring"), "coupling.law: no law is named 'spring'; there is: pd"),
         (("floor_drop", "stiffness:=-5"), "coupling.laws.pd.stiffness"),
         (("nowhere.yaml",), "nowhere.yaml: no such file"),
