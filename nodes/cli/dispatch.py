@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import ast
-import errno
-import os
-import tempfile
 from collections.abc import Mapping
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from nodes.cli.main import Parser, UsageError
+from nodes.cli.main import Parser
+from nodes.cli.places import refuse_unwritable
 
 
 def _first_line(module: str) -> str:
@@ -22,22 +20,6 @@ def _first_line(module: str) -> str:
         return "(not installed)"
     text = ast.get_docstring(ast.parse(Path(spec.origin).read_bytes())) or ""
     return text.strip().splitlines()[0] if text else ""
-
-
-def refuse_unwritable(path: Path) -> None:
-    """Refuse a place that cannot be written to before the work is done, not after."""
-    there = next(place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink())
-    if there != path and not there.is_dir():
-        raise UsageError(f"{path}: {there} is not a directory; choose another --out")
-    try:
-        if there.is_dir():
-            # Asked by doing it: root may do what the mode forbids, and nobody may write to a read-only disk.
-            with tempfile.TemporaryFile(dir=there):
-                pass
-        elif not os.access(there, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    except OSError as error:
-        raise UsageError(f"{path}: {there} cannot be written to: {error.strerror}; choose another --out") from error
 
 
 def dispatch(parser: argparse.ArgumentParser, modules: Mapping[str, str], noun: str) -> None:

@@ -12,6 +12,7 @@ import sysconfig
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +21,7 @@ from nodes.base.setup import Scheduling
 from nodes.cli.main import add_json, answer
 from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
 from nodes.launcher.wiring import FIFO
+from nodes.parameters.registry import NotInstalledError, Registry
 
 DISTRIBUTION = ("/usr",)
 """Where the interpreters of distributions are installed."""
@@ -274,6 +276,29 @@ def _slack() -> Finding:
     )
 
 
+def _packages() -> Finding:
+    """Import what other packages have installed beside us, as a launch would that names it."""
+    broken: dict[str, str] = {}
+    found = []
+    for group in sorted(group for group in entry_points().groups if group.startswith("haptic.")):
+        registry = Registry(group, group.partition(".")[2])
+        for name, point in registry.points().items():
+            if point.dist is None or point.dist.name != "haptic-nodes":
+                found.append(f"{group} {name}")
+                try:
+                    registry.load(name)
+                except NotInstalledError as error:
+                    broken[found[-1]] = str(error)
+    if broken:
+        return Finding(
+            "other packages",
+            "limited",
+            "; ".join(broken.values()),
+            "mend or uninstall what cannot be imported; everything else works meanwhile",
+        )
+    return Finding("other packages", "ok", ", ".join(found) or "none")
+
+
 def _punctuality(measured: dict[str, dict[str, float]]) -> Finding:
     best = measured.get("fifo", measured["normal"])
     text = "; ".join(
@@ -294,6 +319,7 @@ def _findings(measured: dict[str, dict[str, float]]) -> Iterator[Finding]:
     checks: tuple[Callable[[], Finding], ...] = (
         interpreter,
         _zeromq,
+        _packages,
         _runtime,
         _open_files,
         _processors,

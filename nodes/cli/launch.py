@@ -7,7 +7,7 @@ import contextlib
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -20,6 +20,7 @@ from nodes.base.words import instead_of_stderr, last_words
 from nodes.cli.colour import coloured
 from nodes.cli.main import UsageError, add_json, answer
 from nodes.cli.page import PageAnnouncer, with_view
+from nodes.cli.places import refuse_unwritable
 from nodes.cli.status_line import StatusLine
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
@@ -175,7 +176,7 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
     response = figures["response_us"]
     lines = [f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"]
     lines += [f"  failed    {failure}" for failure in figures["failures"] if failure != figures["exit_reason"]]
-    if response:
+    if response and figures["ticks"]:
         lines.append(
             f"  rate      {figures['rate_hz']:.2f} Hz, missed {figures['missed']}, overruns {figures['overruns']}, "
             f"oldest force {figures['age_ticks_max']} ticks"
@@ -192,7 +193,7 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
         )
     lines += _safety_text(figures["safety"])
     final = figures["final"]
-    if isinstance(final["position_m"], float):
+    if figures["ticks"] and isinstance(final["position_m"], float):
         lines.append(_ending(final, figures["safety"].get("state") == "stopped"))
     lines += [f"  recording {path}" for path in figures["recordings"]]
     if figures["plot"]:
@@ -220,11 +221,20 @@ def run(arguments: argparse.Namespace) -> int:
         launch = launch_file.without(launch_file.read(arguments.scenario, given, arguments.params), arguments.without)
         if arguments.out_dir:
             launch = _into(launch, arguments.out_dir)
+        _check_places(launch)
         return _launch(with_view(launch) if arguments.view else launch, arguments)
     except ParameterError as error:
         raise UsageError(launch.origins.located(str(error)) if launch is not None else str(error)) from error
     except RunError as error:
         raise UsageError(str(error)) from error
+
+
+def _check_places(launch: Launch) -> None:
+    """Refuse, before anything is started, a place that no recording of this machine can be written to."""
+    for spec in launch.nodes.values():
+        if spec.kind == "logger" and not spec.host:
+            path = str(spec.parameters.get("path", LoggerParameters().path))
+            refuse_unwritable(Path(path), "--out-dir")
 
 
 def _into(launch: Launch, folder: Path) -> Launch:
@@ -236,6 +246,21 @@ def _into(launch: Launch, folder: Path) -> Launch:
             spec = msgspec.structs.replace(spec, parameters={**spec.parameters, "path": str(folder / path.name)})
         nodes[name] = spec
     return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def _plot(recording: str, say: Callable[[str], None]) -> str | None:
+    """Draw a recording beside it; Ctrl-C, also while the libraries load, ends the drawing and not the command."""
+    from nodes.recording.plot import plot
+    from nodes.recording.reader import Recording
+    from nodes.recording.writer import RecordError
+
+    picture = Path(recording).with_suffix(".png")
+    try:
+        plot(Recording(recording), picture, overwrite=True)
+    except RecordError as error:
+        say(f"no plot: {error}")
+        return None
+    return str(picture)
 
 
 def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
@@ -266,16 +291,8 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     # One on another machine is drawn there: haptic bag plot.
     here = [path for place, path in _recordings(launch, supervisor) if not place]
     if here and not arguments.no_plot and figures["ticks"]:
-        from nodes.recording.plot import plot
-        from nodes.recording.reader import Recording
-        from nodes.recording.writer import RecordError
-
-        picture = Path(here[0]).with_suffix(".png")
         try:
-            plot(Recording(here[0]), picture, overwrite=True)
-            figures["plot"] = str(picture)
-        except RecordError as error:
-            say(f"no plot: {error}")
+            figures["plot"] = _plot(here[0], say)
         except KeyboardInterrupt:
             say(f"no plot: interrupted; haptic bag plot {here[0]} draws it")
     last_words()

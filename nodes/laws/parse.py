@@ -78,7 +78,8 @@ def parse_law(data: object, path: str = "law") -> Law:
             "that, or 'paper' for the paper's eq. (9), the sum to n that renders (THEORY.md §1: they differ by 2 % at n = 3)"
         )
     try:
-        return convert(whole, law, path)
+        made: Law = convert(whole, law, path)
+        return made
     except ParameterError as error:
         raise LawRefusedError(f"{error} (law kind {kind})") from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.launching import DEADLINE, haptic, private_runtime_dir
+from tests.support.launching import DEADLINE, HAPTIC, haptic, private_runtime_dir, wait_for
 
 COMMAND = Path(sys.executable).parent / "haptic"
 
@@ -88,6 +89,37 @@ def test_a_place_that_cannot_be_written_to_is_told_before_the_work(tmp_path: Pat
         assert told.stderr.startswith(f"haptic: {out}: ")
         assert "choose another --out" in told.stderr
         assert told.stdout == ""
+
+
+def test_a_launch_that_could_not_record_is_refused_before_it_starts(tmp_path: Path) -> None:
+    told = haptic(Path("/proc"), "launch", "floor_drop", code=2)
+    assert told.stderr.startswith("haptic: recordings/{run}.mcap: /proc cannot be written to: ")
+    assert "choose another --out-dir" in told.stderr
+    (tmp_path / "recordings").write_text("", encoding="utf-8")
+    told = haptic(tmp_path, "launch", "floor_drop", code=2)
+    assert "recordings is not a directory; choose another --out-dir" in told.stderr
+
+
+def test_an_interrupt_while_the_plot_is_drawn_keeps_the_summary(tmp_path: Path) -> None:
+    with private_runtime_dir() as runtime_dir:
+        process = subprocess.Popen(
+            [*HAPTIC, "launch", "floor_drop", "pace:=lockstep", "--json"],
+            cwd=tmp_path,
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime_dir)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        # The libraries for it are loaded when all the computing is done.
+        maps = Path(f"/proc/{process.pid}/maps")
+        wait_for(lambda: process.poll() is not None or "matplotlib" in maps.read_text(encoding="utf-8"), "the plot")
+        process.send_signal(signal.SIGINT)
+        out, told = process.communicate(timeout=DEADLINE)
+    figures = json.loads(out.splitlines()[-1])
+    assert (process.returncode, figures["ticks"], figures["exit_reason"]) == (0, 1500, "done")
+    assert figures["plot"] is None
+    assert "no plot: interrupted; haptic bag plot recordings/" in told
+    assert "Traceback" not in told
 
 
 def catches_interrupts(pid: int) -> bool:

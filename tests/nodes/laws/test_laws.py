@@ -188,8 +188,14 @@ def test_preset_values_can_be_replaced() -> None:
         ({"kind": "fir", "taps": [1.0] * (MAX_TAPS + 1)}, rf"^laws\.a\.taps: .*of length at most {MAX_TAPS}"),
         ({"kind": "fir", "taps": [1.0, math.inf]}, r"^laws\.a\.taps\[1\]: inf"),
         ({"kind": "paper_optimum", "terms": []}, r"^laws\.a\.terms: .*a list of length at least 1"),
-        ({"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 4.0}]}, r"^laws\.a\.terms\[0\]\.order: .*below 4, got 4"),
-        ({"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 0.0}]}, r"^laws\.a\.terms\[0\]\.order: .*above 0, got 0"),
+        (
+            {"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 4.0}]},
+            r"^laws\.a\.terms\[0\]\.order: .*below 4, got 4",
+        ),
+        (
+            {"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 0.0}]},
+            r"^laws\.a\.terms\[0\]\.order: .*above 0, got 0",
+        ),
         ({"kind": "paper_optimum", "taps": 1}, r"^laws\.a\.taps: .*of at least 2, got 1"),
         ({"kind": "paper_optimum", "gains": "SI"}, r"^laws\.a\.gains: "),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 from pathlib import Path
 
@@ -35,6 +36,11 @@ def test_what_does_not_import_leaves_everything_else_alone(tmp_path: Path, broke
         haptic(tmp_path, *words, environment=environment)
     haptic(tmp_path, "study", "kmax", "--law", "pd", "--gain", "3", environment=broken)
     assert "half" in haptic(tmp_path, environment=broken, code=2).stdout
+    checks = json.loads(haptic(tmp_path, "doctor", "--json", environment=broken, code=None).stdout)["checks"]
+    found = next(check for check in checks if check["name"] == "other packages")
+    assert found["state"] == "limited"
+    assert all(f"'half': the {group} cannot be imported" in found["found"] for group in GROUPS)
+    assert "of the package half-finished" in found["found"]
 
 
 @pytest.mark.parametrize(
