@@ -64,9 +64,6 @@ class Driver(Answers):
     # A stop may be asked for before the node is configured.
     _ahead: Ahead | None = None
 
-    # A signal may come before the driver is configured.
-    _ahead: Ahead | None = None
-
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Check pace and workspace before anything is started.
