@@ -6,7 +6,7 @@ longer step: its displacement is divided by all the ticks that it took, and its 
 
 from __future__ import annotations
 
-from collections import deque
+from array import array
 from collections.abc import Sequence
 
 from messages.types import ZERO, Vector
@@ -50,8 +50,10 @@ class Motion:
         Ticks since the newest sample whose forces are in `acting`.
     at, at_before : float
         When the two newest samples were taken [s].
-    recent : deque of tuple of float
-        The newest samples [m].
+    samples, kept : int
+        Samples so far, and how many of them are kept.
+    recent : array of float, shape (3 kept,)
+        The newest samples, the n-th at 3 (n modulo kept) [m].
     """
 
     def __init__(self, period: float, axes: list[int], virtual: bool, latency: Latency | None = None) -> None:
@@ -62,7 +64,8 @@ class Motion:
         self.acting: list[float] = [0.0, 0.0, 0.0]
         self.acted = self.acting
         self._latency = latency
-        self.recent: deque[Vector] = deque(maxlen=max(LEAST, round(RECENT / period)))
+        self.samples, self.kept = 0, max(LEAST, round(RECENT / period))
+        self.recent = array("d", [0.0]) * (3 * self.kept)
         self.energy = self.highest = 0.0
         self.covered = 0
         self._begun = False
@@ -71,7 +74,9 @@ class Motion:
     def sample(self, position: Vector, at: float) -> bool:
         """Take a new sample."""
         self.at_before, self.at = self.at, at
-        self.recent.append(position)
+        n = 3 * (self.samples % self.kept)
+        self.recent[n], self.recent[n + 1], self.recent[n + 2] = position
+        self.samples += 1
         if not self._begun:
             self._begun = True
             self.before = self.position = position
@@ -105,8 +110,8 @@ class Motion:
 
     def endings(self, force: Vector) -> list[Ending]:
         """Tell how the device has moved lately."""
-        lately = list(zip(*self.recent, strict=True)) or [(), (), ()]
-        return [ending(samples, acting, self._period) for samples, acting in zip(lately, force, strict=True)]
+        order = [n % self.kept for n in range(max(0, self.samples - self.kept), self.samples)]
+        return [ending([self.recent[3 * n + i] for n in order], acting, self._period) for i, acting in enumerate(force)]
 
     def velocity(self) -> Vector:
         """Find the velocity between the last two samples."""

@@ -23,7 +23,7 @@ from nodes.base import realtime
 from nodes.base.node import IDLE_MS
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.base.standstill import LastResort, Standstill
-from nodes.driver.ahead import Ahead
+from nodes.driver.ahead import Ahead, Belated
 from nodes.driver.answers import Answers
 from nodes.driver.device import Device
 from nodes.driver.limits import STOP_TIME, undeclared
@@ -233,7 +233,7 @@ class Driver(Answers):
         while seq < end and not self.stopping:
             guard, sent = self._guard, None
             if self._ahead is not None:
-                seq, sent, _, done = self._ahead.run(seq, end, 0.0, None)
+                seq, sent, _, _, done = self._ahead.run(seq, end, 0.0, None, None)
                 acting = self._handed
                 if done and sent is None:
                     self.between_ticks(seq)
@@ -290,15 +290,17 @@ class Driver(Answers):
         epoch = self._epoch()
         seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
         following_command: Vector | None = None
-        belated: tuple[tuple[bytes, bytes], float] | None = None
+        belated: Belated | None = None
         heard = False
         sent: float | None
         # A virtual device waits for whoever debugs it; what exists does not.
         self._begin("a tick", self.store.current.safety.hang or math.inf)
         while seq < end and not self.stopping:
             guard, sent = self._guard, None
-            if self._ahead is not None and belated is None:
-                seq, sent, following_command, done = self._ahead.run(seq, end, epoch, following_command)
+            if self._ahead is not None:
+                seq, sent, following_command, belated, done = self._ahead.run(
+                    seq, end, epoch, following_command, belated
+                )
                 heard = heard or done > 0
                 if done and sent is None:
                     self.between_ticks(seq)

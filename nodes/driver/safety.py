@@ -63,6 +63,8 @@ class Safety:
         What was handed over last [N].
     force_seq : int
         Tick that the last admitted force answers; -1 before the first one.
+    since : int
+        Tick in which a force was admitted last.
     refused : dict of str to int
         Forces refused, by reason: ``future``, ``replayed``, ``stale``, ``not_finite``.
     limited : dict of str to int
@@ -112,7 +114,7 @@ class Safety:
         self._stopped = 0
         self._brake: Vector = ZERO
         self.swings = parameters.stop_after is not None and self.limits.peak is not None
-        self._since = 0
+        self.since = 0
         self._tick = -1
         self.slewed = [0.0, 0.0, 0.0]
         self.state = "waiting"
@@ -166,7 +168,7 @@ class Safety:
     def command(self, wanted: Vector, answers: int, seq: int) -> Vector:
         """Turn an admitted force into what the device gets."""
         self.force_seq = answers
-        self._since = seq
+        self.since = seq
         return self._hand_over(wanted if self.state == "active" else self._become_active(wanted, seq), seq)
 
     def watch_swings(self, energy: float, velocity: Callable[[], Vector], seq: int) -> None:
@@ -215,9 +217,9 @@ class Safety:
             self._enter("active", seq, f"ramp of {self._ramp_ticks} ticks done")
         return wanted
 
-    def answered(self, force: Vector, seq: int, slewed: list[float]) -> None:
+    def answered(self, force: Vector, answers: int, since: int, seq: int, slewed: list[float]) -> None:
         """Take over what compiled ticks did, in the state ``active`` and below all limits."""
-        self.force, self.force_seq, self._since = force, seq, seq
+        self.force, self.force_seq, self.since = force, answers, since
         self._sides = [0, 0, 0]
         if not self._unlimited:
             self._tick, self.slewed = seq, slewed
@@ -225,7 +227,7 @@ class Safety:
     def missed(self, seq: int, velocity: Vector, held: Vector | None = None) -> Vector | None:
         """Decide about a tick that closes without the force that answers it."""
         limits = self.limits
-        silent = seq - self._since
+        silent = seq - self.since
         if self.state == "waiting":
             return None
         if self.state == "stopped":

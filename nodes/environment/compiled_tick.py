@@ -43,6 +43,7 @@ class EnvironmentTicks(CompiledTicks):
         )
         self._environment = node
         self.state.until = 2**62
+        self.state.may_skip = 1
         self._surface: Surface | None = None
         self._known = False
 

@@ -23,7 +23,7 @@ from nodes.tick.library import Kernel, functions
 
 M = TypeVar("M")
 
-GLANCE: Final = 0.05
+GLANCE: Final = 0.25
 """How often at least the interpreter looks whether it is wanted: counters that others read are at most so old [s]."""
 
 LOCKSTEP_TICKS: Final = 256
@@ -42,6 +42,7 @@ class Node(Protocol):
     seq: int
     followed: int
     answered: int
+    gaps: int
     answer: bytes
     ticks: int
     ticks_compiled: int
@@ -85,6 +86,7 @@ class CompiledTicks:
         state.hop, state.aside, state.batch = node.publisher.lend()
         state.realtime, state.period = int(realtime), period
         self._kept: list[Any] = []
+        self._expected = expected.encode()
         self._frame = self._room("frame", LONGEST_TOPIC)
         self._payload = self._room("payload", LONGEST_IN)
         self._text = self._room("text", LONGEST_TEXT + 16)
@@ -145,11 +147,12 @@ class CompiledTicks:
             inbox.set_timeout(WAIT_MS)
             state.most = self._most
             state.seq, state.ticks, state.clock_offset = node.followed, node.ticks, node.clock_offset
+            state.gaps = node.gaps
             done = self._kernel(self._at)
             if done:
                 node.seq = node.followed = node.answered = state.seq
                 node.answer = self.last_sent()
-                node.ticks = state.ticks
+                node.ticks, node.gaps = state.ticks, state.gaps
                 node.ticks_compiled += done
                 self.leave(done)
             if not state.frames:

@@ -67,6 +67,8 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("text_size", c_int64),
     ("batch", c_int64),
     ("realtime", c_int64),
+    # whether ticks that the driver left out are nothing but a number to it
+    ("may_skip", c_int64),
     ("period", c_double),
     ("clock_offset", c_double),
     # how many ticks at most before Python looks, and before which tick
@@ -74,6 +76,7 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("until", c_int64),
     # what goes on from tick to tick
     ("seq", c_int64),
+    ("gaps", c_int64),
     ("ticks", c_int64),
     ("held_count", c_int64),
     ("sent_size", c_int64),

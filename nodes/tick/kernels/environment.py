@@ -64,6 +64,7 @@ def ticks(address: int) -> int:
         if not in_order(s, seq, s.reals[_STAMP]) or not _is_active(s.wholes):
             break
         s.frames = 0
+        s.gaps += seq - s.seq - 1
         s.seq = seq
         s.out_wholes[_TO_SEQ] = seq
         s.out_wholes[_TO_CONTACT] = 1 if _meet(s, s.reals, s.out_reals) else 0

@@ -1,4 +1,8 @@
-"""The sim driver's tick, compiled: nodes/driver/node.py as long as every tick is answered in time and its safety is active."""
+"""The sim driver's tick, compiled: nodes/driver/node.py as long as its safety is active.
+
+An answer that comes late, and ticks that are over before they begin, are usual at high rates: left to the interpreter, each
+would cost the ten ticks after it, too.
+"""
 
 from __future__ import annotations
 
@@ -51,9 +55,12 @@ _TO_STAMP, _TO_POSITION, _TO_FORCE, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_
     for name in ("stamp", "position", "force", "response", "lateness", "energy", "delay", "guard", "target")
 )
 _BETWEEN, _WAITING = BETWEEN, WAITING
+_STOP = -1
 _TIMER_ABSTIME = 1
 _EVENTS, _POLLIN = 15, 1
 _RECENT = response_times.RECENT
+# As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
+_SOON = 1e-3
 
 
 @compilable
@@ -71,17 +78,22 @@ def _usual_position(s: Any) -> bool:
 @compilable
 def _sample(s: Any, seq: int, stamp: float) -> None:
     """Take the position that was read as the tick's sample, and publish the state (`Driver._sample`)."""
-    s.at_before, s.at = s.at, stamp
+    s.at_before, s.at, s.asked = s.at, stamp, seq
+    s.elapsed, s.covered = s.covered, 0
     energy = s.energy
     places = reals_at(s.places, 3 * s.places_count)
     for i in range(3):
+        s.slewed[i] = 0.0
         s.before[i] = s.position[i]
         s.position[i] = s.reals[i]
         places[3 * s.places_at + i] = s.position[i]
         s.acted[i] = s.acting[i]
         if s.line_length > 0:
             line = reals_at(s.lines + 8 * i * s.line_length, s.line_length)
-            s.acted[i] = through(line, s.acting[i], s.line_part)
+            total = through(line, s.acting[i], s.line_part)
+            for _ in range(1, s.elapsed):
+                total += through(line, s.acting[i], s.line_part)
+            s.acted[i] = total if s.elapsed == 1 else total / s.elapsed
     s.places_at = (s.places_at + 1) % s.places_count
     for n in range(s.axes):
         i = s.axis[n]
@@ -113,20 +125,25 @@ def _sample(s: Any, seq: int, stamp: float) -> None:
 @compilable
 def _command(s: Any, seq: int) -> bool:
     """Turn the force received into what the device gets (`Safety.admit`, `Safety.command`); False when that is not usual."""
-    if not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes) or s.wholes[_SEQ] != seq:
+    if not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
+        return False
+    answers = s.wholes[_SEQ]
+    if answers > seq or answers <= s.force_seq or seq - answers > s.max_age:
         return False
     wanted = s.reals
     if not math.isfinite(wanted[_FORCE] + wanted[_FORCE + 1] + wanted[_FORCE + 2]):
         return False
     for n in range(s.axes):
         i = s.axis[n]
-        if limit(wanted[_FORCE + i], s.force[i], s.peak, s.slew) != wanted[_FORCE + i]:
+        if limit(wanted[_FORCE + i], s.force[i], s.peak, max(s.slew - s.slewed[i], 0.0)) != wanted[_FORCE + i]:
             return False
     for n in range(s.axes):
         i = s.axis[n]
-        s.slewed[i] = abs(wanted[_FORCE + i] - s.force[i])
+        s.slewed[i] += abs(wanted[_FORCE + i] - s.force[i])
         s.force[i] = wanted[_FORCE + i]
-    s.force_seq = seq
+    s.force_seq, s.since = answers, seq
+    s.age = seq - answers
+    s.taken += 1
     s.frames = 0
     return True
 
@@ -153,22 +170,24 @@ def _note(s: Any, response: float) -> None:
 def _close(s: Any) -> None:
     """End the tick: the listeners get what nothing waits for any more."""
     s.ticks += 1
+    s.seq += 1
+    s.covered = 1
     s.phase = _BETWEEN
     if hold(s, s.sent_size):
         flush(s)
 
 
 @compilable
-def _lockstep_tick(s: Any, seq: int) -> bool:
-    """Do one tick in lockstep; False when something in it is for the plain tick."""
+def _lockstep_tick(s: Any, seq: int) -> int:
+    """Do one tick in lockstep; `_STOP` when something in it is for the plain tick."""
     if not _usual_position(s):
-        return False
+        return _STOP
     _sample(s, seq, seq * s.period)
     if not receive(s, 0):
-        return False
+        return _STOP
     arrival = monotonic(s)
     if not _command(s, seq):
-        return False
+        return _STOP
     s.response = arrival - s.sampled
     _note(s, s.response)
     lockstep_tick(s, s.force[s.device_axis])
@@ -177,7 +196,7 @@ def _lockstep_tick(s: Any, seq: int) -> bool:
         s.handed[i] = s.force[i]
     s.delay = float(s.next_tick)
     _close(s)
-    return True
+    return 1
 
 
 @compilable
@@ -212,17 +231,66 @@ def _await(s: Any, deadline: float) -> bool:
 
 
 @compilable
-def _realtime_tick(s: Any, seq: int) -> bool:
-    """Do one tick in real time; False when something in it is for the plain tick."""
+def _lost(s: Any, seq: int, late: float) -> int:
+    """Leave out the ticks that are over (`Driver._hold`); `_STOP` when something in it is for the plain tick."""
+    lost = min(int(late / s.period), s.until - seq)
+    if seq + lost - s.written > s.bears or (s.has_following != 0 and seq + lost - s.force_seq > s.max_age):
+        return _STOP
+    if s.targets_count > 0 and seq + lost - s.targets_from >= s.targets_count:
+        return _STOP
+    s.overruns += lost
+    s.lateness = late
+    for i in range(3):
+        s.acting[i] = (s.acting[i] * s.covered + s.handed[i] * lost) / (s.covered + lost)
+    s.covered += lost
+    s.seq = seq + lost
+    return 0
+
+
+@compilable
+def _change(s: Any, offset: float) -> None:
+    """Take into the tick's mean force what acted up to a place in it (`Split`)."""
+    share = offset - s.split
+    if share > 0.0:
+        for i in range(3):
+            s.mean[i] += share * s.handed[i]
+        s.split = offset
+
+
+@compilable
+def _hand_over(s: Any, seq: int, offset: float) -> None:
+    """Give the device the force that was just commanded."""
+    if s.next_tick != 0:
+        s.has_following = 1
+        for i in range(3):
+            s.following[i] = s.force[i]
+        s.delay = 1.0 + s.age
+        return
+    write_force(s, s.force[s.device_axis], seq, offset)
+    s.written = seq
+    _change(s, offset)
+    for i in range(3):
+        s.handed[i] = s.force[i]
+    s.delay = offset + s.age
+
+
+@compilable
+def _realtime_tick(s: Any, seq: int) -> int:
+    """Do one tick in real time: 1, or 0 where ticks were only left out; `_STOP` when something in it is for the plain tick."""
+    # An answer that is missing now must not be one that the watchdog waits for.
+    if seq - s.since >= max(s.watchdog, 2):
+        return _STOP
     deadline = s.epoch + seq * s.period
     now = _sleep_until(s, deadline)
     late = now - deadline
-    if late < 0.0 or late >= s.period:
-        return False
+    if late < 0.0:
+        return _STOP
+    if late >= s.period:
+        return int(_lost(s, seq, late))
     while s.device_tick < seq:
         pass_tick(s)
     if not _usual_position(s):
-        return False
+        return _STOP
     s.lateness = late
     if s.has_following != 0:
         # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
@@ -233,32 +301,48 @@ def _realtime_tick(s: Any, seq: int) -> bool:
         s.has_following = 0
     _sample(s, seq, now + s.clock_offset)
     following = deadline + s.period
+    # As the plain tick does, it waits a little for an answer that is late, unless nothing came in the tick before.
+    patience = max(following, s.sampled + _SOON) if s.heard != 0 else following
     s.age = seq - s.force_seq
-    if not _await(s, following) or not receive(s, DONTWAIT):
-        return False
-    arrival = monotonic(s)
-    if arrival >= following or not _command(s, seq):
-        return False
-    s.age = 0
-    offset = min(max((arrival - deadline) / s.period, 0.0), 1.0)
-    if s.next_tick != 0:
-        s.has_following = 1
-        for i in range(3):
-            s.following[i] = s.force[i]
-            s.acting[i] = s.handed[i]
-        s.delay = 1.0
+    s.heard = 0
+    s.split = s.mean[0] = s.mean[1] = s.mean[2] = 0.0
+    answered = False
+    while not answered:
+        arrival = s.belated_at
+        if s.belated != 0:
+            s.belated = 0
+        else:
+            if not _await(s, patience):
+                if s.attention != 0:
+                    return _STOP
+                break
+            if not receive(s, DONTWAIT):
+                return _STOP
+            arrival = monotonic(s)
+            s.heard = 1
+            if arrival >= following:
+                s.belated, s.belated_at = 1, arrival
+                break
+        if not _command(s, seq):
+            return _STOP
+        _hand_over(s, seq, min(max((arrival - deadline) / s.period, 0.0), 1.0))
+        answered = s.force_seq == seq
+    if answered:
+        s.response = arrival - s.sampled
+        _note(s, s.response)
     else:
-        write_force(s, s.force[s.device_axis], seq, offset)
-        s.written = seq
-        for i in range(3):
-            # The mean over the tick, split where the force arrived: nodes/driver/mean_force.py.
-            s.acting[i] = offset * s.handed[i] + (1.0 - offset) * s.force[i]
-            s.handed[i] = s.force[i]
-        s.delay = offset
-    s.response = arrival - s.sampled
-    _note(s, s.response)
+        if seq - s.since >= s.watchdog or (s.has_following == 0 and seq + 1 - s.written >= s.bears):
+            return _STOP
+        s.missed += 1
+        s.response = 0.0
+    if s.age > s.oldest_age:
+        s.oldest_age = s.age
+    if s.next_tick == 0:
+        _change(s, 1.0)
+    for i in range(3):
+        s.acting[i] = s.handed[i] if s.next_tick != 0 else s.mean[i]
     _close(s)
-    return True
+    return 1
 
 
 @compilable
@@ -266,18 +350,14 @@ def ticks(address: int) -> int:
     """Do ticks until something is unusual."""
     s = _look(address)
     done = 0
-    s.frames = 0
+    if s.belated == 0:
+        s.frames = 0
     s.phase = _BETWEEN
-    # The tick that comes next; a sample taken and not answered is the plain tick's to go on with.
-    seq = s.seq
-    while done < s.most and seq < s.until and s.attention == 0:
-        if s.realtime != 0:
-            if not _realtime_tick(s, seq):
-                break
-        elif not _lockstep_tick(s, seq):
+    while done < s.most and s.seq < s.until and s.attention == 0:
+        # The tick that comes next; a sample taken and not answered is the plain tick's to go on with.
+        found = _realtime_tick(s, s.seq) if s.realtime != 0 else _lockstep_tick(s, s.seq)
+        if found == _STOP:
             break
-        seq += 1
-        done += 1
+        done += found
     flush(s)
-    s.seq = seq
     return done

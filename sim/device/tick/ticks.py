@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from array import array
 from collections.abc import Sequence
@@ -12,15 +13,19 @@ import msgspec
 from messages import topics
 from messages.types import Vector
 from nodes.base.setup import Setup
-from nodes.driver.ahead import Stop
+from nodes.driver.ahead import Belated, Stop
 from nodes.driver.mean_force import Latency
 from nodes.driver.motion import Motion
 from nodes.driver.passivity import PassivityGuard
 from nodes.driver.response_times import ResponseTimes
 from nodes.driver.safety import REACH, Safety
 from nodes.tick.answering import WAIT_MS, CompiledTicks, Node
+from nodes.tick.layout import LONGEST_IN
 from nodes.tick.library import Kernel
 from sim.device.tick.layout import PENDING, WAITING, DriverState
+
+HAND_AHEAD = 0.05
+"""How much of a hand's path is computed at once [s]: ten microseconds at 500 Hz."""
 
 AHEAD = 4
 """Points of a hand's path that are computed beyond the ticks to do: a lost tick lets several pass at once."""
@@ -57,6 +62,8 @@ class _Driver(Node, Protocol):
     _responses: ResponseTimes
     _handed: Vector
     _written: int
+    _bears: float
+    _oldest_age: int
     _response: float
     _lateness: float
     _delay: float
@@ -95,9 +102,8 @@ class DriverTicks(CompiledTicks):
         self._set_device(node._device)
         self.keep("recent", node._responses.recent)
         self.keep("bins", node._responses.bins)
-        state.places_count = self._kept_places = node._motion.recent.maxlen or 1
-        self._places = array("d", [0.0]) * (3 * self._kept_places)
-        self.keep("places", self._places)
+        state.places_count = node._motion.kept
+        self.keep("places", node._motion.recent)
         lines = [] if node._latency is None else node._latency.lines
         self._lines = array("d", [0.0]) * sum(map(len, lines))
         self.keep("lines", self._lines)
@@ -117,6 +123,8 @@ class DriverTicks(CompiledTicks):
         limits = safety.limits
         state.peak = math.inf if limits.peak is None else limits.peak
         state.slew = math.inf if limits.slew is None else limits.slew
+        # In lockstep only the tick's own answer counts.
+        state.max_age, state.watchdog = limits.max_age if state.realtime else 0, limits.watchdog
         state.workspace[:] = [bound for bounds in limits.workspace for bound in bounds]
         state.reach = REACH
 
@@ -141,6 +149,8 @@ class DriverTicks(CompiledTicks):
         state.device_delay, state.device_hold = timed.delay, timed.hold
         self._pending = array("d", [0.0]) * (2 * PENDING)
         self.keep("pending", self._pending)
+        if model.hand is not None and self._most * device.period > HAND_AHEAD:
+            self._most = max(1, int(HAND_AHEAD / device.period))
         state.weight = msgspec.structs.replace(model, hand=None).load(0, device.period)
         self._targets = array("d", [0.0]) * (self._most + AHEAD if model.hand is not None else 0)
         self.keep("targets", self._targets)
@@ -161,19 +171,20 @@ class DriverTicks(CompiledTicks):
             safety.state == "active"
             and safety.motor is None
             and node._guard is None
-            and motion.covered == 1
+            and motion.covered > 0
+            and motion.samples > 0
             and (self.state.realtime == 0 or node._device.tick >= 0)
             and len(node._device.pending) < PENDING // 2
             and not (node.called or node.stopping)
         )
 
-    def run(self, seq: int, end: int, epoch: float, following: Vector | None) -> Stop:
+    def run(self, seq: int, end: int, epoch: float, following: Vector | None, belated: Belated | None) -> Stop:
         """Do ticks until something is unusual."""
         state: Any = self.state
         # Before looking: what comes in between stops it.
         state.attention = 0
-        if not self._usual():
-            return Stop(seq, None, following, 0)
+        if not self._usual() or not self._keep(belated):
+            return Stop(seq, None, following, belated, 0)
         node = self._driver
         node.publisher.flush()
         if not state.realtime:
@@ -185,15 +196,33 @@ class DriverTicks(CompiledTicks):
         self._take_over()
         done = self._kernel(self._at)
         self._give_back(done)
-        if state.frames:
+        belated = None
+        if state.belated:
+            topic, payload = self._frames()
+            belated = (topic, payload), state.belated_at
+        elif state.frames:
             self._inbox.put_back(self._frames())
         waits = state.phase == WAITING
         return Stop(
             state.seq,
             state.sampled if waits else None,
             _vector(state.following) if state.has_following else None,
+            belated,
             done,
         )
+
+    def _keep(self, belated: Belated | None) -> bool:
+        """Lay an answer that came late into the kernel's buffers; whether it fits."""
+        state: Any = self.state
+        state.belated = belated is not None
+        if belated is not None:
+            (topic, payload), state.belated_at = belated
+            if topic != self._expected or len(payload) > LONGEST_IN:
+                return False
+            ctypes.memmove(self._frame, topic, len(topic))
+            ctypes.memmove(self._payload, payload, len(payload))
+            state.frames, state.frame_size, state.payload_size = 2, len(topic), len(payload)
+        return True
 
     def _take_over(self) -> None:
         """Bring the kernel's side up to date."""
@@ -204,13 +233,15 @@ class DriverTicks(CompiledTicks):
         state.ticks, state.clock_offset = node.ticks, node.clock_offset
         state.lateness, state.response, state.delay = node._lateness, node._response, node._delay
         state.age, state.missed, state.overruns = node._age, node._missed, node._overruns
-        state.handed[:], state.written = node._handed, node._written
-        state.force[:], state.force_seq, state.slewed[:] = safety.force, safety.force_seq, safety.slewed
+        state.handed[:], state.written, state.bears = node._handed, node._written, node._bears
+        state.oldest_age, state.heard, state.taken = node._oldest_age, 1, 0
+        state.force[:], state.force_seq, state.since = safety.force, safety.force_seq, safety.since
         state.position[:], state.before[:] = motion.position, motion.before
         state.acting[:], state.acted[:] = motion.acting, motion.acted
+        state.elapsed, state.covered = motion.elapsed, motion.covered
         state.energy, state.highest = motion.energy, motion.highest
         state.at, state.at_before = motion.at, motion.at_before
-        state.places_at = 0
+        state.places_at = motion.samples % motion.kept
         state.recent_at, state.counted, state.longest = responses.at, responses.counted, responses.longest_counted
         if node._latency is not None:
             for i, line in enumerate(node._latency.lines):
@@ -245,24 +276,22 @@ class DriverTicks(CompiledTicks):
         sampled = done + (state.phase == WAITING)
         node.ticks, node.ticks_compiled = state.ticks, node.ticks_compiled + done
         node.sent += sampled
-        node.received += done
+        node.received += state.taken
+        node._missed, node._overruns, node._oldest_age = state.missed, state.overruns, state.oldest_age
         node._lateness, node._response, node._delay, node._age = state.lateness, state.response, state.delay, state.age
         node._handed, node._written = _vector(state.handed), state.written
-        if done:
-            safety.answered(_vector(state.force), state.force_seq, list(state.slewed))
+        if done or state.taken:
+            safety.answered(_vector(state.force), state.force_seq, state.since, state.asked, list(state.slewed))
             responses.at, responses.counted, responses.longest_counted = state.recent_at, state.counted, state.longest
+        motion.elapsed, motion.covered, motion.acting = state.elapsed, state.covered, list(state.acting)
         if sampled:
-            node.seq = state.seq if state.phase == WAITING else state.seq - 1
+            node.seq = state.asked
             node._unlistened = self.last_sent()
             motion.position, motion.before = _vector(state.position), _vector(state.before)
-            motion.acting, motion.acted = list(state.acting), list(state.acted)
+            motion.acted = list(state.acted)
             motion.energy, motion.highest = state.energy, state.highest
             motion.at, motion.at_before = state.at, state.at_before
-            motion.elapsed = 1
-            motion.covered = 0 if state.phase == WAITING else 1
-            for n in range(max(0, sampled - self._kept_places), sampled):
-                at = 3 * (n % self._kept_places)
-                motion.recent.append(_vector(self._places[at : at + 3]))
+            motion.samples += sampled
         if node._latency is not None:
             for i, line in enumerate(node._latency.lines):
                 line[:] = self._lines[i * len(line) : (i + 1) * len(line)].tolist()
