@@ -45,8 +45,8 @@ ZAP = "inproc://zeromq.zap.01"
 FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
 _FAILED: dict[int, str] = {
     zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL: "without a valid handshake: a plain client, or an altered or replayed stream",
-    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL: "that ended before its handshake was complete: who connected gave up or "
-    "took too long",
+    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL: "that ended before its handshake was complete: who connected gave up, "
+    "took too long or has no keys",
 }
 _EVENTS = FAILURES | zmq.EVENT_ACCEPTED | zmq.EVENT_ACCEPT_FAILED | zmq.EVENT_DISCONNECTED
 _STOP = "inproc://haptic.gate.stop"

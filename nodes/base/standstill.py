@@ -41,7 +41,7 @@ class LastResort:
     """Ends the process when not even the thread that looks can run: the call that hangs holds the interpreter's lock.
 
     It is a timer of the interpreter's own, in C, which needs no lock. All that it can say is where the threads were, to a file
-    that the launcher reads.
+    that the launcher reads. A process that was stopped for so long ends too; its device has let go by then.
     """
 
     def __init__(self, setup: Setup) -> None:
