@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import ctypes
 import os
 import platform
@@ -17,11 +18,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from nodes.base import realtime
+from nodes.base.kinds import load, node_kinds
 from nodes.base.setup import Scheduling
 from nodes.cli.main import add_json, answer
 from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
 from nodes.launcher.wiring import FIFO
 from nodes.parameters.registry import NotInstalledError, Registry
+from nodes.parameters.store import ParameterError
+from nodes.tick.build import find, folder
 
 DISTRIBUTION = ("/usr",)
 """Where the interpreters of distributions are installed."""
@@ -299,6 +303,24 @@ def _packages() -> Finding:
     return Finding("other packages", "ok", ", ".join(found) or "none")
 
 
+def _compiled_tick() -> Finding:
+    """Look whether `run.tick: auto` finds the compiled ticks: it takes what is built, and never waits for the compiler."""
+    modules = {""}
+    for factory in node_kinds().values():
+        # A kind that cannot be imported is named under "other packages".
+        with contextlib.suppress(ParameterError):
+            modules.add(load(factory).kernel_module)
+    missing = sorted(module for module in modules - {""} if find(module) is None)
+    if not missing:
+        return Finding("compiled tick", "ok", f"built for this version and processor, auto takes it: {folder()}")
+    return Finding(
+        "compiled tick",
+        "limited",
+        f"not built for this version: {', '.join(missing)}; auto takes the plain tick",
+        "haptic launch floor_drop --tick compiled: has it compiled once, some ten seconds; auto takes it from then on",
+    )
+
+
 def _punctuality(measured: dict[str, dict[str, float]]) -> Finding:
     best = measured.get("fifo", measured["normal"])
     text = "; ".join(
@@ -320,6 +342,7 @@ def _findings(measured: dict[str, dict[str, float]]) -> Iterator[Finding]:
         interpreter,
         _zeromq,
         _packages,
+        _compiled_tick,
         _runtime,
         _open_files,
         _processors,

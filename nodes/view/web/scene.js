@@ -1,4 +1,4 @@
-// The scene to scale, along the axis that the loop computes: surface, device, proxy, the hand's target, the force.
+// The scene to scale, along one axis of those that the loop computes: surface, device, proxy, the hand's target, the force.
 import { colour, onTheme } from "./theme.js";
 
 const INDEX = { x: 0, y: 1, z: 2 };
@@ -30,9 +30,20 @@ export class Scene {
   }
 
   start(axes, hand) {
-    this.axis = INDEX[axes[0]];
-    this.letter = axes[0];
-    this.upright = axes[0] === "z";
+    const picker = document.getElementById("axis");
+    picker.replaceChildren(...axes.map((letter) => new Option(letter)));
+    // A hand pulls along the first one.
+    picker.onchange = () => this.look(picker.value, hand && picker.value === axes[0]);
+    document.getElementById("axes").hidden = axes.length < 2;
+    this.look(axes[0], hand);
+  }
+
+  look(letter, hand) {
+    this.letGo();
+    this.axis = INDEX[letter];
+    this.letter = letter;
+    this.upright = letter === "z";
+    Object.assign(this, { surface: null, springy: false, trace: [], middle: 0, half: 0.03 });
     this.draggable = hand;
     this.canvas.classList.toggle("hand", hand);
     this.canvas.setAttribute("aria-label", hand

@@ -28,7 +28,7 @@ def test_this_machine_can_run_a_loop_and_each_remedy_belongs_to_a_finding(tmp_pa
     assert figures["fine"] is True
     names = {check["name"] for check in figures["checks"]}
     assert {"SCHED_FIFO", "processors", "timer slack", "wake-ups", "RT throttling", "CPU governor", "kernel"} <= names
-    assert {"locked memory", "open files", "runtime directory", "ZeroMQ", "Python"} <= names
+    assert {"compiled tick", "locked memory", "open files", "runtime directory", "ZeroMQ", "Python"} <= names
     for check in figures["checks"]:
         assert check["found"]
         assert (check["state"] == "ok") == (check["remedy"] == "")

@@ -16,6 +16,7 @@ import pytest
 
 from messages.transport.requests import ControlError
 from nodes.recording.reader import Recording
+from nodes.tick.choose import choose
 from sim.measure.rig import full_pipe
 from tests.support import FIXTURES
 from tests.support.launching import Running, running, wait_for
@@ -72,6 +73,23 @@ def diary(folder: Path) -> list[tuple[float, str, float]]:
 def forces(folder: Path) -> list[float]:
     """List the forces that it was given."""
     return [value for _, call, value in diary(folder) if call == "write_force"]
+
+
+# -- the compiled tick under a driver that exists -------------------------------------------------------------------------
+
+
+def test_environment_and_coupling_are_compiled_under_a_driver_that_is_not_virtual(tmp_path: Path) -> None:
+    kernels = ["nodes.tick.kernels.environment", "nodes.tick.kernels.coupling"]
+    assert choose("compiled", kernels, print) == "compiled"
+    path = scene(tmp_path, run={"duration": 0.6, "tick": "compiled"})
+    with running(tmp_path, path, environment=INSTALLED) as launch:
+        figures = launch.finish()
+    assert figures["tick"] == "compiled"
+    compiled = figures["ticks_compiled"]
+    assert compiled["driver"] == 0
+    assert min(compiled["environment"], compiled["coupling"]) > 0.8 * (figures["ticks"] - figures["missed"])
+    # 1 mm into 1000 N/m, at rest.
+    assert forces(tmp_path).count(1.0) > 0.8 * (figures["ticks"] - figures["missed"])
 
 
 # -- a reader that pauses or goes away ---------------------------------------------------------------------------------

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import yaml
 
+from nodes.launcher import launch_file
 from tests.support.browser import bins, chromium, needs_browser, shown, url_of
 from tests.support.launching import Running, running, wait_for
 
@@ -205,8 +207,17 @@ def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, browse
 
 def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser, tmp_path: Path) -> None:
     """The view comes back at its port with its token, so an open page finds it; a dead coupling is called by its name."""
-    words = ("touch_wall", "--view", "--without", "logger")
+    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
+    content["nodes"]["environment"] |= {"respawn": True, "respawn_delay": 0.0}
+    (tmp_path / "touch.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    words = (str(tmp_path / "touch.yaml"), "--view", "--without", "logger")
     with running(tmp_path, *words) as launch, opened(browser, url_of(launch)) as page:
+        wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the loop runs")
+        environment = launch.pid("environment")
+        os.kill(environment, signal.SIGSTOP)
+        wait_for(lambda: "the watchdog has let go" in shown(page, "#words"), "the page tells why there is no force")
+        os.kill(environment, signal.SIGKILL)
+        wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the new environment is seen to answer")
         view = int(launch.call("view", "status")["pid"])
         os.kill(view, signal.SIGKILL)
         wait_for(lambda: "lost its connection" in shown(page, "#notice"), "the page tells that it is alone")
@@ -217,6 +228,18 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser
         wait_for(lambda: "The run has ended" in shown(page, "#notice"), "the end is told")
         assert "stays here" in shown(page, "#notice")
         assert launch.process.wait(60.0) == 1
+
+
+def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_path: Path) -> None:
+    words = ("floor_drop", "--view", "--without", "logger", "duration:=0")
+    content = yaml.safe_load(launch_file.find("floor_drop").read_text(encoding="utf-8"))
+    content["run"]["axes"] = ["x", "z"]
+    (tmp_path / "two.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    with running(tmp_path, str(tmp_path / "two.yaml"), *words[1:]) as launch, opened(browser, url_of(launch)) as page:
+        page.select_option("#axis", "z")
+        wait_for(lambda: "0.00 mm" not in shown(page, "#reading"), "how far it has come along z")
+        page.select_option("#axis", "x")
+        wait_for(lambda: "0.00 mm" in shown(page, "#reading"), "it does not move along x")
 
 
 def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_path: Path) -> None:
