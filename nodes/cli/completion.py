@@ -30,8 +30,11 @@ complete -o default -F _haptic haptic
 _haptic() {
     local -a found
     found=("${(@f)$(haptic completion words -- "${(@)words[2,CURRENT]}" 2>/dev/null)}")
-    [[ -n ${found[1]} ]] && compadd -a found || _files
+    [[ -n ${found[1]} ]] || { _files; return }
+    compadd -S '' -- ${(M)found:#*:=}
+    compadd -- ${found:#*:=}
 }
+(( $+functions[compdef] )) || { autoload -Uz compinit && compinit -u }
 compdef _haptic haptic
 """,
     "fish": """\
