@@ -28,6 +28,7 @@ def name_points(
     axes: Axes, named: Iterable[tuple[str, float, float]], taken: list[BboxBase], *, must: bool, size: float, color: str
 ) -> None:
     """Write names beside points so that none lies over another."""
+    from matplotlib.patheffects import withStroke
     from matplotlib.text import Text
 
     inside = axes.get_window_extent()
@@ -44,6 +45,8 @@ def name_points(
                 arrowprops={"arrowstyle": "-", "color": color, "lw": 0.4} if (dx, dy, side) in _FAR else None,
             )
             note.set_in_layout(False)
+            # A line that passes behind a name does not strike it through.
+            note.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
             # Puts the text in its place; the line to the point is no part of it.
             note.get_window_extent()
             box = Text.get_window_extent(note)

@@ -83,6 +83,7 @@ class Recorder:
         self._topics = frozenset(topic.encode() for topic in topics)
         self._writer = writer
         self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
+        self._last: dict[bytes, bytes] = {}
         self._next_flush = time.monotonic() + FLUSH_PERIOD
         self.recorded = 0
         self.refused = 0
@@ -104,6 +105,11 @@ class Recorder:
         # A subscription is a prefix: what merely begins like a topic is not meant.
         if self._topics and topic not in self._topics:
             return
+        # A node that is asked again answers again; one with a single socket, to its listeners too. The same to the byte, its
+        # stamp included, is one message.
+        if self._last.get(topic) == payload:
+            return
+        self._last[topic] = payload
         known = self._decoders.get(topic)
         if known is None:
             name = topic.decode("utf-8", errors="replace")
