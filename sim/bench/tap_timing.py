@@ -15,11 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from nodes.coupling.law_on_axis import UNROLLED_TAPS, unrolled
+from nodes.coupling.law_on_axis import UNROLLED_TAPS, History, LawOnAxis, unrolled
 from nodes.kernels import fir
 from nodes.launcher.child import PYTHON
-from nodes.laws import CompiledLaw
+from nodes.laws import CompiledLaw, Law
 from nodes.laws.derivatives import realise
+from nodes.laws.pd import PD
+from nodes.laws.pd_filtered import PDFiltered
+from nodes.laws.pd_windowed import PDWindowed
 from sim.measure.stopwatch import Timing, interleaved
 from sim.scene.compiled import compiled
 
@@ -97,6 +100,32 @@ def time_taps(lengths: Sequence[int], rounds: int, step: Callable[[str], None]) 
             jobs[f"{way}|{n}"] = (_repeat(evaluate, n, calls), calls)
     timed = interleaved(jobs, rounds, step)
     return TapTimings({n: {way: timed[f"{way}|{n}"] for way in WAYS} for n in lengths}, same)
+
+
+def time_laws(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
+    """Time the coupling's own rendering of PD, plain and with its velocity behind a filter or in windows."""
+    period, step_m, ticks = 0.002, 2.3e-5, 500
+    laws = {
+        "pd": PD(stiffness=1000.0, damping=3.0),
+        "pd_filtered": PDFiltered(stiffness=1000.0, damping=3.0, cutoff=100.0),
+        "pd_windowed": PDWindowed(stiffness=1000.0, damping=3.0, resolution=step_m),
+    }
+    # A slow swing through an encoder: windows open and close.
+    samples = (np.rint(1e-3 * np.sin(0.02 * np.arange(ticks)) / step_m) * step_m).tolist()
+
+    def render(law: Law) -> Callable[[], object]:
+        compiled_law = law.compile(period)
+        history = History(max(2, len(compiled_law.taps)))
+        axis = LawOnAxis(compiled_law, history)
+
+        def run() -> None:
+            for sample in samples:
+                history.push(sample)
+                axis.force()
+
+        return run
+
+    return interleaved({name: (render(law), ticks) for name, law in laws.items()}, rounds, step)
 
 
 def _repeat(evaluate: Callable[[int], float], length: int, calls: int) -> Callable[[], object]:

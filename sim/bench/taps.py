@@ -33,11 +33,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure, and say which way is fastest from where on."""
     if arguments.rounds < 1:
         raise UsageError(f"--rounds {arguments.rounds}: at least 1")
-    from sim.bench.tap_timing import LENGTHS, WAYS, as_json, time_taps
+    from sim.bench.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps
     from sim.measure.stopwatch import Progress, machine
 
     found = time_taps(arguments.taps or LENGTHS, arguments.rounds, Progress(arguments.rounds).step)
+    laws = time_laws(arguments.rounds, lambda _: None)
     figures = as_json(found, machine())
+    figures["laws_us"] = {name: 1e6 * timing.median for name, timing in laws.items()}
     if arguments.out is not None:
         figures["files"] = [str(path) for path in _write(figures, arguments.out)]
     lines = ["   taps" + "".join(f"{way:>12}" for way in WAYS) + "   fastest with the kernel's bits   [µs per tick]"]
@@ -46,6 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         lines.append(f"{point['taps']:7d}{cells}   {figures['fastest'][str(point['taps'])]}")
     for pair, taps in figures["crossover_taps"].items():
         lines.append(f"{pair.replace('_', ' ')}: {'never' if taps is None else f'from {taps:.0f} taps on'}")
+    lines.append("a tick of " + ", ".join(f"{name} {us:.3g} µs" for name, us in figures["laws_us"].items()))
     cost = figures["import_s"]
     lines.append(
         f"the coupling changes from the written-out sum to numpy beyond {figures['unrolled_taps']} taps; importing numpy costs "

@@ -12,6 +12,7 @@ from typing import Any
 
 CHAI3D = "CHAI3D 3.2, device specifications in its sources"
 SHEET = "3D Systems, data sheet of the Touch X (formerly PHANTOM Desktop)"
+H3D = "H3DAPI wiki, Novint Falcon: 400 counts per inch, 8.9 N"
 MEMORY = "remembered, not checked"
 
 
@@ -89,6 +90,7 @@ PRESETS: dict[str, Preset] = {
         {"resolution": _remembered(1e-5), "peak_force": Fact(12.0, CHAI3D)},
         {"stiffness": Fact(5000.0, CHAI3D), "damping": Fact(30.0, CHAI3D)},
     ),
+    "falcon": Preset("Novint Falcon", {"resolution": Fact(6.35e-5, H3D), "peak_force": Fact(8.9, H3D)}, {}),
     "delta_3": Preset("Force Dimension delta.3", {"peak_force": Fact(20.0, CHAI3D)}, {}),
 }
 """By name; a value that is not here stays the scenario's."""

@@ -16,6 +16,7 @@ from sim.studies import arguments as shared
 
 LAWS: dict[str, dict[str, Any]] = {
     "pd": {"kind": "pd", "stiffness": 1.0},
+    "pd_filtered 100 Hz": {"kind": "pd_filtered", "stiffness": 1.0, "cutoff": 100.0},
     "pd_alpha 0.5": {"kind": "pd_alpha", "stiffness": 1.0, "order": 0.5, "taps": 20, "gains": "paper"},
     "pd_alpha 1.5": {"kind": "pd_alpha", "stiffness": 1.0, "order": 1.5, "taps": 4, "gains": "paper"},
     "paper_optimum": {"kind": "paper_optimum"},

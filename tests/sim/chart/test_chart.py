@@ -312,4 +312,6 @@ def test_bench_taps_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert [p["taps"] for p in answer["points"]] == [4, 300]
     # 300 taps in a Python loop against one call into numpy: a factor of ten or so, whatever the machine.
     assert answer["fastest"]["300"] not in {"plain", "unrolled"}
+    # A window looks back over up to 15 samples, a filter multiplies four times.
+    assert answer["laws_us"]["pd_windowed"] > answer["laws_us"]["pd_filtered"] > 0.0
     assert (tmp_path / "bench_taps.png").exists()
