@@ -156,7 +156,7 @@ class Coupling(Node):
         """Replay the history into the law's sections, and try its own code, on copies."""
         snapshots = self._renderer.snapshots()
         law.warm_up(snapshots)
-        if law.guarded:
+        if law.watched:
             self._try_out(law, snapshots)
 
     def _try_out(self, law: ActiveLaw, snapshots: list[History]) -> None:
@@ -311,7 +311,7 @@ class Coupling(Node):
 
     def _fall_back(self, proxy: Proxy, reason: str, pushes: list[int] | None = None) -> Vector:
         failed = self._renderer.law
-        if not failed.guarded and pushes is not None:
+        if not failed.watched and pushes is not None:
             reason = f"a law that was fading out {reason}"
         force = self._renderer.fall_back(proxy, pushes)
         self._failed_text = failed.text
@@ -319,7 +319,7 @@ class Coupling(Node):
         self.announce("fallback", f"law {failed.name!r} at tick {proxy.seq}: {reason}; the fallback renders now")
         return force
 
-    def _guarded(self, proxy: Proxy) -> Vector:
+    def _watched(self, proxy: Proxy) -> Vector:
         """Render with a law that has code of its own, which may raise or take its time."""
         pushes = self._renderer.pushes()
         serving = self.serving
@@ -357,7 +357,7 @@ class Coupling(Node):
                         self._follow_schedule(seq)
                     self.answered = seq
                     self._delay += (proxy.delay - self._delay) * SMOOTHING
-                    force = self._guarded(proxy) if renderer.guarded else renderer.render(proxy)
+                    force = self._watched(proxy) if renderer.watched else renderer.render(proxy)
                     if not finite(force[0] + force[1] + force[2]):
                         force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
                     stamp = proxy.stamp if simulated else self.now()

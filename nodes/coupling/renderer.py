@@ -37,7 +37,7 @@ class ActiveLaw:
         self.axes = [LawOnAxis(compiled, history) for history in histories]
 
     @property
-    def guarded(self) -> bool:
+    def watched(self) -> bool:
         """Whether it has code of its own, which may raise or take its time."""
         return self.compiled.evaluate is not None
 
@@ -85,7 +85,7 @@ class Renderer:
         What renders now; set before the first tick.
     name : str
         Its name.
-    guarded : bool
+    watched : bool
         Whether a tick runs a law's own code.
     fallback : ActiveLaw
         What renders when that fails; set before the first tick.
@@ -104,7 +104,7 @@ class Renderer:
         self.histories = [make(memory, n) for n in range(len(self.axes))]
         self.standby: list[ActiveLaw] = []
         self._fades: list[Fade] = []
-        self.guarded = False
+        self.watched = False
         self.name = ""
         self.raw = False
         self.clamp = True
@@ -112,7 +112,7 @@ class Renderer:
     @property
     def alone(self) -> bool:
         """Whether a tick is the law's taps and sections and nothing else: no code of its own, no fade, no law standing by."""
-        return not (self.guarded or self._fades or self.standby)
+        return not (self.watched or self._fades or self.standby)
 
     @property
     def law(self) -> ActiveLaw:
@@ -123,7 +123,7 @@ class Renderer:
     def law(self, law: ActiveLaw) -> None:
         self._law = law
         self.name = law.name
-        self.guarded = law.guarded
+        self.watched = law.watched
         # Together, as a tick needs them.
         self._lines = list(zip(range(len(self.axes)), self.axes, self.histories, law.axes, strict=True))
 
@@ -152,7 +152,7 @@ class Renderer:
 
     def _end_fades(self) -> None:
         self._fades = []
-        self.guarded = self._law.guarded
+        self.watched = self._law.watched
 
     def begin(self, proxy: Proxy) -> None:
         """Take it that the device was at rest before the first tick that is seen, when the run is under way already.
@@ -175,7 +175,7 @@ class Renderer:
     def swap(self, law: ActiveLaw, ramp: int) -> float:
         """Let another law take over from the next tick on; all or nothing."""
         law.catch_up()
-        if law.guarded:
+        if law.watched:
             law.attempt(self.histories)
         steps = []
         leaving = []
@@ -188,12 +188,12 @@ class Renderer:
             raise ParameterError(
                 f"law {law.name!r}: a force step of {step} N; its taps are too large for the present deflection"
             )
-        guarded = self.guarded
+        watched = self.watched
         self._fades = [Fade(shares, ramp) for shares in leaving] if ramp > 0 else []
         self.law = law
         if self._fades:
             # As long as the laws that leave run their own code.
-            self.guarded = self.guarded or guarded
+            self.watched = self.watched or watched
         return step
 
     def fall_back(self, proxy: Proxy, pushes: Sequence[int] | None = None) -> Vector:

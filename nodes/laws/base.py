@@ -45,7 +45,7 @@ class CompiledLaw:
         b0, b1 [N/m], a1, a2 of parallel sections y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂.
     evaluate : callable or None
         A law's own code beside taps and sections, for what is not linear: from (ring, head), with ``ring[head + m]`` the
-        deflection m ticks ago, to a force [N] that is added. It is tried once before it may render, and guarded then:
+        deflection m ticks ago, to a force [N] that is added. It is tried once before it may render, and watched then:
         when it raises, returns a force that is not finite or overruns its budget, the fallback takes over within the
         same tick.
     """

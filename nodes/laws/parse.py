@@ -149,7 +149,7 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             "choose another derivative or order"
         )
     if compiled.evaluate is not None:
-        # Its own code adds a force that no transfer function tells; the guard watches it at run time.
+        # Its own code adds a force that no transfer function tells; the coupling watches it at run time.
         return compiled
     h1 = compiled.h1
     # The sum of the taps is only known to rounding: what is below it has no sign.

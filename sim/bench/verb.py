@@ -1,6 +1,6 @@
 """Measure the project's speed: one sub-verb per question, ratios taken in one run.
 
-A benchmark is a module of sim.verbs with the same shape as a verb: its docstring's first line is its help, ``add(parser)``
+A benchmark is a module of sim.bench with the same shape as a verb: its docstring's first line is its help, ``add(parser)``
 declares its arguments and sets ``run``. Only the one asked for is imported.
 """
 

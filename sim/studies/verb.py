@@ -1,6 +1,6 @@
 """Study stability, designs and the paper's figures: one sub-verb per study.
 
-A study is a module of sim.verbs with the same shape as a verb: its docstring's first line is its help, ``add(parser)``
+A study is a module of sim.studies with the same shape as a verb: its docstring's first line is its help, ``add(parser)``
 declares its arguments and sets ``run``. Only the one asked for is imported.
 """
 

@@ -298,7 +298,7 @@ def test_a_failed_law_is_replaced_within_the_tick_whose_deflection_it_kept_from_
     renderer = renderer_with(1000.0)
     renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((5.0 / T, -5.0 / T)), renderer.histories)
     renderer.law = law_of(renderer, 1000.0, evaluate=broken)
-    assert renderer.guarded
+    assert renderer.watched
     pushes = renderer.pushes()
     with pytest.raises(RuntimeError):
         renderer.render(proxy_at(-0.001))
@@ -307,7 +307,7 @@ def test_a_failed_law_is_replaced_within_the_tick_whose_deflection_it_kept_from_
     assert force[2] == pytest.approx(5.0 * 0.001 / T, rel=1e-12)
     assert renderer.histories[0].pushes == 1
     assert renderer.law.name == "fallback"
-    assert not renderer.guarded
+    assert not renderer.watched
 
 
 def test_a_fallback_that_overflows_renders_nothing() -> None:
@@ -316,16 +316,16 @@ def test_a_fallback_that_overflows_renders_nothing() -> None:
     assert renderer.fall_back(proxy_at(-1e3), renderer.pushes()) == (0.0, 0.0, 0.0)
 
 
-def test_a_law_that_fades_out_is_guarded_until_it_is_gone() -> None:
+def test_a_law_that_fades_out_is_watched_until_it_is_gone() -> None:
     renderer = renderer_with(1000.0)
     renderer.law = law_of(renderer, 1000.0, evaluate=lambda *_: 1.0)
     renderer.render(proxy_at(-0.001))
     renderer.swap(law_of(renderer, 2000.0), 3)
-    guarded = []
+    watched = []
     for _ in range(4):
-        guarded.append(renderer.guarded)
+        watched.append(renderer.watched)
         renderer.render(proxy_at(-0.001))
-    assert guarded == [True, True, True, False]
+    assert watched == [True, True, True, False]
 
 
 # -- budget ----------------------------------------------------------------------------------------------------------------

@@ -230,13 +230,13 @@ def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(tmp_path: Path, nu
         return found
 
     try:
-        # The drill's child is the launcher; the launcher's are the guard and four nodes.
+        # The drill's child is the launcher; the launcher's are the reaper and four nodes.
         launcher = wait_for(lambda: children({drilling.pid}), "the launcher starts")
         nodes = wait_for(lambda: found if len(found := children(launcher)) >= 5 else None, "nodes start")
         folder = Path(f"/proc/{min(launcher)}/cwd").resolve()
         drilling.send_signal(number)
         drilling.wait()
-        wait_for(lambda: not any(map(alive, launcher | nodes)), "launcher, guard and nodes end")
+        wait_for(lambda: not any(map(alive, launcher | nodes)), "launcher, reaper and nodes end")
         # What was killed cannot tidy up its own working folder; the sockets in it are gone all the same.
         assert folder.exists() == (number == signal.SIGKILL)
         assert not list(folder.glob("run/runs/*"))
