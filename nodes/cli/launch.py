@@ -168,7 +168,7 @@ def _ending(final: dict[str, Any], stopped: bool) -> str:
     if motion == "swinging":
         return f"  swinging  {where}, {swing} to and fro at {final['frequency_hz']:.3g} Hz"
     if motion == "falling":
-        return f"  falling   {where}, {speed}: {'the driver has stopped' if stopped else 'there is nothing under it'}"
+        return f"  falling   {where}, {speed}: {'the driver has stopped' if stopped else 'it touches nothing'}"
     return f"  at rest   {where}" if motion == "at rest" else f"  moving    {where}, {speed}"
 
 
