@@ -15,7 +15,7 @@ from nodes.recording.reader import Recording
 
 Array = NDArray[np.float64]
 
-BRIDGED = 25
+BRIDGED = 50
 """So many ticks that the driver slept through do not end a stretch: forces held meanwhile, and the motion is known [ticks]."""
 SHORTEST = 400
 """Fewer ticks in a row tell no device [ticks]."""

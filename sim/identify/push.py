@@ -33,6 +33,8 @@ MOVED = 1e-4
 """Less than this is not a motion [m]."""
 ALARM = 1.0
 """A driver that gives no force for so long ends the push; shorter silences are a busy machine's [s]."""
+START = 20.0
+"""A recorder that has not begun after so long will not [s]."""
 _POLL = 0.05
 
 
@@ -160,17 +162,19 @@ def push(
     if len(loop.axes) == 1 and "load" not in law:
         # At rest on a wall the force carries the weight; without a wall it is zero.
         law = {**law, "load": float(start["force_n"][loop.axes[0]])}
-    run = loop.run
+    run, duration = loop.run, float(law.get("duration", 8.0))
     surface = ask(run, loop.environment, "param.get", name="surface")
     before = ask(run, loop.coupling, "law.list")["active"]
     command = [*HAPTIC, "bag", "record", topics.DEVICE_STATE, "--run", run.run]
     recorder: subprocess.Popen[bytes] | None = None
     try:
-        ask(run, loop.coupling, "param.set", values={f"laws.{LAW}": law})
+        # It is ended from here; by itself only should nobody do so.
+        ask(run, loop.coupling, "param.set", values={f"laws.{LAW}": {**law, "duration": min(duration + START, 600.0)}})
         ask(run, loop.coupling, "law.switch", law=LAW, ramp=RAMP)
         _centre(loop, here, centre)
         recorder = subprocess.Popen([*command, "--out", str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        result.reason = _watch(loop, float(law.get("duration", 8.0)), say)
+        _await_file(recorder, out)
+        result.reason = _watch(loop, duration, say)
     except KeyboardInterrupt:
         result.reason = "Ctrl-C"
     finally:
@@ -182,6 +186,13 @@ def push(
     if not out.exists():
         raise RefusedError(f"{loop.run.run}: nothing was recorded: {result.reason}")
     return result
+
+
+def _await_file(recorder: subprocess.Popen[bytes], out: Path) -> None:
+    """Wait until the recorder has begun: what it misses at the start is missing at the end."""
+    until = time.monotonic() + START
+    while time.monotonic() < until and recorder.poll() is None and not out.exists():
+        time.sleep(_POLL)
 
 
 def _centre(loop: Loop, here: Sequence[float], centre: Sequence[float]) -> None:

@@ -76,14 +76,13 @@ def test_a_launch_without_a_virtual_device_takes_none(tmp_path: Path) -> None:
         launch_file.read(str(path), {"device": "touch_x"})
 
 
-def test_one_word_at_the_launch(tmp_path: Path) -> None:
-    words = ("identify", "device:=touch_x", "pace:=lockstep", "duration:=5")
-    launched = haptic(tmp_path, "launch", *words, "--json", "--no-plot")
-    recording = json.loads(launched.stdout.splitlines()[-1])["recording"]
-    assert "mass 0.035 (remembered, not checked)" in launched.stderr
-    assert "resolution 2.3e-05 (3D Systems, data sheet" in launched.stderr
-    done = haptic(tmp_path, "study", "identify", recording, "--json")
+def test_one_word_and_a_scenario_is_started_and_identified(tmp_path: Path) -> None:
+    words = ("device", "identify", "identify", "device:=touch_x", "pace:=lockstep", "--duration", "5", "--json")
+    done = haptic(tmp_path, *words)
+    assert "mass 0.035 (remembered, not checked)" in done.stderr
+    assert "resolution 2.3e-05 (3D Systems, data sheet" in done.stderr
     told = json.loads(done.stdout.splitlines()[-1])
+    assert told["stopped"] == "done"
     assert told["mass_kg"]["value"] == pytest.approx(0.035, rel=0.01)
     assert told["friction_n"]["value"] == pytest.approx(0.06, rel=0.05)
     listed = json.loads(haptic(tmp_path, "device", "presets", "--json").stdout.splitlines()[-1])["presets"]

@@ -32,9 +32,11 @@ def parameters(launch: Running) -> tuple[str, Any]:
 
 
 def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) -> None:
-    with running(tmp_path, *SCENE) as launch:
+    # A mass that falls while the machine stalls comes back from anywhere.
+    (tmp_path / "wide.yaml").write_text("driver: {safety: {workspace: null}}", encoding="utf-8")
+    with running(tmp_path, *SCENE, "--params", "wide.yaml") as launch:
         before = parameters(launch)
-        done = launch.haptic("device", "identify", "--duration", "4", "--json")
+        done = launch.haptic("device", "identify", "--duration", "6", "--json")
         figures = json.loads(done.stdout.splitlines()[-1])
         assert parameters(launch) == before
         assert before[0] == "pd"
@@ -99,13 +101,6 @@ def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> 
     else:
         assert "the push ended: " in err or "nothing was recorded: " in err
         assert "done" not in err
-
-
-def test_without_a_launch_a_scenario_is_started(tmp_path: Path) -> None:
-    words = ("device", "identify", "identify", "pace:=lockstep", "mass:=0.2", "--duration", "5", "--json")
-    figures = json.loads(haptic(tmp_path, *words).stdout.splitlines()[-1])
-    assert figures["mass_kg"]["value"] == pytest.approx(0.2, rel=0.01)
-    assert figures["stopped"] == "done"
 
 
 def test_device_list_tells_where_it_looked(tmp_path: Path) -> None:
