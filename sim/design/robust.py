@@ -158,7 +158,8 @@ def _global(demand: Demand, basis: Vector, loop: Loop, free: bool, seed: int, ef
         result = differential_evolution(
             score,
             Bounds([-span if free else 0.0] * p, [span] * p),
-            maxiter=(40 + 40 * p) * effort,
+            # Beyond six parameters a short search ends in the law one tap shorter.
+            maxiter=(40 + 40 * p) * effort * (3 if p > 6 else 1),
             popsize=12,
             rng=seed + i,
             tol=1e-8,
