@@ -81,7 +81,9 @@ def test_steps_run_alone_from_what_is_known(tuned: tuple[Path, dict[str, Any]]) 
 
 
 def test_ctrl_c_leaves_the_launch_as_it_was_and_writes_what_is_known(tmp_path: Path) -> None:
-    with running(tmp_path, "floor_buzz", "duration:=0") as launch:
+    # A mass that falls while the machine stalls comes back from anywhere.
+    (tmp_path / "wide.yaml").write_text("driver: {safety: {workspace: null}}", encoding="utf-8")
+    with running(tmp_path, "floor_buzz", "duration:=0", "--params", "wide.yaml") as launch:
 
         def active() -> str:
             told = json.loads(launch.haptic("law", "list", "--json").stdout.splitlines()[-1])
