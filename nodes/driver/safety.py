@@ -75,6 +75,8 @@ class Safety:
         What watches its heat; None without a limit.
     swings : bool
         Whether `watch_swings` has something to watch.
+    peaked : bool
+        Whether the force has come to its largest magnitude since `watch_swings` looked.
     slewed : list of float, shape (3,)
         How far the force has changed on each axis in the newest tick [N].
     """
@@ -110,7 +112,7 @@ class Safety:
         self._peaks: deque[tuple[int, float]] = deque(maxlen=parameters.stop_after)
         # On which side each axis asks for more than that, 0 for neither; and whether one has come to a new side.
         self._sides = [0, 0, 0]
-        self._peaked = False
+        self.peaked = False
         self._stopped = 0
         self._brake: Vector = ZERO
         self.swings = parameters.stop_after is not None and self.limits.peak is not None
@@ -182,9 +184,9 @@ class Safety:
             damped = seq - self._stopped < self.limits.damping_ticks
             self._brake = (b * x, b * y, b * z) if damped else ZERO
             return
-        if not self._peaked:
+        if not self.peaked:
             return
-        self._peaked = False
+        self.peaked = False
         self._peaks.append((seq, energy))
         first, before = self._peaks[0]
         span = (seq - first) * self._period
@@ -290,7 +292,7 @@ class Safety:
                 over = peak is not None and abs(wanted[i]) > peak
                 self.limited["peak" if over else "slew"] += 1
             side = 0 if peak is None or abs(wanted[i]) <= peak else 1 if wanted[i] > 0.0 else -1
-            self._peaked = self._peaked or side not in (0, self._sides[i])
+            self.peaked = self.peaked or side not in (0, self._sides[i])
             self._sides[i] = side
         if motor is not None:
             lefts = None if slew is None else min(max(slew - slewed[i], 0.0) for i in self._axes)

@@ -170,6 +170,7 @@ class DriverTicks(CompiledTicks):
         return (
             safety.state == "active"
             and safety.motor is None
+            and not (safety.swings and safety.peaked)
             and node._guard is None
             and motion.covered > 0
             and motion.samples > 0
