@@ -61,7 +61,7 @@ class Node(Telling, Changeable):
     answered, answer : int, bytes
         The tick answered last, and what was sent; -1 before the first.
     kernel_module : str
-        Module of the compiled ticks of the kind (nodes/tick); empty when it has none.
+        Module of the compiled ticks of the kind (nodes/tick); empty when it has none. Not inherited.
     kernel : callable or None
         They, where the launch asks for them and they could be had.
     ticks_compiled : int
@@ -82,6 +82,12 @@ class Node(Telling, Changeable):
     kernel_module: ClassVar[str] = ""
 
     publisher: Publisher
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        # Who changes a kind may change what its compiled ticks do: it names its own, or has none.
+        if "kernel_module" not in vars(cls):
+            cls.kernel_module = ""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)

@@ -19,8 +19,6 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli import main
 from tests.support.launching import HAPTIC, Running, private_runtime_dir, running
 
-pytestmark = pytest.mark.realtime
-
 
 @contextlib.contextmanager
 def plotjuggler(endpoint: str) -> Iterator[zmq.Socket[bytes]]:

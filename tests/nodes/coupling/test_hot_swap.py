@@ -19,8 +19,6 @@ from tests.support import FIXTURES
 from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import Running, running, wait_for
 
-pytestmark = pytest.mark.realtime
-
 INSTALLED = FIXTURES / "installed"
 WITH_PACKAGE = {"PYTHONPATH": os.pathsep.join([str(INSTALLED), os.environ.get("PYTHONPATH", "")])}
 

@@ -32,8 +32,6 @@ from sim.scene.from_launch import from_launch
 from sim.scene.hand_path import target_path
 from tests.support.launching import running, wait_for
 
-pytestmark = pytest.mark.realtime
-
 SETUP = Setup(
     run="r",
     run_dir="",

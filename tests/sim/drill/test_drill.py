@@ -28,8 +28,6 @@ from sim.measure.launches import within
 from sim.measure.rig import Rig
 from tests.support.launching import HAPTIC, haptic, wait_for
 
-pytestmark = pytest.mark.realtime
-
 HELD = (0.0, 0.0, 1.0)
 
 

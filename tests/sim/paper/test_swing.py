@@ -60,8 +60,13 @@ def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["study", "edge", "--points", "4", "--gain", "3..25", "--out", str(tmp_path), "--json"]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert figures["exact_error"] < 1e-9
-    assert 0.95 < figures["ratio_min"] < figures["ratio_max"] < 1.0
-    assert len(figures["points"]) == 16
+    # The filter's own lag makes the low-frequency reading of PD behind one worse than that of the laws of taps.
+    ratios = [
+        point["k_simple_n_per_m"] / point["k_exact_n_per_m"] for point in figures["points"] if "Hz" not in point["law"]
+    ]
+    assert 0.95 < min(ratios) < max(ratios) < 1.0
+    assert 0.85 < figures["ratio_min"] < figures["ratio_max"] < 1.0
+    assert len(figures["points"]) == 4 * len({point["law"] for point in figures["points"]}) == 20
     assert Path(figures["plot"]).stat().st_size > 10_000
     assert main(["study", "edge", "--gain", "3", "--out", str(tmp_path)]) == 2
     assert main(["study", "edge", str(tmp_path / "none.mcap")]) == 2
