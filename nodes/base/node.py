@@ -296,7 +296,7 @@ class Node(Telling, Changeable):
             from nodes.tick.library import obtain
 
             try:
-                self.kernel = obtain(self.kernel_module, self.say)
+                self.kernel = obtain(self.kernel_module)
             except NotCompilableError as error:
                 self.tell("tick", f"plain: {error}")
 

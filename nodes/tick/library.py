@@ -13,7 +13,7 @@ from typing import Any, Final, TypeAlias
 
 import zmq
 
-from nodes.tick.build import ENTRY, build, find
+from nodes.tick.build import ENTRY, find
 from nodes.tick.fields import NotCompilableError
 
 _ZMQ: Final = ("zmq_recv", "zmq_send", "zmq_getsockopt")
@@ -65,15 +65,13 @@ def _address_by_llvm(path: Path) -> int:
     return address
 
 
-def obtain(module: str, say: Callable[[str], None]) -> Kernel:
-    """Load a kernel; compile it first where that was not done yet."""
+def obtain(module: str) -> Kernel:
+    """Load a kernel that is compiled already: a node that compiled one would leave its launcher without an answer meanwhile."""
     path = find(module)
     if path is None:
-        say("compiling the tick, once for this version: some ten seconds")
-        build([module])
-        path = find(module)
-    if path is None:
-        raise NotCompilableError(f"{module}: what was compiled is not to be found again")
+        raise NotCompilableError(
+            f"{module} is not compiled on this machine; `haptic launch floor_drop --tick compiled` has it compiled, once"
+        )
     try:
         return _load(path)
     except (OSError, ImportError, AttributeError, RuntimeError) as error:
