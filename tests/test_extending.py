@@ -17,9 +17,6 @@ from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.pages import Block, blocks, command, promised, shell, written_files
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("extending")
-
 PAGE = (ROOT / "nodes" / "EXTENDING.md").read_text(encoding="utf-8")
 FILES = written_files(PAGE)
 BLOCKS = [pytest.param(block, id=block.lines[0]) for block in blocks(PAGE)]

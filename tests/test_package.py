@@ -21,9 +21,6 @@ import pytest
 from tests.support import ROOT
 from tests.support.launching import assert_nothing_left, private_runtime_dir
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("package")
-
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 PACKAGES = ("messages", "nodes", "sim")
 

@@ -52,10 +52,7 @@ INSTALLING = [line for block in blocks(README) for line in block.lines if line.s
 """The two pasted lines: `.ci/run` takes the second one from README.md, and any user's fresh clone the first."""
 
 BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
-    # A page's blocks run in one worker: later ones read what earlier ones wrote.
-    pytest.param(
-        name, block, id=f"{name}: {block.lines[0].partition('#')[0].strip()}", marks=pytest.mark.xdist_group(name)
-    )
+    pytest.param(name, block, id=f"{name}: {block.lines[0].partition('#')[0].strip()}")
     for name, text in PAGES.items()
     for block in blocks(text)
     if name != "nodes/EXTENDING.md" and not set(block.lines) & set(INSTALLING)

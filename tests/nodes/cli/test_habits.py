@@ -31,9 +31,6 @@ from nodes.cli.status_line import KEEP, ORDER, fitted
 from nodes.recording.reader import Recording
 from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, wait_for
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("habits")
-
 
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:

@@ -19,9 +19,6 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli import main
 from tests.support.launching import HAPTIC, Running, private_runtime_dir, running
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("relay")
-
 
 @contextlib.contextmanager
 def plotjuggler(endpoint: str) -> Iterator[zmq.Socket[bytes]]:

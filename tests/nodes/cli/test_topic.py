@@ -28,9 +28,6 @@ from nodes.launcher.runs import RunInfo, new_run_dir, write_run
 from nodes.recording.reader import Recording
 from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, wait_for
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("topic")
-
 RATE = 250.0
 SLACK = 0.5
 """What a process may wait for its turn on a loaded machine before the flush that is due [s]."""

@@ -19,9 +19,6 @@ from tests.support import FIXTURES
 from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import Running, running, wait_for
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("hot_swap")
-
 INSTALLED = FIXTURES / "installed"
 WITH_PACKAGE = {"PYTHONPATH": os.pathsep.join([str(INSTALLED), os.environ.get("PYTHONPATH", "")])}
 

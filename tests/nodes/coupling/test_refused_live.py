@@ -15,9 +15,6 @@ from nodes.parameters.yaml_io import write_yaml
 from nodes.recording.reader import Recording
 from tests.support.launching import Running, running, wait_for
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("refused_live")
-
 LARGEST = re.compile(r"largest coupling\.laws\.(\w+)\.stiffness that would be taken is ([-+.e\d]+)", re.IGNORECASE)
 
 

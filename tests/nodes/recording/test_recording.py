@@ -22,9 +22,6 @@ from nodes.recording.recover import recover
 from nodes.recording.writer import Output, RecordError, mcap_writer
 from tests.support.whole import Whole
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("recording")
-
 MAGIC = b"\x89MCAP0\r\n"
 # HAPTIC_FUZZ=50 makes a long run of it.
 FUZZ = settings(

@@ -31,9 +31,6 @@ from sim.device.model import DeviceModel
 from sim.measure.stopwatch import Progress, Timing, interleaved, machine
 from sim.scene.loop import Scene, Surface, run
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("chart")
-
 few = st.integers(0, 4).map(float)
 
 

@@ -18,9 +18,6 @@ from sim.identify.identify import identify
 from sim.identify.recorded_scene import another_law, rebuild
 from tests.support.launching import haptic, launch_json
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("counterfactual")
-
 STEP = 2.3e-5
 """The encoder step of floor_buzz [m]."""
 

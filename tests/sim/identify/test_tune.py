@@ -27,7 +27,7 @@ from sim.identify.tune import Wanted, demand, linear_edge, model
 from sim.identify.virtual import excite
 from tests.support.launching import HAPTIC, haptic, launch_json, running, wait_for
 
-pytestmark = [pytest.mark.realtime, pytest.mark.xdist_group("tune")]
+pytestmark = pytest.mark.realtime
 
 T = 0.002
 DEVICE = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.3, resolution=2.3e-5)

@@ -20,9 +20,6 @@ from sim.paper.fig2_fig3 import claims_2, claims_3, figure_2, figure_3, one_term
 from sim.paper.fig4 import LAWS, Curve, Setting, as_json, best, boundaries, families, spread_of_conventions
 from sim.paper.fig4_claims import claims_4
 
-# One worker: its tests share what a fixture of the module started.
-pytestmark = pytest.mark.xdist_group("figures")
-
 
 @pytest.mark.parametrize("order", [0.3, 0.5, 1.0, 1.3, 1.7, 2.5, 3.5])
 def test_term_is_the_f_of_the_law_that_the_loop_renders(order: float) -> None:
