@@ -169,14 +169,16 @@ class ControlServer(threading.Thread):
         self._tokens -= 1.0
 
     def _serve(self) -> None:
+        node = self._node
+        node.serving.stop()
         try:
             frames = self._socket.recv_multipart()
+            self._await_turn()
         except zmq.Again:
             return
-        node = self._node
-        self._await_turn()
+        finally:
+            node.serving.start()
         self._asked = time.monotonic()
-        node.serving += 1
         reply = self._answer(frames)
         # Before the answer: what was granted outlives this process.
         self._keep()
@@ -185,7 +187,6 @@ class ControlServer(threading.Thread):
         except (TypeError, OverflowError, RecursionError) as error:
             encoded = msgspec.msgpack.encode(Reply(False, error=f"{node.setup.name}: unsendable result: {error}"))
         self._socket.send(encoded)
-        node.serving += 1
 
     def _keep(self) -> None:
         try:
@@ -220,15 +221,12 @@ class ControlServer(threading.Thread):
             self._poll_file(self._watched)
         if now >= self._next_status:
             self._next_status = now + STATUS_PERIOD
-            node.serving += 1
             node.post(topics.status(node.setup.name), node.status())
             # Who answers each tick should hear one all the time, from the first one on.
             self._links.look(node.ticks or None if node.answers and node.state == "running" else None)
-            node.serving += 1
 
     def _poll_file(self, watched: WatchedFile) -> None:
         node = self._node
-        node.serving += 1
         try:
             values = watched.poll()
             if values is not None and node.store.merged(values) != node.store.current:
@@ -238,7 +236,6 @@ class ControlServer(threading.Thread):
             reason = str(error) if isinstance(error, ParameterError) else f"{type(error).__name__}: {error}"
             where = "" if reason.startswith(watched.path) else f"{watched.path}: "
             node.announce("refused", f"{where}{reason}; the running parameters are untouched")
-        node.serving += 1
 
     def stop(self) -> bool:
         """Stop serving and wait for the thread, but not for ever."""

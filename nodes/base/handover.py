@@ -14,6 +14,27 @@ from nodes.parameters.paths import check_paths
 from nodes.parameters.store import ParameterError, ParameterStore, differences
 
 
+class Stopwatch:
+    """How long the control thread has been at work: for so long it may have kept the interpreter from the loop."""
+
+    def __init__(self) -> None:
+        # Together: the loop reads them at any moment.
+        self._state: tuple[float, float | None] = (0.0, None)
+
+    def start(self) -> None:
+        """Begin to count."""
+        self._state = self.seconds(), time.monotonic()
+
+    def stop(self) -> None:
+        """Count no longer."""
+        self._state = self.seconds(), None
+
+    def seconds(self) -> float:
+        """Tell how long in all [s]."""
+        before, since = self._state
+        return before if since is None else before + time.monotonic() - since
+
+
 class Change:
     """Something prepared off the hot path, to be applied between two ticks.
 
@@ -102,6 +123,7 @@ class Changeable:
     setup: Setup
     store: ParameterStore
     changes: Changes
+    serving: Stopwatch
     state: str
 
     def call(self) -> None:
@@ -114,7 +136,11 @@ class Changeable:
 
     def hand_over(self, apply: Callable[[int], Any], timeout: float = 2.0) -> Any:
         """Hand a prepared change to the loop and wait until it was applied (control thread); one not taken up is withdrawn."""
-        return self.changes.hand_over(apply, self.call, lambda: self.state not in ("finished", "failed"), timeout)
+        self.serving.stop()
+        try:
+            return self.changes.hand_over(apply, self.call, lambda: self.state not in ("finished", "failed"), timeout)
+        finally:
+            self.serving.start()
 
     def change_parameters(
         self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None

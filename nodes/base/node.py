@@ -21,7 +21,7 @@ from messages.transport.sockets import Publisher, Subscription
 from messages.types import Message, NodeStatus
 from nodes.base import realtime
 from nodes.base.events import Telling
-from nodes.base.handover import Changeable, Changes
+from nodes.base.handover import Changeable, Changes, Stopwatch
 from nodes.base.setup import Axis, Setup
 from nodes.parameters.store import ParameterError, ParameterStore
 
@@ -66,8 +66,8 @@ class Node(Telling, Changeable):
         They, where the launch asks for them and they could be had.
     ticks_compiled : int
         How many of the ticks they did.
-    serving : int
-        Counts each beginning and each end of the control thread's work: odd while it works.
+    serving : Stopwatch
+        How long the control thread was at work.
     kept : msgspec.Struct
         The parameters that a successor of this process would go on with.
     resumed_at : int
@@ -102,7 +102,7 @@ class Node(Telling, Changeable):
         self.ticks = self.sent = self.received = self.skipped = self.gaps = 0
         self.followed = self.answered = -1
         self.answer = b""
-        self.serving = 0
+        self.serving = Stopwatch()
         self.kept = self.store.current
         self.resumed_at = -1
         self.kernel: Kernel | None = None

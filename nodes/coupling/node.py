@@ -322,13 +322,13 @@ class Coupling(Node):
     def _watched(self, proxy: Proxy) -> Vector:
         """Render with a law that has code of its own, which may raise or take its time."""
         pushes = self._renderer.pushes()
-        serving = self.serving
+        served = self.serving.seconds()
         self._budget.start()
         try:
             force = self._renderer.render(proxy)
         except Exception as error:  # noqa: BLE001  # a law from another package may raise anything
             return self._fall_back(proxy, f"raised {type(error).__name__}: {error}", pushes)
-        over = self._budget.overrun(excused=self.serving != serving or serving % 2 == 1)
+        over = self._budget.overrun(excused=self.serving.seconds() - served)
         return self._fall_back(proxy, over) if over else force
 
     def loop(self) -> None:

@@ -35,14 +35,14 @@ class Budget:
         self._cpu = time.thread_time()
         self._wall = time.monotonic()
 
-    def overrun(self, excused: bool = False) -> str:
-        """Judge what has passed since `start`."""
+    def overrun(self, excused: float = 0.0) -> str:
+        """Judge what has passed since `start`, without what the law may have waited for others of its process [s]."""
         wall = time.monotonic() - self._wall
         if wall <= self.seconds:
             return ""
         cpu = time.thread_time() - self._cpu
         if cpu > self.seconds:
             return f"computed for {cpu * 1e6:.0f} µs, budget {self.seconds * 1e6:.0f} µs"
-        if not excused and resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > self._slept:
+        if wall - excused > self.seconds and resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > self._slept:
             return f"slept: took {wall * 1e6:.0f} µs, budget {self.seconds * 1e6:.0f} µs"
         return ""

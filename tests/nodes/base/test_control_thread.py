@@ -73,15 +73,20 @@ def test_forty_ends_in_a_row(context: Context) -> None:
 
 def test_a_request_without_an_end_does_not_hold_up_the_node(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control_thread, "END_TIMEOUT", 0.2)
-    release = threading.Event()
+    begun, release = threading.Event(), threading.Event()
+
+    def hang() -> None:
+        begun.set()
+        release.wait(DEADLINE)
+
     with private_runtime_dir() as folder:
-        control = server(context, folder, hang=lambda: release.wait(DEADLINE))
+        control = server(context, folder, hang=hang)
         control.start()
         with context.socket(zmq.REQ) as asking:
             asking.linger = 0
             connect(asking, f"ipc://{folder}/n.ctl")
             asking.send(msgspec.msgpack.encode(Request("hang")))
-            wait_for(lambda: control._node.serving % 2, "the request is served")
+            assert begun.wait(DEADLINE)
             assert not control.stop(), "its socket is still open, and is told to be"
             release.set()
             control.join(DEADLINE)
