@@ -68,13 +68,16 @@ def _last_place(setup: Setup) -> Path:
 
 
 def held_in(setup: Setup) -> str:
-    """Tell where the loop's thread of a process that `LastResort` has ended was; empty for any other end."""
+    """Tell for how long, and where, the loop's thread of a process that `LastResort` has ended was; empty for any other end."""
     path = _last_place(setup)
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
     # The main thread comes last, its innermost call first.
     heads = [number for number, line in enumerate(lines) if line.startswith("Thread ")]
-    places = lines[heads[-1] + 1 :] if heads else lines
-    return places[0].strip() if places else ""
+    places = lines[heads[-1] + 1 :] if heads else lines[1:]
+    if not places:
+        return ""
+    hours, minutes, seconds = lines[0].removeprefix("Timeout (").removesuffix(")!").split(":")
+    return f"{3600 * int(hours) + 60 * int(minutes) + float(seconds):g} s: {places[0].strip()}"
 
 
 class Standstill:

@@ -86,7 +86,7 @@ class Child:
         if code is not None and code < 0:
             return signal.Signals(-code).name
         place = held_in(self.setup) if code else ""
-        return f"exit code {code}" + (f": it hung, and let no other thread run: {place}" if place else "")
+        return f"exit code {code}" + (f": its last resort: a call let no other thread run for {place}" if place else "")
 
     @property
     def ended_badly(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
 import msgspec
 
@@ -24,6 +24,10 @@ from sim.device.state import VirtualDevice
 if TYPE_CHECKING:
     from nodes.tick.library import Kernel
     from sim.device.tick.ticks import DriverTicks
+
+
+NO_END: Final = ((-math.inf, math.inf),) * 3
+"""The workspace of a device that declares none [m]."""
 
 
 class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -117,6 +121,8 @@ class TimedDevice:
         The device's own deadline [s].
     dragged : DraggedHand or None
         What may move the target of its hand.
+    workspace : tuple of float, shape (2,)
+        Where it stops [m]: as a real device does, it has a mechanical stop where its workspace ends.
 
     Attributes
     ----------
@@ -141,7 +147,12 @@ class TimedDevice:
     """
 
     def __init__(
-        self, model: DeviceModel, setup: Setup, hold: float | None = None, dragged: DraggedHand | None = None
+        self,
+        model: DeviceModel,
+        setup: Setup,
+        hold: float | None = None,
+        dragged: DraggedHand | None = None,
+        workspace: tuple[float, float] = NO_END[0],
     ) -> None:
         self._hand = model.hand
         self.dragged = dragged
@@ -151,7 +162,7 @@ class TimedDevice:
         self._period = setup.period
         self._lockstep = setup.pace == "lockstep"
         self.delay = model.delay
-        self.device = VirtualDevice(model, setup.period, self._lockstep and setup.apply == "next_tick")
+        self.device = VirtualDevice(model, setup.period, self._lockstep and setup.apply == "next_tick", workspace)
         self.tick = -1
         self.acting = 0.0
         self.commanded = 0.0
@@ -251,9 +262,15 @@ class SimDriver(Driver):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check that a pointer has a hand to drag, beside what every driver checks."""
+        """Check that it begins inside its workspace, and that a pointer has a hand to drag."""
         super().check(setup)
         parameters: SimDriverParameters = convert(setup.parameters, cls.Parameters, setup.name)
+        begin = parameters.device.position
+        low, high = (parameters.safety.workspace or NO_END)[AXIS_INDEX[setup.axes[0]]]
+        if not low <= begin <= high:
+            raise ParameterError(
+                f"{setup.name}.device.position: {begin:g} m, expected {low:g} to {high:g} m, as safety.workspace says"
+            )
         if parameters.pointer is not None and parameters.device.hand is None:
             raise ParameterError(
                 f"{setup.name}.pointer: needs {setup.name}.device.hand, whose target a page can drag; declare its stiffness "
@@ -267,9 +284,15 @@ class SimDriver(Driver):
         dragged = None
         if hand is not None and parameters.pointer is not None and self.setup.pace == "realtime":
             dragged = DraggedHand(hand, parameters.pointer, self.setup)
-        axes = self.setup.axes
+        axes, box = self.setup.axes, parameters.safety.workspace or NO_END
         parts = [
-            TimedDevice(model, msgspec.structs.replace(self.setup, axes=[axis]), parameters.hold, dragged)
+            TimedDevice(
+                model,
+                msgspec.structs.replace(self.setup, axes=[axis]),
+                parameters.hold,
+                dragged,
+                box[AXIS_INDEX[axis]],
+            )
             for axis, model in zip(axes, along(parameters.device, axes), strict=True)
         ]
         for part in parts[1:]:

@@ -168,6 +168,55 @@ def quantise(x: float, resolution: float | None) -> float:
     return ((x / resolution + _WHOLE) - _WHOLE) * resolution
 
 
+def end_stop(x: float, v: float, low: float, high: float) -> tuple[float, float]:
+    """Stop a device at its end, inelastically.
+
+    Parameters
+    ----------
+    x, v : float
+        Where a step would lead [m], [m/s].
+    low, high : float
+        Ends of the device [m].
+
+    Returns
+    -------
+    tuple of float, shape (2,)
+        Where it leads [m], [m/s].
+    """
+    if x < low:
+        return low, 0.0
+    if x > high:
+        return high, 0.0
+    return x, v
+
+
+def ends_of(workspace: tuple[float, float], resolution: float | None) -> tuple[float, float]:
+    """Tell where a device stops.
+
+    Parameters
+    ----------
+    workspace : tuple of float, shape (2,)
+        Its ends [m].
+    resolution : float or None
+        Size of a count of its encoder [m].
+
+    Returns
+    -------
+    tuple of float, shape (2,)
+        These ends, or the outermost counts within them [m].
+    """
+    low, high = workspace
+    if resolution is None:
+        return low, high
+    if math.isfinite(low):
+        first = math.ceil(low / resolution)
+        low = (first if first * resolution >= low else first + 1) * resolution
+    if math.isfinite(high):
+        last = math.floor(high / resolution)
+        high = (last if last * resolution <= high else last - 1) * resolution
+    return low, high
+
+
 def saturate(force: float, peak: float | None) -> float:
     """Limit a force to what the motor can give, at the moment it is applied.
 

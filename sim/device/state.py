@@ -6,10 +6,11 @@ which calls those kernels in the same order, gives the same bits.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from sim.device.friction import move
-from sim.device.model import DeviceModel, coefficients, quantise, saturate, split_delay
+from sim.device.model import Coefficients, DeviceModel, coefficients, end_stop, ends_of, quantise, saturate, split_delay
 
 
 class VirtualDevice:
@@ -23,6 +24,8 @@ class VirtualDevice:
         Sampling period T [s].
     next_tick : bool
         Whether a force takes effect one tick later (``apply: next_tick``).
+    workspace : tuple of float, shape (2,)
+        Where it stops [m].
 
     Attributes
     ----------
@@ -36,13 +39,21 @@ class VirtualDevice:
         Where a hand pulls to instead of along its path [m].
     commands : deque of float
         Forces under way in lockstep, newest first [N].
+    ends : tuple of float, shape (2,)
+        Where it stops [m].
     early, late : float
         For how long of a tick the older and the newer force under way acts [s].
     early_map, late_map : tuple of float, shape (6,)
         `coefficients` of these times.
     """
 
-    def __init__(self, model: DeviceModel, period: float, next_tick: bool = False) -> None:
+    def __init__(
+        self,
+        model: DeviceModel,
+        period: float,
+        next_tick: bool = False,
+        workspace: tuple[float, float] = (-math.inf, math.inf),
+    ) -> None:
         self.model = model
         self.period = period
         self.position = model.position
@@ -52,6 +63,7 @@ class VirtualDevice:
         self._mass = model.moving_mass
         self._damping = model.moving_damping
         self._grip = model.grip
+        self.ends = ends_of(workspace, model.resolution)
         # Only a hand's pull changes from tick to tick.
         self._weight = model.load(0, period) if model.hand is None else None
         whole, part = split_delay(model.delay + (1.0 if next_tick else 0.0))
@@ -78,15 +90,15 @@ class VirtualDevice:
         self.commands.appendleft(force)
         peak = self.model.peak_force
         load = self.load()
-        x, v = self.position, self.velocity
         if self.early > 0.0:
-            u = saturate(self.commands[-1], peak) + load
-            x, v = move(x, v, u, self.early, self.early_map, self._mass, self._damping, self._grip, self.model.friction)
-        u = saturate(self.commands[-2], peak) + load
-        self.position, self.velocity = move(
-            x, v, u, self.late, self.late_map, self._mass, self._damping, self._grip, self.model.friction
-        )
+            self._move(saturate(self.commands[-1], peak) + load, self.early, self.early_map)
+        self._move(saturate(self.commands[-2], peak) + load, self.late, self.late_map)
         self.ticks += 1
+
+    def _move(self, u: float, duration: float, step: Coefficients) -> None:
+        x, v = self.position, self.velocity
+        x, v = move(x, v, u, duration, step, self._mass, self._damping, self._grip, self.model.friction)
+        self.position, self.velocity = end_stop(x, v, *self.ends)
 
     def pass_time(self, force: float, duration: float) -> None:
         """Hold one force for part of a tick: real time, where the split is the measured arrival.
@@ -96,18 +108,7 @@ class VirtualDevice:
         if duration <= 0.0:
             return
         u = saturate(force, self.model.peak_force) + self.load()
-        step = coefficients(self._mass, self._damping, self._grip, duration)
-        self.position, self.velocity = move(
-            self.position,
-            self.velocity,
-            u,
-            duration,
-            step,
-            self._mass,
-            self._damping,
-            self._grip,
-            self.model.friction,
-        )
+        self._move(u, duration, coefficients(self._mass, self._damping, self._grip, duration))
 
     def end_tick(self) -> None:
         """Count a tick that went by in parts."""

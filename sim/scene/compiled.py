@@ -52,6 +52,7 @@ KERNELS: tuple[Callable[..., Any], ...] = (
     sim.device.friction.halt_time,
     sim.device.friction.slide,
     sim.device.friction.move,
+    sim.device.model.end_stop,
     sim.device.model.quantise,
     sim.device.model.saturate,
 )

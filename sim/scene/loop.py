@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nodes.driver.passivity import PassivityParameters, line_of
 from nodes.laws import CompiledLaw
-from sim.device.model import DeviceModel, coefficients, split_delay
+from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.scene.tick_loop import ANCHOR, FREE, PLANE, Contact, Guard, Laws, Motion, Records, play, play_compiled
 
 __all__ = [
@@ -86,7 +86,7 @@ class Scene:
     slew : float or None
         Driver's limit of the change of force per tick [N].
     workspace : tuple of float, shape (2,), or None
-        Smallest and largest position at which the driver lets a force through [m].
+        Smallest and largest position, where the device stops [m].
     next_tick : bool
         Whether forces take effect one tick later (``apply: next_tick``).
     passivity : PassivityParameters or None
@@ -107,6 +107,11 @@ class Scene:
     def __post_init__(self) -> None:
         if not self.period > 0.0:
             raise ValueError(f"period is {self.period} s, expected more than 0")
+        if self.workspace is not None and not self.workspace[0] <= self.device.position <= self.workspace[1]:
+            raise ValueError(
+                f"device.position is {self.device.position} m, expected inside the workspace, {self.workspace[0]} to "
+                f"{self.workspace[1]} m"
+            )
         for name in ("peak", "slew"):
             value = getattr(self, name)
             if value is not None and not value >= 0.0:
@@ -292,6 +297,7 @@ def motion_of(scene: Scene, ticks: int) -> Motion:
         resolution=device.resolution,
         friction=device.friction,
         motor=device.peak_force,
+        ends=None if scene.workspace is None else ends_of(scene.workspace, device.resolution),
         load=device.load(0, scene.period),
         loads=[device.load(k, scene.period) for k in range(ticks)] if device.hand else None,
         waiting=whole + 2,
@@ -313,8 +319,7 @@ def contact_of(scene: Scene) -> Contact:
     """
     surface = scene.surface
     normal = surface.normal if surface.kind == "plane" else 0.0
-    low, high = (None, None) if scene.workspace is None else scene.workspace
-    return Contact(surface.code, surface.position, normal, scene.raw, scene.clamp, low, high, scene.peak, scene.slew)
+    return Contact(surface.code, surface.position, normal, scene.raw, scene.clamp, scene.peak, scene.slew)
 
 
 def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None:

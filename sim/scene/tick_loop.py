@@ -12,7 +12,7 @@ from nodes.driver.passivity import backlog, control, forget, observe, through
 from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_distance, push, sections, warm_up
 from nodes.tick.kernels.sources import kernel
 from sim.device.friction import move
-from sim.device.model import Coefficients, quantise, saturate
+from sim.device.model import Coefficients, end_stop, quantise, saturate
 from sim.scene.compiled import compiled, own_force
 
 Numbers: TypeAlias = Any
@@ -78,6 +78,7 @@ class Motion(NamedTuple):
     resolution: float | None
     friction: float | None
     motor: float | None
+    ends: tuple[float, float] | None
     load: float
     loads: Numbers | None
     waiting: int
@@ -91,8 +92,6 @@ class Contact(NamedTuple):
     normal: float
     raw: bool
     clamp: bool
-    low: float | None
-    high: float | None
     peak: float | None
     slew: float | None
 
@@ -136,10 +135,10 @@ def _note(row: Numbers | None, k: int, value: float) -> None:
 
 
 @kernel
-def _inside(force: float, measured: float, low: float | None, high: float | None) -> float:
-    if low is not None and high is not None and not low <= measured <= high:
-        return 0.0
-    return force
+def _stopped(x: float, v: float, ends: tuple[float, float] | None) -> tuple[float, float]:
+    if ends is None:
+        return x, v
+    return end_stop(x, v, ends[0], ends[1])
 
 
 @kernel
@@ -248,7 +247,6 @@ def play(
                 force = control(energy + on_its_way * step, force, step, guard.damping)
                 before = measured
                 acting = applied
-            force = _inside(force, measured, contact.low, contact.high)
             applied = limit(force, applied, contact.peak, contact.slew)
             if guard is not None:
                 if guard.late == 0.0:
@@ -269,10 +267,12 @@ def play(
             x, v = _move_early(
                 x, v, u, motion.early, motion.early_map, motion.mass, motion.damping, motion.grip, motion.friction
             )
+            x, v = _stopped(x, v, motion.ends)
             u = saturate(applied if waiting == 2 else commands[newer], motion.motor) + load
             x, v = move(
                 x, v, u, motion.late, motion.late_map, motion.mass, motion.damping, motion.grip, motion.friction
             )
+            x, v = _stopped(x, v, motion.ends)
         start = end
     return x, v
 

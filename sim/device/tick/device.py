@@ -8,10 +8,21 @@ from nodes.tick.kernels.hop import monotonic
 from nodes.tick.kernels.machine import compilable, reals_at, shared_real, shared_whole
 from nodes.tick.kernels.sources import kernel
 from sim.device.friction import halt_time, move, slide
-from sim.device.model import advance, coefficients, decay_mean, move_towards, quantise, saturate
+from sim.device.model import advance, coefficients, decay_mean, end_stop, move_towards, quantise, saturate
 from sim.device.tick.layout import PENDING
 
-for _function in (move_towards, decay_mean, coefficients, advance, halt_time, slide, move, quantise, saturate):
+for _function in (
+    move_towards,
+    decay_mean,
+    coefficients,
+    advance,
+    halt_time,
+    slide,
+    move,
+    end_stop,
+    quantise,
+    saturate,
+):
     kernel(_function)
 _PENDING = PENDING
 
@@ -61,6 +72,7 @@ def _move(s: Any, u: float, duration: float, step: Any) -> None:
         s.x, s.v = move(s.x, s.v, u, duration, step, s.mass, s.damping, s.grip, s.friction)
     else:
         s.x, s.v = move(s.x, s.v, u, duration, step, s.mass, s.damping, s.grip, None)
+    s.x, s.v = end_stop(s.x, s.v, s.low, s.high)
 
 
 @compilable

@@ -96,6 +96,8 @@ class DriverState(Structure):
         ("friction", c_double),
         ("has_resolution", c_int64),
         ("resolution", c_double),
+        ("low", c_double),
+        ("high", c_double),
         ("has_motor", c_int64),
         ("motor", c_double),
         ("device_axis", c_int64),

@@ -140,6 +140,7 @@ class DriverTicks(CompiledTicks):
         ):
             setattr(state, f"has_{name}", value is not None)
             setattr(state, name, 0.0 if value is None else value)
+        state.low, state.high = device.ends
         state.device_axis = timed.axis
         state.early, state.late = device.early, device.late
         state.early_map[:], state.late_map[:] = device.early_map, device.late_map

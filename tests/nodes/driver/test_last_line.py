@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import signal
 import time
 from itertools import pairwise
@@ -276,10 +277,8 @@ def test_a_call_that_hangs_with_the_interpreter_s_lock_ends_the_driver_too(tmp_p
     path = scene(tmp_path, hangs_in="write_force", hangs_holding=True)
     with running(tmp_path, path, environment=INSTALLED, ready=False) as launch:
         figures = launch.finish(code=1)
-    assert figures["exit_reason"].startswith(
-        "driver: ended with exit code 1: it hung, and let no other thread run: File "
-    )
-    assert "elsewhere_devices.py" in figures["exit_reason"]
+    told = r"driver: ended with exit code 1: its last resort: a call let no other thread run for [\d.]+ s: File .*_devices\.py"
+    assert re.match(told, figures["exit_reason"])
     assert figures["failures"] == [figures["exit_reason"]]
 
 

@@ -31,7 +31,7 @@ VARIANTS = (
     ("wall_press", "delay:=1.3", "law:=multi_term"),
     ("wall_press", "delay:=0.4", "apply:=next_tick"),
     ("floor_drop", "law:=designed_d0"),
-    # Unstable: the driver's limits of force, slew and workspace all act.
+    # Unstable: the driver's limits of force and slew act.
     ("floor_drop", "stiffness:=1e6", "damping:=0", "law:=pd"),
     ("floor_drop", "law:=designed_d1", "apply:=next_tick"),
 )
@@ -82,6 +82,19 @@ def assert_same_bits(
     assert bits([state.force[axis] for state in states[1:]]) == bits(list(trace.force))
     forces = recording.messages(FORCE)
     assert [force.seq for force in forces] == list(range(ticks + 1))
+
+
+@pytest.mark.parametrize("tick", ["plain", "compiled"])
+def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(tick: str, tmp_path: Path) -> None:
+    """With friction and an encoder, on the outermost count inside; a soft floor lets it down so far."""
+    narrow = tmp_path / "narrow.yaml"
+    narrow.write_text("driver: {safety: {workspace: [[-1, 1], [-1, 1], [-0.0009, 0.1]]}}", encoding="utf-8")
+    words = ("floor_buzz", "stiffness:=50", "law:=pd", "apply:=next_tick", SHORT)
+    assert_same_bits(tmp_path, *words, laid_over=(narrow,), tick=tick)
+    trace = from_launch(launch_file.read(words[0], launch_file.parse_assignments([*words[1:]]), (narrow,))).play()
+    # 39.1 counts of 2.3e-5 m; without the stop it would rest 20 mm deep.
+    assert trace.measured.min() == -39 * 2.3e-5
+    assert np.count_nonzero(trace.measured == -39 * 2.3e-5) > 100
 
 
 def test_designs_that_were_just_made_are_rendered_bit_for_bit(tmp_path: Path) -> None:
