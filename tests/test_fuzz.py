@@ -27,7 +27,6 @@ from typing import NamedTuple, cast
 
 import msgspec
 import pytest
-import zmq
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -255,7 +254,7 @@ def _page_request(content: bytes) -> None:
         server._moved(cast("server.Page", _NoHand()), request.get("target"))
     elif request is not None and request.get("op") != "record":
         with contextlib.suppress(CommandError):
-            Commander(RunInfo(run="r", scenario="s", launcher=0, nodes={}), zmq.Context.instance()).do(request)
+            Commander(RunInfo(run="r", scenario="s", launcher=0, nodes={})).do(request)
 
 
 class _NoHand:

@@ -77,7 +77,7 @@ def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> 
     links = Links(context, say_link, say_link)
     inbox = Subscription(context, set(found.publishers().values()), [""], QUEUE, links)
     try:
-        pages = RunPages(found, inbox, context)
+        pages = RunPages(found, inbox)
 
         async def serve() -> None:
             await pages.server.start(arguments.port)

@@ -18,7 +18,8 @@ import zmq
 
 from messages.errors import HapticError
 from messages.topics import DEVICE_STATE, FORCE
-from messages.transport.requests import Line
+from messages.transport.requests import Line, call
+from messages.transport.sockets import new_context
 from nodes.base.kinds import load
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
@@ -42,14 +43,12 @@ def _publisher(run: RunInfo, topic: str) -> str:
 
 
 class Commander:
-    """Asks the nodes of a run on behalf of its pages. One thread uses it.
+    """Asks the nodes of a run on behalf of its pages. One thread uses it, but for `stop` and `end`.
 
     Parameters
     ----------
     run : RunInfo
         The run.
-    context : zmq.Context
-        For the sockets.
 
     Attributes
     ----------
@@ -57,9 +56,9 @@ class Commander:
         Names of the nodes that publish position and force; empty for a run without.
     """
 
-    def __init__(self, run: RunInfo, context: zmq.Context[zmq.Socket[bytes]]) -> None:
+    def __init__(self, run: RunInfo) -> None:
         self._run = run
-        self._context = context
+        self._context = new_context()
         self._lines: dict[str, Line] = {}
         self._undo: list[tuple[str, dict[str, Any], dict[str, Any], float]] = []
         self._recorder: subprocess.Popen[bytes] | None = None
@@ -67,16 +66,20 @@ class Commander:
         self.driver = _publisher(run, DEVICE_STATE)
         self.coupling = _publisher(run, FORCE)
 
-    def ask(self, node: str, op: str, **args: object) -> Any:
-        """Ask one node."""
+    def _endpoint(self, node: str) -> str:
         if node not in self._run.nodes:
             raise CommandError(f"{self._run.run}: no node is named {node!r}; there is: {', '.join(self._run.nodes)}")
+        return self._run.nodes[node].control
+
+    def ask(self, node: str, op: str, **args: object) -> Any:
+        """Ask one node."""
+        endpoint = self._endpoint(node)
         if node not in self._lines:
-            self._lines[node] = Line(self._context, self._run.nodes[node].control)
+            self._lines[node] = Line(self._context, endpoint)
         try:
             return self._lines[node].call(op, TIMEOUT, **args)
-        except (HapticError, ValueError, OverflowError, TypeError) as error:
-            # Beside refusals: an endpoint or key that cannot be used, a value that no message can carry.
+        except (HapticError, ValueError, OverflowError, TypeError, zmq.ZMQError) as error:
+            # Beside refusals: an endpoint or key that cannot be used, a value that no message can carry, the end.
             raise CommandError(str(error)) from error
 
     # -- what a page can ask -----------------------------------------------------------------------------------------
@@ -88,7 +91,7 @@ class Commander:
             "law": self._set_law,
             "switch": self._switch,
             "undo": self._undo_last,
-            "stop": self._stop,
+            "stop": self.stop,
             "record": self._record,
         }
         op = request.get("op")
@@ -151,9 +154,12 @@ class Commander:
         self._undo.pop()
         return {"node": node, "undone": values, "values": before, "receipt": receipt}
 
-    def _stop(self) -> dict[str, Any]:
-        """End the run as its own end would: the driver brings the force down to zero, recordings are completed."""
-        self.ask(self.driver, "stop")
+    def stop(self) -> dict[str, Any]:
+        """End the run as its own end would; on a thread of its own it waits for no other answer."""
+        try:
+            call(self._context, self._endpoint(self.driver), "stop", TIMEOUT)
+        except (HapticError, zmq.ZMQError) as error:
+            raise CommandError(str(error)) from error
         return {"stopping": True}
 
     def _record(self, on: bool) -> dict[str, Any]:
@@ -182,6 +188,10 @@ class Commander:
         _, told = recorder.communicate(timeout=TIMEOUT)
         if recorder.returncode not in (0, 130):
             raise CommandError(f"recording failed: {told.decode(errors='replace')[-500:].strip()}")
+
+    def end(self) -> None:
+        """Give up what is waited for; returns after `close`, on another thread."""
+        self._context.term()
 
     def close(self) -> None:
         """Complete a recording that is under way, and close the connections."""

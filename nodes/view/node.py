@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar
 
 import msgspec
 
-from messages.transport.sockets import Subscription, new_context
+from messages.transport.sockets import Subscription
 from nodes.base.node import Node
 from nodes.base.setup import Setup
 from nodes.launcher.runs import RunInfo
@@ -104,11 +104,7 @@ class View(Node):
     def loop(self) -> None:
         """Serve until stopped."""
         self.state = "running"
-        context = new_context()
-        try:
-            asyncio.run(self._serve(RunPages(self._run_info(), self._listening, context, self._token())))
-        finally:
-            context.term()
+        asyncio.run(self._serve(RunPages(self._run_info(), self._listening, self._token())))
 
     def _token(self) -> str:
         place = read_place(self.setup.run_dir, self.setup.name)

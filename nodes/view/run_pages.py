@@ -10,8 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import zmq
-
 from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.launcher.runs import RunInfo
@@ -87,8 +85,6 @@ class RunPages:
         The run.
     inbox : Subscription
         Connected to all its publishers.
-    context : zmq.Context
-        For requests to its nodes.
     token : str
         What the URL must hold; empty for a new one.
 
@@ -104,12 +100,10 @@ class RunPages:
         Each is called with topic and message of all that comes in.
     """
 
-    def __init__(
-        self, run: RunInfo, inbox: Subscription, context: zmq.Context[zmq.Socket[bytes]], token: str = ""
-    ) -> None:
+    def __init__(self, run: RunInfo, inbox: Subscription, token: str = "") -> None:
         self._run = run
         self._inbox = inbox
-        self._commander = Commander(run, context)
+        self._commander = Commander(run)
         facts = facts_of(run, self._commander.driver)
         self._period = facts.period
         self.live = LiveRun(facts)
@@ -137,7 +131,9 @@ class RunPages:
         """Do what a page asks, off the pages' thread."""
         if self.live.ended:
             raise CommandError(f"view: the run has ended: {self.live.ended}")
-        result = await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.do, request)
+        # Who stops the run does not stand in line behind a node that does not answer.
+        thread = None if request.get("op") == "stop" else self._asking
+        result = await asyncio.get_running_loop().run_in_executor(thread, self._commander.do, request)
         if request.get("op") == "record":
             self.live.board.put("record", result)
         self.live.changed = True
@@ -165,13 +161,16 @@ class RunPages:
                 await asyncio.sleep(DRAIN_PERIOD)
             await self._finish()
         finally:
+            loop = asyncio.get_running_loop()
+            ended = loop.run_in_executor(None, self._commander.end)
             await self.server.stop()
             if self._bridge is not None:
-                await asyncio.get_running_loop().run_in_executor(None, self._bridge.close)
+                await loop.run_in_executor(None, self._bridge.close)
             for job in self._jobs:
                 job.cancel()
             await asyncio.gather(*self._jobs, return_exceptions=True)
-            await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.close)
+            await loop.run_in_executor(self._asking, self._commander.close)
+            await ended
             self._asking.shutdown()
             self._mapping.shutdown(cancel_futures=True)
             self.hand.close()

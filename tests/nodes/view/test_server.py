@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import struct
 import subprocess
@@ -120,6 +121,19 @@ def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Runn
         launch.wait_ticks(1500)
         # Four rings of a minute would be 15 MB; a frame under way each is far below 4.
         assert memory() - before < 4e6
+
+
+def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
+    """Neither does the end: nobody has to kill a view that still waits for an answer."""
+    with running(tmp_path, "touch_wall", "--view", "--without", "logger") as launch:
+        os.kill(launch.pid("coupling"), signal.SIGSTOP)
+        with live(url_of(launch)) as page:
+            page.send(json.dumps({"id": 1, "op": "law", "field": "stiffness", "value": 900.0}))
+            page.send(json.dumps({"id": 2, "op": "stop"}))
+            answer = texts(page, "answer")
+            assert (answer["id"], answer["ok"]) == (2, True)
+        assert launch.finish()["exit_reason"] == "stop requested"
+        assert "does not end" not in launch.errors
 
 
 def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
