@@ -253,8 +253,10 @@ def _page_request(content: bytes) -> None:
     if request is not None and request.get("op") == "hand":
         server._moved(cast("server.Page", _NoHand()), request.get("target"))
     elif request is not None and request.get("op") != "record":
+        commander = Commander(RunInfo(run="r", scenario="s", launcher=0, nodes={}))
         with contextlib.suppress(CommandError):
-            Commander(RunInfo(run="r", scenario="s", launcher=0, nodes={})).do(request)
+            commander.do(request)
+        commander.end()
 
 
 class _NoHand:

@@ -242,7 +242,7 @@ def _told_receipt(receipt: Receipt) -> dict[str, Any]:
         "switched": before.get("law") != after.get("law"),
         "text": names
         if before.get("law") != after.get("law")
-        else f"{after.get('law', '')}: {', '.join(changed) or 'as it was'}",
+        else f"{after.get('law', '')}: {', '.join(changed) or 'as it was; another parameter was set'}",
         "force_step_n": receipt.force_step,
         "ramp": receipt.ramp,
         "reason": receipt.reason,

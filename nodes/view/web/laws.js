@@ -14,16 +14,14 @@ export class Laws {
     this.ramp.addEventListener("change", () => this.send({ op: "set", node: this.state.node, values: { ramp: Math.round(Number(this.ramp.value)) } }));
     this.undo.addEventListener("click", () => this.takeBack());
     addEventListener("keydown", (event) => {
-      if ((event.ctrlKey || event.metaKey) && event.key === "z" && !event.target.matches("input, textarea")) { event.preventDefault(); this.takeBack(); }
+      if ((event.ctrlKey || event.metaKey) && event.key === "z" && !event.target.matches("[type=number], [type=text]")) { event.preventDefault(); this.takeBack(); }
     });
   }
 
   start(fields, replay) {
     this.fields = fields;
     this.off = replay;
-    this.picker.classList.toggle("off", replay);
-    this.sliders.classList.toggle("off", replay);
-    this.undo.hidden = replay;
+    this.picker.inert = this.sliders.inert = this.undo.hidden = replay;
     this.ramp.disabled = replay;
   }
 
@@ -32,7 +30,8 @@ export class Laws {
   async send(request) {
     const answer = await this.ask(request);
     this.refusal.hidden = answer.ok;
-    if (!answer.ok) {
+    if (answer.ok) for (const { row } of this.controls.values()) row.classList.remove("refused");
+    else {
       this.refusal.textContent = answer.error;
       this.refused?.(answer.error);
       this.fill();
@@ -117,7 +116,7 @@ export class Laws {
       const [[name, value]] = this.wanted;
       this.wanted.delete(name);
       const answer = await this.send({ op: "law", field: name, value });
-      this.controls.get(name)?.row.classList.toggle("refused", !answer.ok);
+      if (!answer.ok) this.controls.get(name)?.row.classList.add("refused");
       await new Promise((done) => setTimeout(done, WAIT));
     }
     this.busy = false;
@@ -162,6 +161,14 @@ function slider(field, row, change) {
     if (field.lt !== undefined && value >= field.lt) value = tidy(map.to(0.996));
     number.value = value;
     change(value);
+  });
+  // A key moves a whole number by one, however fine the scale.
+  range.addEventListener("keydown", (event) => {
+    const by = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
+    if (!map.whole || !by) return;
+    event.preventDefault();
+    number.value = Number(number.value) + by;
+    change(Number(number.value));
   });
   for (const event of ["change", "blur"]) range.addEventListener(event, () => { delete row.dataset.moving; });
   number.addEventListener("change", () => { if (number.value !== "") change(map.whole ? Math.round(Number(number.value)) : Number(number.value)); });

@@ -30,14 +30,13 @@ export class StabilityMap {
     if (map.why) return [map.why];
     const bold = (text, bad) => Object.assign(document.createElement("b"), { textContent: text, className: bad ? "bad" : "" });
     const at = ` at a delay of ${map.delay_ticks.toFixed(2)} ticks`;
-    const code = map.own_code ? " The law’s own code beside its taps is not judged." : "";
     if (!map.stable) {
       const edge = map.k_max_n_per_m === null ? "no K is stable" : `stable up to K = ${figure(map.k_max_n_per_m)} N/m`;
-      return [bold("Unstable", true), `${at}: ${edge}.${code}`];
+      return [bold("Unstable", true), `${at}: ${edge}.`];
     }
     const k = map.k_max_n_per_m === null ? "without limit" : `${(map.k_max_n_per_m / map.k_n_per_m).toPrecision(3)} × K`;
     const delay = map.delay_margin_ticks === null ? "over 20 ticks" : `${map.delay_margin_ticks.toFixed(2)} ticks`;
-    return ["Stable", `${at}. To the edge: `, bold(k), map.k_max_n_per_m === null ? "" : ` (${figure(map.k_max_n_per_m)} N/m)`, ", or ", bold(`${delay} more delay`), `.${code}`];
+    return ["Stable", `${at}. To the edge: `, bold(k), map.k_max_n_per_m === null ? "" : ` (${figure(map.k_max_n_per_m)} N/m)`, ", or ", bold(`${delay} more delay`), "."];
   }
 
   draw() {

@@ -178,7 +178,8 @@ export class Scene {
     const step = decade * [1, 2, 5, 10].find((factor) => factor * decade >= raw);
     const found = [];
     for (let n = Math.ceil((this.middle - this.half) / step); n * step <= this.middle + this.half; n++) {
-      found.push([Math.round((n * step - this.middle) * scale) + 0.5, `${+(n * step * 1e3).toPrecision(6)}`]);
+      // Inside a magnified surface it does not hold.
+      if (this.shown(n * step) === n * step) found.push([Math.round((n * step - this.middle) * scale) + 0.5, `${+(n * step * 1e3).toPrecision(6)}`]);
     }
     return found;
   }
