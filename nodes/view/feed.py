@@ -62,6 +62,8 @@ class Feed:
         Messages that came after their bin was filed.
     state, proxy, force : Message or None
         The latest ones.
+    force_before : Force or None
+        The one before.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class Feed:
         self.state: DeviceState | None = None
         self.proxy: Proxy | None = None
         self.force: Force | None = None
+        self.force_before: Force | None = None
         width = len(axes)
         self._at = {field: i * width for i, field in enumerate(_FIELDS)}
         self._energy = len(_FIELDS) * width
@@ -98,7 +101,7 @@ class Feed:
         elif isinstance(message, Proxy):
             self.proxy = message
         elif isinstance(message, Force):
-            self.force = message
+            self.force_before, self.force = self.force, message
         else:
             return
         if number > self._newest[topic]:

@@ -191,6 +191,10 @@ class LiveRun:
     def status(self, now: float) -> dict[str, Any]:
         """Tell how the run stands."""
         state, force = self.feed.state, self.feed.force
+        before = self.feed.force_before
+        if state is not None and before is not None and before.seq == state.force_seq:
+            # What the law asked for when the state's force was handed over.
+            force = before
         silent = now - self._state_at
         nodes = {
             name: {"state": status.state, "silent_s": round(now - at, 1) if now - at > SILENT_NODE else 0.0}
@@ -204,9 +208,9 @@ class LiveRun:
         if self.ended:
             level, text = "rest", f"The run has ended: {self.ended}."
         ticks = state.seq if state else 0
-        before, count = self._rate
-        if now - before >= 1.0:
-            self._rate_hz = (ticks - count) / (now - before) if before and ticks >= count else 0.0
+        began, count = self._rate
+        if now - began >= 1.0:
+            self._rate_hz = (ticks - count) / (now - began) if began and ticks >= count else 0.0
             self._rate = (now, ticks)
         return {
             "level": level,

@@ -20,7 +20,7 @@ PROXY = Proxy(
     distance=-0.001,
     contact=True,
 )
-FORCE = Force(seq=9, stamp=0.0, force=(-1.0, 0.0, 0.0), law="pd")
+FORCE = Force(seq=8, stamp=0.0, force=(-1.0, 0.0, 0.0), law="pd")
 NONE = (0.0, 0.0, 0.0)
 
 
@@ -44,6 +44,7 @@ def told(
         ({"state": {"safety": "ramp"}}, "warn", "lets the force in slowly"),
         ({"force": {"law": "fallback"}}, "warn", "the law failed"),
         ({"force": {"force": (-12.0, 0.0, 0.0)}}, "warn", "1.00 N of the 12.00 N"),
+        ({"force": {"force": (-12.0, 0.0, 0.0), "seq": 9}}, "ok", "1.00 N: pd pushes back"),
         (
             {"proxy": {"contact": False, "distance": 0.008}, "state": {"force": NONE}},
             "rest",
