@@ -11,6 +11,7 @@ import statistics
 import subprocess
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
@@ -48,13 +49,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rounds", type=int, default=4, help="rounds of without and with (default 4)")
     parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
     parser.add_argument("--rate", type=float, default=500.0, help="sampling rate [Hz] (default 500)")
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help="take one of the page while the wall is pushed (PNG)"
+    )
     parser.add_argument("--minutes", type=float, default=30.0, help="of ticks for the memory (default 30)")
     add_json(parser)
     parser.set_defaults(run=run)
 
 
-def _drag(page: Any, seconds: float) -> None:
-    """Drag the hand into the wall and out of it, 60 times a second."""
+def _drag(page: Any, seconds: float, picture: Path | None = None) -> None:
+    """Drag the hand into the wall and out of it, 60 times a second; hold still for a picture."""
     box = page.locator("#scene").bounding_box()
     middle, y, until = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, time.monotonic() + seconds
     page.mouse.move(middle, y)
@@ -62,10 +66,16 @@ def _drag(page: Any, seconds: float) -> None:
     while (now := time.monotonic()) < until:
         page.mouse.move(middle + 0.49 * box["width"] * math.sin(4.0 * now), y)
         page.wait_for_timeout(1000.0 / 60.0)
+    if picture is not None:
+        page.mouse.move(middle + 0.42 * box["width"], y)
+        page.wait_for_timeout(2000.0)
+        page.screenshot(path=picture)
     page.mouse.up()
 
 
-def _with_page(launch: Running, browser: Any, seconds: float, delays: dict[str, list[float]]) -> tuple[float, float]:
+def _with_page(
+    launch: Running, browser: Any, seconds: float, delays: dict[str, list[float]], picture: Path | None
+) -> tuple[float, float]:
     """Open a page, drag for a while, switch a law twice; when the dragging began and ended."""
     view = subprocess.Popen(
         [*HAPTIC, "view", "--json"], cwd=launch.folder, env=launch.environment, stdout=subprocess.PIPE, text=True
@@ -73,7 +83,7 @@ def _with_page(launch: Running, browser: Any, seconds: float, delays: dict[str, 
     try:
         assert view.stdout is not None  # noqa: S101  # it is a pipe
         url = json.loads(view.stdout.readline())["url"]
-        page = browser.new_page(viewport={"width": 1280, "height": 900}, bypass_csp=True)
+        page = browser.new_page(viewport={"width": 1280, "height": 960}, bypass_csp=True)
         page.add_init_script(FIRST)
         page.goto(url)
         delays["first_picture_s"].append(page.wait_for_function("window.shown").json_value() / 1e3)
@@ -81,6 +91,8 @@ def _with_page(launch: Running, browser: Any, seconds: float, delays: dict[str, 
         _drag(page, seconds)
         ended = time.monotonic()
         delays["switch_s"] += [page.evaluate(SWITCH, name) / 1e3 for name in ("multi_term", "pd")]
+        if picture is not None:
+            _drag(page, 1.0, picture)
         page.close()
         return began, ended
     finally:
@@ -88,7 +100,9 @@ def _with_page(launch: Running, browser: Any, seconds: float, delays: dict[str, 
         view.communicate(timeout=30.0)
 
 
-def loop_cost(rounds: int, seconds: float, rate: float, browser: Any, progress: Progress) -> dict[str, Any]:
+def loop_cost(
+    rounds: int, seconds: float, rate: float, browser: Any, progress: Progress, picture: Path | None = None
+) -> dict[str, Any]:
     """Run one launch and open a page in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
     delays: dict[str, list[float]] = {"first_picture_s": [], "switch_s": []}
@@ -98,7 +112,7 @@ def loop_cost(rounds: int, seconds: float, rate: float, browser: Any, progress: 
             time.sleep(seconds)
             halves["without"].append((began, time.monotonic()))
             progress.step("no page")
-            halves["with"].append(_with_page(launch, browser, seconds, delays))
+            halves["with"].append(_with_page(launch, browser, seconds, delays, picture))
             progress.step("a page, somebody dragging")
         figures = launch.finish(signal.SIGINT)
         recording = Recording(launch.folder / figures["recording"])
@@ -166,7 +180,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     progress = Progress(2 * arguments.rounds)
     figures = browsing(
-        lambda browser: loop_cost(arguments.rounds, arguments.seconds, arguments.rate, browser, progress)
+        lambda browser: loop_cost(
+            arguments.rounds, arguments.seconds, arguments.rate, browser, progress, arguments.picture
+        )
     )
     figures |= {"memory": memory(arguments.minutes, arguments.rate), "machine": machine()}
     lines = [figures["machine"]]
