@@ -86,3 +86,13 @@ def cases_of(demand: Demand, masses: int, others: int) -> Vector:
 def alternating(size: int) -> Vector:
     """Signs of the taps in H(−1)."""
     return np.asarray(np.where(np.arange(size) % 2, -1.0, 1.0), dtype=np.float64)
+
+
+def quiet(demand: Demand, taps: Vector) -> bool:
+    """Tell whether |H(−1)| keeps the demand."""
+    return abs(float(taps @ alternating(taps.size))) <= demand.nyquist * (1.0 + 1e-12)
+
+
+def keeps(demand: Demand, taps: Vector, loop: Loop) -> bool:
+    """Tell whether taps keep the demand at all cases of a loop."""
+    return quiet(demand, taps) and float(loop.radii(taps).max()) <= demand.radius

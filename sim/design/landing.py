@@ -14,7 +14,7 @@ import itertools
 import numpy as np
 
 from nodes.laws import CompiledLaw
-from sim.design.cases import Loop, alternating, cases_of
+from sim.design.cases import Loop, alternating, cases_of, keeps
 from sim.design.demand import CONVENTIONS, Demand, Vector, filtered
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
@@ -125,9 +125,7 @@ def landed(
             if one is None or one.sum() == 0.0 or (stiffness := float(one @ basis.sum(axis=1))) <= most:
                 continue
             taps = one @ basis
-            quiet = abs(float(taps @ alternating(taps.size))) <= demand.nyquist * (1.0 + 1e-12)
-            kept = quiet and float(fine.radii(taps).max()) <= demand.radius
-            if kept and _settled([filtered(taps, fine.pole)], scenes)[0] == 1.0:
+            if keeps(demand, taps, fine) and _settled([filtered(taps, fine.pole)], scenes)[0] == 1.0:
                 best, most = one, stiffness
     return best
 

@@ -2,21 +2,21 @@
 
 A family is linear in its parameters: all taps free, or spring and one derivative part (PD, one PDα, the paper's optimum at
 free gain). So all of them go through the same search and can be compared. The search is global first (differential
-evolution with a fixed seed), then a sequence of linear programmes: every pole near the bound is linearised in the taps, the
-programme raises H(1) within a trust region, and what came out is accepted only if its true poles keep the bound. Cases
-between those of the search are checked afterwards, and the worst one joins it until none is worse.
+evolution with fixed seeds, `sim.design.evolution`), then a sequence of linear programmes: every pole near the bound is
+linearised in the taps, the programme raises H(1) within a trust region, and what came out is accepted only if its true poles
+keep the bound. Cases between those of the search are checked afterwards, and the worst one joins it until none is worse.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from sim.design.cases import Loop, alternating, cases_of, verified_cases
+from sim.design.cases import Loop, alternating, cases_of, keeps, quiet, verified_cases
 from sim.design.demand import Demand, Robust, Vector, filtered
+from sim.design.evolution import evolved
 from sim.design.landing import landed
 
 __all__ = [
@@ -24,6 +24,8 @@ __all__ = [
 ]
 
 _MASSES = 5
+_SPANS = (0.3, 10.0)
+"""Half widths of the boxes that are searched from nothing: too narrow a one shuts the stiffest long laws out."""
 
 
 def stiffest(
@@ -94,12 +96,13 @@ def _climbed(
     cases = cases_of(demand, _MASSES, 3)
     # A hair inside, so that rounding of the printed taps cannot cross the bound.
     target = demand.radius - 1e-9
+    tried = [*starts, *_global(demand, basis, fine, free, seed, effort, target)]
     best = max(
-        (start for start in starts if _keeps(demand, basis, fine, start)),
+        (start for start in tried if keeps(demand, start @ basis, fine)),
         key=lambda start: float(start @ basis.sum(axis=1)),
         default=None,
     )
-    for start in [*starts, *_global(demand, basis, Loop(demand, cases, fine.taps, fine.pole), free, seed, effort)]:
+    for start in tried:
         found = _settle(demand, basis, fine, cases, start, target, free)
         if found is not None and (best is None or found @ basis.sum(axis=1) > best @ basis.sum(axis=1)):
             best = found
@@ -122,54 +125,23 @@ def _settle(
         radii = fine.radii(here @ basis)
         worst = int(np.argmax(radii))
         if radii[worst] <= demand.radius:
-            return here if _quiet(demand, basis, here) else None
+            return here if quiet(demand, here @ basis) else None
         cases = np.vstack([cases, everywhere[worst]])
         here = _retreat(demand, basis, Loop(demand, cases, fine.taps, fine.pole), here, target, free)
     return None
 
 
-def _keeps(demand: Demand, basis: Vector, fine: Loop, parameters: Vector) -> bool:
-    return _quiet(demand, basis, parameters) and float(fine.radii(parameters @ basis).max()) <= demand.radius
-
-
-def _quiet(demand: Demand, basis: Vector, parameters: Vector) -> bool:
-    return abs(float(parameters @ basis @ alternating(basis.shape[1]))) <= demand.nyquist * (1.0 + 1e-12)
-
-
-def _global(demand: Demand, basis: Vector, loop: Loop, free: bool, seed: int, effort: int) -> list[Vector]:
-    """Feasible starts in different corners: narrow and wide boxes, each with its own seed."""
-    from scipy.optimize import Bounds, differential_evolution
-
-    signs = alternating(basis.shape[1])
-    unit = demand.mass[0] / demand.period**2
-
-    def score(columns: Vector, /) -> Any:
-        taps = columns.T @ basis
-        excess = np.maximum(loop.radii(taps).max(axis=-1) - demand.radius, 0.0)
-        noise = np.maximum(np.abs(taps @ signs) - demand.nyquist, 0.0) / unit
-        outside = excess + noise
-        # Feasible ones compete by H(1), the others by how far they are from feasible; none of them can win.
-        return np.asarray(np.where(outside > 0.0, 1.0 + 10.0 * outside, -taps.sum(axis=1) / unit), dtype=np.float64)
-
-    p = basis.shape[0]
-    starts = []
-    # Many parameters have many local optima: more starts where there are more of them.
-    for i, span in enumerate((0.3, 3.0) * (1 if p <= 4 else 2)):
-        result = differential_evolution(
-            score,
-            Bounds([-span if free else 0.0] * p, [span] * p),
-            # Beyond six parameters a short search ends in the law one tap shorter.
-            maxiter=(40 + 40 * p) * effort * (3 if p > 6 else 1),
-            popsize=12,
-            rng=seed + i,
-            tol=1e-8,
-            polish=False,
-            vectorized=True,
-            updating="deferred",
-        )
-        if float(result.fun) < 0.0:
-            starts.append(np.asarray(result.x, dtype=np.float64))
-    return starts
+def _global(
+    demand: Demand, basis: Vector, fine: Loop, free: bool, seed: int, effort: int, target: float
+) -> list[Vector]:
+    """Feasible starts, the stiffest first, each with its own seed."""
+    p = len(basis)
+    few, many = (Loop(demand, cases_of(demand, masses, 3), fine.taps, fine.pole) for masses in (15, 101))
+    # Over ranges of delay and hand there are thousands of cases; the climb then brings the start inside all of them.
+    loops = (few, many, fine) if len(fine.fixed) <= 1000 else (few, few, many)
+    spans = _SPANS if p <= 4 else _SPANS[1:] * 2
+    tried = [evolved(demand, basis, loops, free, seed + i, effort, span, target) for i, span in enumerate(spans)]
+    return sorted((one for one in tried if one is not None), key=lambda one: -float(one @ basis.sum(axis=1)))
 
 
 def _climb(demand: Demand, basis: Vector, loop: Loop, start: Vector, target: float, free: bool) -> Vector:
@@ -198,7 +170,7 @@ def _climb(demand: Demand, basis: Vector, loop: Loop, start: Vector, target: flo
             continue
         there = here + solution.x
         gained = float(gain @ solution.x)
-        if gained > 0.0 and _quiet(demand, basis, there) and float(loop.radii(there @ basis).max()) <= target:
+        if gained > 0.0 and quiet(demand, there @ basis) and float(loop.radii(there @ basis).max()) <= target:
             if gained < 1e-10 * float(gain @ here):
                 break
             here, trust = there, min(2.0 * trust, 0.5)
@@ -207,7 +179,7 @@ def _climb(demand: Demand, basis: Vector, loop: Loop, start: Vector, target: flo
         for part in (0.5, 0.25):
             between = here + part * solution.x
             inside = float(loop.radii(between @ basis).max()) <= target
-            if inside and gained > 0.0 and _quiet(demand, basis, between):
+            if inside and gained > 0.0 and quiet(demand, between @ basis):
                 here = between
                 break
         trust *= 0.4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -11,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
@@ -22,7 +25,9 @@ from nodes.recording.writer import RecordWriter
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.k_max import Plant
+from sim.design.cases import Loop, cases_of
 from sim.design.demand import CONVENTIONS, Demand, Robust
+from sim.design.evolution import _within, evolved
 from sim.design.families import (
     best_paper_optimum,
     best_pd,
@@ -366,6 +371,31 @@ def test_more_taps_are_never_worse() -> None:
     kept = stiffest(wanted, np.eye(3), known=[np.append(found[0].taps, 0.0)])
     assert kept is not None
     assert kept.h1_n_per_m >= found[0].h1_n_per_m
+
+
+def test_seven_taps_reach_what_another_search_found() -> None:
+    """6815 N/m, by a climb of other code from the padded law of six taps: the search is as good without a start."""
+    wanted, unit = demand(1.0), 0.05 / T**2
+    loops = [Loop(wanted, cases_of(wanted, masses, 3), 7) for masses in (15, 101, 801)]
+    found = evolved(wanted, unit * np.eye(7), loops, True, 1, 1, 10.0, wanted.radius - 1e-9)
+    assert found is not None
+    law = CompiledLaw(tuple((unit * found).tolist()))
+    assert law.h1 >= 6815.0
+    for mass in np.geomspace(0.05, 0.2, 301).tolist():
+        # As in `check`: between the masses of the search by its curvature more.
+        assert pole_radius(law, T, mass, 1.0, 1.0) <= wanted.radius + 1e-5
+
+
+@given(st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=9), st.floats(0.3, 1.5))
+def test_poles_are_counted_as_eigenvalues_say(roots: list[float], radius: float) -> None:
+    """Schur and Cohn's recursion against known roots, real and in pairs, just inside and just outside of the radius."""
+    poles = [complex(0.5 * a, b) for a, b in itertools.pairwise(roots)] or [complex(roots[0])]
+    polynomial = np.real(np.poly([*poles, *np.conj(poles)]))
+    largest = max(abs(pole) for pole in poles)
+    assume(abs(largest - radius) > 1e-3)
+    work = np.empty((2, polynomial.size))
+    told = _within(polynomial, np.zeros((1, polynomial.size)), np.zeros(1), radius, work)
+    assert told == (largest < radius)
 
 
 def test_a_range_of_damping_is_kept_at_both_ends() -> None:

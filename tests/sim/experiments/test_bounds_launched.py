@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,16 +13,20 @@ import yaml
 
 from nodes.launcher.launch_file import find
 from nodes.laws import CompiledLaw
-from nodes.laws.parse import parse_law
+from nodes.laws.parse import law_to_dict, parse_law
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from nodes.stability.every_delay import every_delay
-from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
+from nodes.stability.k_max import Plant, edge_of, k_max, with_spring, without_spring
 from nodes.stability.rest import rest
+from sim.chart.derivatives import with_stiffness as with_gain
+from sim.chart.equal_demand import tuned
+from sim.design.demand import CONVENTIONS, Demand
+from sim.design.landing import dropped
 from sim.design.replay import replayed_radius
 from sim.device.model import DeviceModel
-from sim.experiments.drop import drop_scene
-from sim.experiments.k_max_launched import NO_LIMITS, launched
+from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
+from sim.experiments.k_max_launched import NO_LIMITS, launched, settles_launched
 from sim.scene.loop import Scene, run
 from tests.support.launching import launch_json
 
@@ -104,3 +109,49 @@ def test_a_launch_stops_at_the_bounds_friction_and_buzzes_just_below_the_edge() 
     assert high <= bound
     for friction, stops in ((1.001 * bound, True), (high, True), (low, False)):
         assert still(*launched(resting(friction), described, 2000)) == stops
+
+
+def rate(law: dict[str, Any], mass: float, delay: float, ticks: int = 1600) -> float:
+    """Growth per tick of a launch that swings about an anchor, over its later half: what decays faster has gone by then."""
+    scene = free_scene(DeviceModel(mass=mass, damping=1.0, delay=delay), T, amplitude=1e-3)
+    position = np.abs(launched(scene, law, ticks)[0])
+    eighth = ticks // 8
+    return float((position[-eighth:].max() / position[4 * eighth : 5 * eighth].max()) ** (1.0 / (3 * eighth)))
+
+
+def test_launches_decay_just_below_colgates_k_at_the_frequency_that_occurs_and_grow_just_above() -> None:
+    described = {"kind": "pd_alpha", "order": 1.5, "taps": 4, "gains": "paper", "damping": 3.0}
+    edge = edge_of(without_spring(parse_law({**described, "stiffness": 1.0}), T), T, Plant(0.1, 1.0))
+    assert edge is not None
+    assert rate({**described, "stiffness": 0.995 * edge.k_exact_n_per_m}, 0.1, 0.0) < 1.0
+    assert rate({**described, "stiffness": 1.005 * edge.k_exact_n_per_m}, 0.1, 0.0) > 1.0
+
+
+def test_launches_keep_the_equal_demand_just_inside_and_break_it_just_outside() -> None:
+    """PD tuned to the chart's demand: every mass decays as fast as demanded, and the slowest no more with 3 % more of K."""
+    unit = without_spring(PD(stiffness=1.0, damping=1.0), T)
+    stiffness, gain = tuned(lambda k, g: with_gain(unit, k, g, 1.0, T), 0.99)
+    described = {"kind": "pd", "stiffness": stiffness, "damping": gain}
+    rates = {mass: rate(described, mass, 1.0) for mass in (0.05, 0.2)}
+    # Two poles beat in the envelope: a part of what passes in 600 ticks.
+    assert max(rates.values()) <= 0.99 + 1e-4
+    worst = max(rates, key=lambda mass: rates[mass])
+    assert rate(described | {"stiffness": 1.03 * stiffness}, worst, 1.0) > 0.99 + 1e-4
+
+
+def test_launches_land_within_the_margin_and_not_just_beyond() -> None:
+    """A law designed to land: the drop that fails just beyond the margin of its masses settles within it."""
+    demand = Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4)
+    law = parse_law("designed_d1")
+    scenes = {
+        mass: [
+            dropped(demand, mass, *way, height)
+            for way in CONVENTIONS
+            for height in np.geomspace(0.005, 0.02, 7).tolist()
+        ]
+        for mass in (0.05, 0.05 / 1.06)
+    }
+    falls = [not settles(scene, [law.compile(T)], Criterion())[0] for scene in scenes[0.05 / 1.06]]
+    assert any(falls)
+    for mass, lands in ((0.05, True), (0.05 / 1.06, False)):
+        assert settles_launched(scenes[mass][falls.index(True)], law_to_dict(law), Criterion()) == lands

@@ -1,0 +1,152 @@
+"""Differential evolution over taps in compiled code: a start that the climb by linear programmes then finishes.
+
+Whether all poles of a case keep a radius is asked by Schur and Cohn's recursion, some 0.1 µs for a law of eight taps; how far
+outside they are is bisected, and only where a candidate might still win.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from nodes.tick.kernels.sources import kernel
+from sim.design.cases import Loop, alternating
+from sim.design.demand import Demand, Vector
+from sim.scene.compiled import compiled
+
+_uniform, _integer = np.random.uniform, np.random.randint
+
+_BOXES = (0.3, 0.1, 0.03, 0.01, 0.003)
+"""Half widths of the boxes about the best."""
+
+
+@kernel
+def _within(fixed: Any, by_tap: Any, taps: Any, radius: float, work: Any) -> bool:
+    """Tell whether all roots of one case lie within a radius."""
+    size = len(fixed)
+    power = 1.0
+    for i in range(size):
+        total = fixed[i]
+        for j in range(len(taps)):
+            total += taps[j] * by_tap[j, i]
+        work[0, i] = total * power
+        power /= radius
+    for m in range(size - 1, 0, -1):
+        k = work[0, m] / work[0, 0]
+        if not -1.0 < k < 1.0:
+            return False
+        for j in range(m):
+            work[1, j] = work[0, j] - k * work[0, m - j]
+        for j in range(m):
+            work[0, j] = work[1, j]
+    return True
+
+
+@kernel
+def _excess(fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, work: Any) -> float:
+    """By how much the largest pole radius of all cases exceeds one; no further than enough."""
+    reached = radius
+    for i in range(len(fixed)):
+        if _within(fixed[i], by_tap[i], taps, reached, work):
+            continue
+        low, high = reached, 2.0 * reached
+        # Any law has a finite radius, unless its taps are none.
+        while high < 1e6 and not _within(fixed[i], by_tap[i], taps, high, work):
+            low, high = high, 2.0 * high
+        for _ in range(20):
+            middle = 0.5 * (low + high)
+            if _within(fixed[i], by_tap[i], taps, middle, work):
+                high = middle
+            else:
+                low = middle
+        reached = high
+        if reached - radius > enough:
+            break
+    return reached - radius
+
+
+def _evolve(
+    fixed: Any,
+    by_tap: Any,
+    basis: Any,
+    gain: Any,
+    noise: Any,
+    quiet: float,
+    radius: float,
+    box: Any,
+    start: Any,
+    size: int,
+    generations: int,
+    seed: int,
+) -> tuple[Any, float]:
+    # Compiled, this is numba's generator, of this thread alone.
+    np.random.seed(seed)  # noqa: NPY002
+    p, n = basis.shape
+    work = np.empty((2, fixed.shape[1]))
+    members = np.empty((size, p))
+    scores = np.full(size, np.inf)
+    tried = np.empty(p)
+    taps = np.empty(n)
+    best = 0
+    for g in range(generations + 1):
+        weight = _uniform(0.5, 1.0)
+        for i in range(size):
+            one, other, kept = _integer(size), _integer(size), _integer(p)
+            for j in range(p):
+                if g == 0:
+                    tried[j] = start[j] if i == 0 else _uniform(box[0, j], box[1, j])
+                elif j == kept or _uniform(0.0, 1.0) < 0.9:
+                    tried[j] = members[best, j] + weight * (members[one, j] - members[other, j])
+                    if not box[0, j] <= tried[j] <= box[1, j]:
+                        tried[j] = _uniform(box[0, j], box[1, j])
+                else:
+                    tried[j] = members[i, j]
+            felt, loud = 0.0, 0.0
+            for j in range(p):
+                felt += gain[j] * tried[j]
+                loud += noise[j] * tried[j]
+            # Feasible ones compete by H(1), the others by how far they are from feasible; none of them can win.
+            outside = max(abs(loud) - quiet, 0.0)
+            if -felt > scores[i] or (outside > 0.0 and 1.0 + 10.0 * outside > scores[i]):
+                continue
+            for m in range(n):
+                taps[m] = 0.0
+                for j in range(p):
+                    taps[m] += tried[j] * basis[j, m]
+            outside += _excess(fixed, by_tap, taps, radius, max(0.1 * (scores[i] - 1.0), 0.0), work)
+            score = 1.0 + 10.0 * outside if outside > 0.0 else -felt
+            if score <= scores[i]:
+                members[i], scores[i] = tried, score
+        best = int(np.argmin(scores))
+    return members[best], scores[best]
+
+
+_evolve_compiled = compiled()(_evolve)
+
+
+def evolved(
+    demand: Demand,
+    basis: Vector,
+    loops: Sequence[Loop],
+    free: bool,
+    seed: int,
+    effort: int,
+    span: float,
+    radius: float,
+) -> Vector | None:
+    """Evolve in a wide box at the first cases, then in boxes that shrink about the best, at more and at all of them."""
+    unit, p = demand.mass[0] / demand.period**2, len(basis)
+    gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit
+    here = np.zeros(p)
+    for i, width in enumerate((span, *_BOXES)):
+        # The last box keeps the bound at all cases.
+        loop = loops[(0, 1, 1, 1, 1, 2)[i]]
+        box = np.array([here - width if free else np.maximum(here - width, 0.0), here + width])
+        members, generations = (30 * p, (20 + 20 * p) * effort) if i else (60 * p, (100 + 100 * p) * effort)
+        told = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, radius)
+        here, score = _evolve_compiled(*told, box, here, members, generations, seed)
+        if not score < 0.0:
+            return None
+    return here
