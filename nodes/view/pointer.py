@@ -31,8 +31,8 @@ _COUNT = struct.Struct("<Q")
 _TARGET = struct.Struct("<dddd")
 
 
-SILENCE = 0.3
-"""After so long without a new value a pointer counts as let go [s]."""
+SILENCE = 0.5
+"""After so long without a new value a pointer counts as let go: a browser that draws on a busy machine sends every 0.2 s [s]."""
 
 
 class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
