@@ -32,7 +32,7 @@ _TARGET = struct.Struct("<dddd")
 
 
 SILENCE = 0.5
-"""After so long without a new value a pointer counts as let go: a browser that draws on a busy machine sends every 0.2 s [s]."""
+"""After so long without a new value a pointer counts as let go: a busy browser sends every 0.2 s [s]."""
 
 
 class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
