@@ -208,13 +208,11 @@ class ReplayPages:
         if described is None:
             return
         key = repr((active, described))
-        if key in self._maps:
-            tell(msgspec.json.encode({"type": "map", "law": active, **self._maps[key]}).decode())
-            return
 
         async def draw() -> None:
-            work = partial(drawn_map, described, self._facts.period, self._plant, self._driver, self._delay)
-            self._maps[key] = await asyncio.get_running_loop().run_in_executor(self._mapping, work)
+            if key not in self._maps:
+                work = partial(drawn_map, described, self._facts.period, self._plant, self._driver, self._delay)
+                self._maps[key] = await asyncio.get_running_loop().run_in_executor(self._mapping, work)
             tell(msgspec.json.encode({"type": "map", "law": active, **self._maps[key]}).decode())
 
         self._job = asyncio.get_running_loop().create_task(draw())

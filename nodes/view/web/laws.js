@@ -33,7 +33,6 @@ export class Laws {
     if (answer.ok) for (const { row } of this.controls.values()) row.classList.remove("refused");
     else {
       this.refusal.textContent = answer.error;
-      this.refused?.(answer.error);
       this.fill();
     }
     return answer;

@@ -24,8 +24,15 @@ const plots = new Plots($("plots"), $("legend"), (live) => {
   $("pause").textContent = live ? "Pause" : "Paused";
 });
 const map = new StabilityMap($("map"), $("margin"), $("far"));
-const laws = new Laws({ picker: $("laws"), sliders: $("sliders"), ramp: $("ramp"), undo: $("undo"), refusal: $("refusal") }, (request) => link.ask(request));
-laws.refused = (text) => log.refused(text, store?.end ?? 0);
+const laws = new Laws({ picker: $("laws"), sliders: $("sliders"), ramp: $("ramp"), undo: $("undo"), refusal: $("refusal") }, ask);
+
+function refused(text) { log.refused(text, store?.end ?? 0); }
+
+async function ask(request) {
+  const answer = await link.ask(request);
+  if (!answer.ok) refused(answer.error);
+  return answer;
+}
 
 const link = new Link({
   open() { status.connected(true); },
@@ -70,9 +77,9 @@ const link = new Link({
     $("record").textContent = found.recording ? "Recording" : "Record";
     if (found.path) log.add({ kind: "event", t: store?.end ?? 0, node: "view", event: "recording", text: `${found.recording ? "recording to" : "recorded"} ${found.path}` });
   },
-  answer(found) { if (!found.ok) log.refused(found.error, store?.end ?? 0); },
+  answer(found) { if (!found.ok) refused(found.error); },
 });
-const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, (request) => link.ask(request));
+const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, ask);
 
 // -- buttons and keys ---------------------------------------------------------------------------------------------
 
@@ -80,19 +87,15 @@ $("magnify").addEventListener("change", (event) => { scene.magnify = Number(even
 $("span").addEventListener("change", (event) => { plots.span = Number(event.target.value); plots.follow(); });
 $("pause").addEventListener("click", () => plots.window ? plots.follow() : plots.pause());
 $("live").addEventListener("click", () => plots.follow());
-$("record").addEventListener("click", async () => {
-  const answer = await link.ask({ op: "record", on: $("record").getAttribute("aria-pressed") !== "true" });
-  if (!answer.ok) log.refused(answer.error, store?.end ?? 0);
-});
-$("stop").addEventListener("click", async () => {
+$("record").addEventListener("click", () => ask({ op: "record", on: $("record").getAttribute("aria-pressed") !== "true" }));
+$("stop").addEventListener("click", () => {
   if (!$("stop").classList.contains("sure")) {
     $("stop").classList.add("sure");
     $("stop").textContent = "End the run?";
     setTimeout(() => { $("stop").classList.remove("sure"); $("stop").textContent = "Stop"; }, 3000);
     return;
   }
-  const answer = await link.ask({ op: "stop" });
-  if (!answer.ok) log.refused(answer.error, store?.end ?? 0);
+  ask({ op: "stop" });
 });
 addEventListener("keydown", (event) => {
   if (event.target.matches("input, select, button, canvas") || event.ctrlKey || event.metaKey || event.altKey) return;
