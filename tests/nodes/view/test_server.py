@@ -18,6 +18,9 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from messages.transport.endpoints import MAX_MESSAGE
+from nodes.view.live import SILENT_NODE
+from sim.drill.drill import scene as drill_scene
 from tests.support.browser import url_of
 from tests.support.launching import HAPTIC, Running, haptic, launch_json, running, wait_for
 
@@ -142,10 +145,15 @@ def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
 
 
 @contextlib.contextmanager
-def viewing(launch_folder: Path, *words: str, environment: Any = None) -> Iterator[str]:
+def viewing(launch_folder: Path, *words: str, environment: Any = None, stderr: Any = None) -> Iterator[str]:
     """Run ``haptic view`` for the length of a with block."""
     process = subprocess.Popen(
-        [*HAPTIC, "view", "--json", *words], cwd=launch_folder, env=environment, stdout=subprocess.PIPE, text=True
+        [*HAPTIC, "view", "--json", *words],
+        cwd=launch_folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        text=True,
     )
     assert process.stdout is not None
     try:
@@ -163,6 +171,29 @@ def test_a_view_beside_a_launch_sees_the_same(launch: Running) -> None:
         assert texts(page, "hello")["hand"]
         assert texts(page, "laws")["active"] == launch.call("coupling", "law.list")["active"]
         assert texts(page, "status", level="rest")["rate_hz"] >= 0.0
+
+
+def test_a_view_hears_a_node_again_after_a_message_above_the_limit(tmp_path: Path) -> None:
+    """The only word that a page has of this node are its statuses, over the connection that breaks."""
+    content = drill_scene()
+    content["nodes"]["link"] = {"kind": "link"}
+    (tmp_path / "linked.yaml").write_text(json.dumps(content), encoding="utf-8")
+    told = tmp_path / "told"
+
+    def heard(status: dict[str, Any]) -> bool:
+        return bool(status["nodes"]["link"]["silent_s"] == 0.0)
+
+    with (
+        running(tmp_path, "./linked.yaml", "--without", "logger") as launch,
+        told.open("w") as file,
+        viewing(tmp_path, environment=launch.environment, stderr=file) as url,
+        live(url) as page,
+    ):
+        wait_for(lambda: "link" in texts(page, "status")["nodes"], "the node")
+        launch.call("link", "param.set", values={"oversize": MAX_MESSAGE + 1})
+        wait_for(lambda: texts(page, "status") and "longer than" in told.read_text(), "the link is connected anew")
+        after = texts(page, "status")["t"] + SILENT_NODE + 1.0
+        wait_for(lambda: (status := texts(page, "status"))["t"] > after and heard(status), "the node again")
 
 
 def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
