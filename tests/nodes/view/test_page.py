@@ -172,6 +172,23 @@ def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Runn
         page.mouse.up()
 
 
+def test_a_wrong_token_and_a_foreign_origin_get_nothing(page: Page, browser: Browser, launch: Running) -> None:
+    url = url_of(launch)
+    script = """url => new Promise((done) => {
+      const socket = new WebSocket(url);
+      socket.onopen = () => done("open");
+      socket.onerror = () => done("refused");
+    })"""
+    other = browser.new_page()
+    answer = other.goto(url[:-2] + "/")
+    assert answer is not None
+    assert (answer.status, "token" in other.inner_text("body")) == (403, True)
+    other.goto("data:text/html,a page from elsewhere, which has the URL")
+    assert other.evaluate(script, url.replace("http", "ws") + "live") == "refused"
+    other.close()
+    assert page.evaluate(script, url.replace("http", "ws") + "live") == "open"
+
+
 def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(browser: Browser, launch: Running) -> None:
     with opened(browser, url_of(launch)) as watching:
         context = browser.new_context()
