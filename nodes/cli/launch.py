@@ -229,22 +229,26 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
 
 
+def _places(launch: Launch) -> Iterator[tuple[str, Path]]:
+    """Name the loggers of this machine, and where each records to."""
+    for name, spec in launch.nodes.items():
+        if spec.kind == "logger" and not spec.host:
+            yield name, Path(spec.parameters.get("path", LoggerParameters().path))
+
+
 def _check_places(launch: Launch) -> None:
     """Refuse, before anything is started, a place that no recording of this machine can be written to."""
-    for spec in launch.nodes.values():
-        if spec.kind == "logger" and not spec.host:
-            path = str(spec.parameters.get("path", LoggerParameters().path))
-            refuse_unwritable(Path(path), "--out-dir")
+    for _, path in _places(launch):
+        refuse_unwritable(path, "--out-dir")
 
 
 def _into(launch: Launch, folder: Path) -> Launch:
     """Let all loggers of this machine write into one directory."""
-    nodes = {}
-    for name, spec in launch.nodes.items():
-        if spec.kind == "logger" and not spec.host:
-            path = Path(spec.parameters.get("path", LoggerParameters().path))
-            spec = msgspec.structs.replace(spec, parameters={**spec.parameters, "path": str(folder / path.name)})
-        nodes[name] = spec
+    nodes = dict(launch.nodes)
+    for name, path in _places(launch):
+        spec = nodes[name]
+        parameters = {**spec.parameters, "path": str(folder / path.name)}
+        nodes[name] = msgspec.structs.replace(spec, parameters=parameters)
     return msgspec.structs.replace(launch, nodes=nodes)
 
 

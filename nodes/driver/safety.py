@@ -288,10 +288,9 @@ class Safety:
         for i in self._axes:
             left = None if slew is None else max(slew - slewed[i], 0.0)
             value = limited[i] = limit(wanted[i], last[i], peak, left)
-            if value != wanted[i]:
-                over = peak is not None and abs(wanted[i]) > peak
-                self.limited["peak" if over else "slew"] += 1
             side = 0 if peak is None or abs(wanted[i]) <= peak else 1 if wanted[i] > 0.0 else -1
+            if value != wanted[i]:
+                self.limited["peak" if side else "slew"] += 1
             self.peaked = self.peaked or side not in (0, self._sides[i])
             self._sides[i] = side
         if motor is not None:

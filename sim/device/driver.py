@@ -286,18 +286,16 @@ class SimDriver(Driver):
             dragged = DraggedHand(hand, parameters.pointer, self.setup)
         axes, box = self.setup.axes, parameters.safety.workspace or NO_END
         parts = [
+            # The pointer drags the hand along the first axis.
             TimedDevice(
                 model,
                 msgspec.structs.replace(self.setup, axes=[axis]),
                 parameters.hold,
-                dragged,
+                dragged if axis == axes[0] else None,
                 box[AXIS_INDEX[axis]],
             )
             for axis, model in zip(axes, along(parameters.device, axes), strict=True)
         ]
-        for part in parts[1:]:
-            # The pointer drags the hand along the first axis.
-            part.dragged = None
         self._timed = parts[0] if len(parts) == 1 else SeveralAxes(parts)
         return self._timed
 

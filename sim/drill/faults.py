@@ -26,15 +26,10 @@ STOPPED = 0.3
 """How long a node is stopped, a link is bad, a processor is taken away [s]."""
 
 
-def _let_pass(rig: Rig, seconds: float) -> None:
-    """Let the launch run for a while, unless it ends."""
-    within(lambda: rig.process.poll() is not None, seconds)
-
-
 def _stop(node: str) -> Callable[[Rig], None]:
     def strike(rig: Rig) -> None:
         pid = rig.kill(node, signal.SIGSTOP)
-        _let_pass(rig, STOPPED)
+        rig.let_pass(STOPPED)
         os.kill(pid, signal.SIGCONT)
 
     return strike
@@ -47,7 +42,7 @@ def _with_link(content: dict[str, Any]) -> None:
 def _bad_link(**values: float) -> Callable[[Rig], None]:
     def strike(rig: Rig) -> None:
         rig.call("link", "param.set", values=values)
-        _let_pass(rig, STOPPED)
+        rig.let_pass(STOPPED)
         rig.call("link", "param.set", values=dict.fromkeys(values, 0))
 
     return strike
@@ -107,7 +102,7 @@ def _hogs() -> Iterator[None]:
 
 def _starve(rig: Rig) -> None:
     with _hogs():
-        _let_pass(rig, 3 * STOPPED)
+        rig.let_pass(3 * STOPPED)
 
 
 CLOCK = """
@@ -178,7 +173,7 @@ class _Clock:
         for seconds in (-3600.0, 7200.0, 0.0):
             with open(self._offset, "r+b") as file:
                 file.write(struct.pack("d", seconds))
-            _let_pass(rig, STOPPED)
+            rig.let_pass(STOPPED)
 
     def tidy(self) -> None:
         if self.folder:

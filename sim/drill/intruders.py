@@ -29,10 +29,6 @@ FEW = 256
 """Descriptors that are left to a driver that is flooded."""
 
 
-def _let_pass(rig: Rig, seconds: float) -> None:
-    within(lambda: rig.process.poll() is not None, seconds)
-
-
 @contextlib.contextmanager
 def _keys_of(folder: Path) -> Iterator[None]:
     """Act as a machine with other keys."""
@@ -99,7 +95,7 @@ class _Elsewhere:
                     held[-1].sendall(b"HTTP/1.1 200 OK\r\n\r\n" * 20)
 
         threading.Thread(target=serve, daemon=True).start()
-        _let_pass(rig, HELD)
+        rig.let_pass(HELD)
         impostor.shutdown(socket.SHUT_RDWR)
         impostor.close()
         for one in held:
@@ -149,7 +145,7 @@ def _exhaust(rig: Rig) -> None:
             # Where the queue is full the kernel refuses, and where the process is gone the drill sees it.
             with contextlib.suppress(OSError):
                 client.connect(split(place)[0].removeprefix("ipc://"))
-        _let_pass(rig, 0.001)
+        rig.let_pass(0.001)
     for client in clients:
         client.close()
     if rig.pid("driver") != driver:

@@ -87,22 +87,18 @@ class _Quota:
     def strike(self, rig: Rig) -> None:
         """Hold up all that share the loop's quota, again and again."""
         pids = [rig.pid(node) for node in ("driver", "environment", "coupling")]
-
-        def let_pass(seconds: float) -> None:
-            within(lambda: rig.process.poll() is not None, seconds)
-
         if self._group:
             for pid in pids:
                 (self._group / "cgroup.procs").write_text(str(pid), encoding="ascii")
             self._set(self._some)
-            let_pass(ROUNDS * (ON + OFF))
+            rig.let_pass(ROUNDS * (ON + OFF))
             self._set(self._none)
             return
         for _ in range(ROUNDS):
             for number, seconds in ((signal.SIGSTOP, OFF), (signal.SIGCONT, ON)):
                 for pid in pids:
                     os.kill(pid, number)
-                let_pass(seconds)
+                rig.let_pass(seconds)
 
     def _set(self, values: Mapping[str, str]) -> None:
         assert self._group is not None  # noqa: S101

@@ -121,7 +121,7 @@ def _pass_time(rig: Rig, seconds: float, memory: _Memory) -> None:
     until = time.monotonic() + seconds
     while time.monotonic() < until and rig.process.poll() is None:
         memory.look(rig)
-        within(lambda: rig.process.poll() is not None, min(0.5, max(until - time.monotonic(), 0.0)))
+        rig.let_pass(min(0.5, max(until - time.monotonic(), 0.0)))
 
 
 def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_LIMIT) -> Soak:

@@ -21,7 +21,7 @@ from nodes.base.kinds import load
 from nodes.cli.ask import ask
 from nodes.cli.main import RefusedError, UsageError
 from nodes.launcher.runs import RunInfo
-from sim.measure.launches import HAPTIC
+from sim.measure.launches import HAPTIC, within
 
 LAW = "identify"
 """Name that the excitation gets in the coupling; it stays defined afterwards, inactive."""
@@ -173,7 +173,8 @@ def push(
         ask(run, loop.coupling, "law.switch", law=LAW, ramp=RAMP)
         _centre(loop, here, centre)
         recorder = subprocess.Popen([*command, "--out", str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        _await_file(recorder, out)
+        # What the recorder misses at the start is missing at the end.
+        within(lambda: recorder.poll() is not None or out.exists(), START)
         result.reason = _watch(loop, duration, say)
     except KeyboardInterrupt:
         result.reason = "Ctrl-C"
@@ -186,13 +187,6 @@ def push(
     if not out.exists():
         raise RefusedError(f"{loop.run.run}: nothing was recorded: {result.reason}")
     return result
-
-
-def _await_file(recorder: subprocess.Popen[bytes], out: Path) -> None:
-    """Wait until the recorder has begun: what it misses at the start is missing at the end."""
-    until = time.monotonic() + START
-    while time.monotonic() < until and recorder.poll() is None and not out.exists():
-        time.sleep(_POLL)
 
 
 def _centre(loop: Loop, here: Sequence[float], centre: Sequence[float]) -> None:

@@ -20,7 +20,7 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.topics import DEVICE_STATE
 from messages.transport.sockets import Subscription
 from messages.types import DeviceState
-from sim.measure.launches import HAPTIC, Running, left_behind, wait_for
+from sim.measure.launches import HAPTIC, Running, left_behind, wait_for, within
 
 START = 30.0
 """Longest time from the first tick to the first messages [s]."""
@@ -108,6 +108,10 @@ class Rig(Running):
         pid = self.pid(node)
         os.kill(pid, number)
         return pid
+
+    def let_pass(self, seconds: float) -> None:
+        """Let the launch run for a while, unless it ends."""
+        within(lambda: self.process.poll() is not None, seconds)
 
     def beside(self, *words: str) -> subprocess.Popen[bytes]:
         """Start another ``haptic`` command beside the launch, in its folder."""
