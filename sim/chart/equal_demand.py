@@ -110,7 +110,7 @@ def _group(order: float, demand: str, radius: float, rows: list[tuple[str, str, 
         tuple(points),
         f"Gain and K tuned for each: pole radius ≤ {radius:.3g} for {', '.join(f'{m:g}' for m in MASSES)} kg, b = {DAMPING:g} "
         f"N s/m, {DELAY:g} tick of delay, |H(−1)| ≤ {NYQUIST:g} N/m, T = {1e3 * PERIOD:g} ms. "
-        "At 1: keeps the demand with no gain.",
+        "At 1: keeps the demand with no gain. pd_windowed has no poles: `haptic study design --compare` tunes it by drops.",
         linear=True,
     )
 

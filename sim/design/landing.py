@@ -10,10 +10,14 @@ shrink about the best so far, every candidate dropped.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from nodes.laws import CompiledLaw
+from nodes.laws.parse import parse_law
 from sim.design.cases import Loop, alternating, cases_of, keeps
 from sim.design.demand import CONVENTIONS, Demand, Vector, filtered
 from sim.device.model import DeviceModel
@@ -76,6 +80,47 @@ def landings(demand: Demand) -> list[Scene]:
     masses = np.geomspace(low / (1.0 + MARGIN), high * (1.0 + MARGIN), 3).tolist()
     cases = itertools.product(masses, demand.lands, HEIGHTS)
     return [dropped(demand, mass, *convention, height) for mass, convention, height in cases]
+
+
+def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None:
+    """Tune PD with a windowed velocity by its drops: it has no poles that could keep a radius.
+
+    Parameters
+    ----------
+    demand : Demand
+        Masses, damping and the longest delay of the drops; |H(−1)| is kept as that of its shortest window, which is PD's.
+    resolution : float
+        Step of the device's encoder [m].
+
+    Returns
+    -------
+    dict or None
+        The stiffest law of which every drop of `landings` settles, under all conventions; None where none does.
+    """
+    scenes = [
+        replace(scene, device=msgspec.structs.replace(scene.device, resolution=resolution))
+        for scene in landings(replace(demand, lands=CONVENTIONS))
+    ]
+    best: dict[str, Any] | None = None
+    unit = demand.mass[0] / demand.period**2
+    stiffnesses, gains = np.geomspace(2e-3, 0.8, 20) * unit, np.geomspace(0.01, 0.8, 8) * unit * demand.period
+    for spread in (1.2, 1.05, 1.0):
+        tried = [
+            {"kind": "pd_windowed", "stiffness": k, "damping": b, "resolution": resolution}
+            for k, b in itertools.product(stiffnesses.tolist(), gains.tolist())
+            if k + 2.0 * b / demand.period <= demand.nyquist
+        ]
+        lands = _settled([parse_law(law).compile(demand.period) for law in tried], scenes) == 1.0
+        best = max((law for law, good in zip(tried, lands, strict=True) if good), key=_stiffness, default=best)
+        if best is None:
+            break
+        stiffnesses = best["stiffness"] * np.geomspace(1.0, spread, 8)
+        gains = best["damping"] * np.geomspace(1.0 / spread, spread, 5)
+    return best
+
+
+def _stiffness(law: dict[str, Any]) -> float:
+    return float(law["stiffness"])
 
 
 def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Vector:

@@ -13,6 +13,8 @@ from typing import Any
 CHAI3D = "CHAI3D 3.2, device specifications in its sources"
 SHEET = "3D Systems, data sheet of the Touch X (formerly PHANTOM Desktop)"
 H3D = "H3DAPI wiki, Novint Falcon: 400 counts per inch, 8.9 N"
+STYLUS = "Fu & Çavuşoğlu 2012, IEEE Trans. SMC-B, tables II and III, 15 people; ends of the range as another reader quotes them"
+YOKOKOHJI = "remembered, not checked: Yokokohji & Yoshikawa 1994, IEEE Trans. Robotics and Automation"
 MEMORY = "remembered, not checked"
 
 
@@ -95,6 +97,35 @@ PRESETS: dict[str, Preset] = {
 }
 """By name; a value that is not here stays the scenario's."""
 
+HANDS: dict[str, Preset] = {
+    "stylus_soft": Preset(
+        "grasp of a stylus, low end", {"damping": Fact(0.8, STYLUS), "stiffness": Fact(380.0, STYLUS)}, {}
+    ),
+    "stylus_firm": Preset(
+        "grasp of a stylus, high end", {"damping": Fact(1.8, STYLUS), "stiffness": Fact(770.0, STYLUS)}, {}
+    ),
+    "arm_soft": Preset(
+        "hand and arm behind that grasp, low end",
+        {"mass": Fact(0.2, STYLUS), "damping": Fact(4.6, STYLUS), "stiffness": Fact(79.0, STYLUS)},
+        {},
+    ),
+    "arm_firm": Preset(
+        "hand and arm behind that grasp, high end",
+        {"mass": Fact(0.22, STYLUS), "damping": Fact(18.0, STYLUS), "stiffness": Fact(272.0, STYLUS)},
+        {},
+    ),
+    "operator": Preset(
+        "arm of an operator",
+        {
+            field: Fact(value, YOKOKOHJI, remembered=True)
+            for field, value in (("mass", 2.0), ("damping", 2.0), ("stiffness", 10.0))
+        },
+        {},
+    ),
+}
+"""Published hands and arms: fields of `sim.device.model.Hand`. Arm and grasp are in series: above some 10 Hz, where loops
+ring, the arm's mass hardly moves and the grasp is felt."""
+
 
 def preset(name: str) -> dict[str, float]:
     """Give the known values of a device."""
@@ -112,7 +143,7 @@ def provenance(name: str) -> str:
 
 
 def figures() -> list[dict[str, Any]]:
-    """Tell all presets with their sources."""
+    """Tell all devices and hands with their sources."""
 
     def facts(given: Mapping[str, Fact]) -> dict[str, Any]:
         return {
@@ -122,14 +153,14 @@ def figures() -> list[dict[str, Any]]:
 
     return [
         {"name": name, "title": one.title, "model": facts(one.model), "limits": facts(one.limits)}
-        for name, one in PRESETS.items()
+        for name, one in (PRESETS | HANDS).items()
     ]
 
 
 def text() -> str:
-    """Tell all presets to people."""
+    """Tell all devices and hands to people."""
     lines = []
-    for name, one in PRESETS.items():
+    for name, one in (PRESETS | HANDS).items():
         lines.append(f"{name}: {one.title}")
         for field, fact in one.model.items():
             lines.append(f"  {field:18} {fact.value:<8g} {fact.source}")

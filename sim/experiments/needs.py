@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nodes.launcher.launch_spec import Model
-from nodes.laws import CompiledLaw
-from nodes.stability.k_max import Plant, k_max
+from nodes.stability.k_max import k_max, with_spring
 from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, Term
 from sim.measure.stopwatch import interleaved
 from sim.scene.from_launch import LaunchedScene
@@ -141,15 +140,10 @@ def outcome(scene: LaunchedScene, trace: Trace) -> Outcome:
 
 
 def _stiffest(scene: LaunchedScene) -> float | None:
-    law = scene.swaps[-1].law if scene.swaps else scene.law
+    law = scene.last_law
     if scene.scene.surface.kind == "free" or law.evaluate is not None:
         return None
-    device = scene.scene.device
-    delay = device.delay + (1.0 if scene.scene.next_tick else 0.0)
-    taps = (law.taps[0] - law.h1, *law.taps[1:])
-    rest = CompiledLaw(taps, law.sections)
-    body = Plant(device.moving_mass, device.moving_damping, delay, device.grip)
-    return k_max(rest, scene.scene.period, body).h1_max_n_per_m
+    return k_max(with_spring(law, -law.h1), scene.scene.period, scene.plant).h1_max_n_per_m
 
 
 def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]:

@@ -19,6 +19,7 @@ from nodes.environment.surfaces import parse_surface
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
+from nodes.stability.k_max import Plant
 from sim.device.driver import SimDriverParameters
 from sim.scene.loop import Scene, Surface, Swap, Trace, run
 
@@ -54,6 +55,29 @@ class LaunchedScene:
     ticks: int
     memory: int
     axis: int
+
+    @property
+    def last_law(self) -> CompiledLaw:
+        """The law after all swaps.
+
+        Returns
+        -------
+        CompiledLaw
+            Taps and sections.
+        """
+        return self.swaps[-1].law if self.swaps else self.law
+
+    @property
+    def plant(self) -> Plant:
+        """Device and hand as the linear loop sees them.
+
+        Returns
+        -------
+        Plant
+            What moves, its delay with that of the loop.
+        """
+        body = self.scene.device
+        return Plant(body.moving_mass, body.moving_damping, body.delay + float(self.scene.next_tick), body.grip)
 
     def play(self, ticks: int | None = None, interpreted: bool = False) -> Trace:
         """Play the scene.

@@ -13,6 +13,7 @@ from nodes.laws.parse import parse_law
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.stability.k_max import Plant
+from sim.device.presets import HANDS
 
 
 def positive(text: str) -> float:
@@ -38,6 +39,11 @@ def interval(text: str) -> tuple[float, float]:
     if ends[0] > ends[1]:
         raise argparse.ArgumentTypeError(f"{text}: the lower end comes first")
     return ends
+
+
+def hand(text: str) -> tuple[float, float]:
+    """Read a range of stiffness, or the name of a published hand: from none to its stiffness."""
+    return (0.0, HANDS[text].model["stiffness"].value) if text in HANDS else interval(text)
 
 
 def _number(text: str) -> float:

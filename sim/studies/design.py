@@ -28,10 +28,11 @@ from sim.design.families import (
     latest_delay,
     to_yaml,
 )
-from sim.design.landing import drops
+from sim.design.landing import best_pd_windowed, drops
 from sim.design.passive import Passive, stiffest_passive
 from sim.design.recorded_loop import Measured, measure
 from sim.design.replay import replayed_radius
+from sim.experiments.terms import RESOLUTION
 from sim.results import fresh
 from sim.studies import arguments as shared
 from sim.studies.rest_map import rest_map
@@ -50,7 +51,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="of the device, one or LOW..HIGH [N s/m] (default: 1)",
     )
     parser.add_argument("--delay", type=shared.interval, help="of the loop, one or LOW..HIGH [ticks] (default: 1)")
-    parser.add_argument("--hand", type=shared.interval, default=(0.0, 0.0), help="stiffness of a hand, LOW..HIGH [N/m]")
+    parser.add_argument(
+        "--hand",
+        type=shared.hand,
+        default=(0.0, 0.0),
+        help="stiffness of a hand, LOW..HIGH [N/m], or one of `haptic device presets`",
+    )
     parser.add_argument("--rate", type=shared.positive, help="of the loop [Hz] (default: 500)")
     parser.add_argument("--taps", type=int, default=4, help="length of the law, n + 1 (default: %(default)s)")
     parser.add_argument(
@@ -328,6 +334,15 @@ def _compare(arguments: argparse.Namespace, demand: Demand) -> int:
                 laws.append(_row(one, case))
                 lines.append(f"  {_line(laws[-1])}")
             rows.append(_verdict(case, laws, lines))
+            _say("PD with a windowed velocity, by drops")
+            windowed = best_pd_windowed(case, arguments.resolution or RESOLUTION)
+            rows[-1]["pd_windowed"] = windowed
+            tuned = (
+                "no stiffness"
+                if windowed is None
+                else "K {stiffness:.0f} N/m, B {damping:.3g} N s/m".format(**windowed)
+            )
+            lines.append(f"  pd_windowed has no poles, so no radius: {tuned} by its drops alone, all of which settle")
     figures = {"demand": _wanted(demand), "cases": rows}
     answer(arguments.json, figures, "\n".join(lines))
     return 0

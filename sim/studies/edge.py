@@ -71,7 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
     }
     text = (
         f"K_max = 2(b R - f(w_c))/T to {exact:.1e} over {len(rows)} loops; without R the ratio is {min(ratios):.3f} .. "
-        f"{max(ratios):.3f} (THEORY.md §9)\n{plot}"
+        f"{max(ratios):.3f} (THEORY.md §9)\n"
+        f"pd_windowed is left out: no taps, so no f(w); its K_max is by drops (study kmax --method simulation)\n{plot}"
     )
     answer(arguments.json, figures, text)
     return 0

@@ -64,24 +64,18 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
     """Tell what encoder and friction do to the scene's last law at rest; None without contact or for a law that has no taps."""
-    from dataclasses import asdict
-
-    from nodes.stability.k_max import Plant
     from nodes.stability.rest import rest
     from sim.experiments.terms import FRICTION, RESOLUTION
     from sim.studies.rest_map import rest_map
 
-    law = scene.swaps[-1].law if scene.swaps else scene.law
+    law, device = scene.last_law, scene.plant
     if scene.scene.surface.kind == "free" or law.evaluate is not None:
         return None
     body, period = scene.scene.device, scene.scene.period
-    device = Plant(
-        body.moving_mass, body.moving_damping, body.delay + (1.0 if scene.scene.next_tick else 0.0), body.grip
-    )
-    declared = body.resolution is not None and bool(body.friction)
-    resolution, friction = (
-        (body.resolution or RESOLUTION, body.friction or FRICTION) if declared else (RESOLUTION, FRICTION)
-    )
+    resolution, friction = body.resolution, body.friction
+    declared = bool(resolution and friction)
+    if not (resolution and friction):
+        resolution, friction = RESOLUTION, FRICTION
     found = rest(law, period, resolution, device.mass, device.damping, device.delay)
     drawn = rest_map(law, law.h1, period, device, resolution, friction, path)
     return {"declared": declared, "resolution_m": resolution, "friction_n": friction, **asdict(found), "map": drawn}

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -314,6 +315,15 @@ def test_compare_says_who_wins(capsys: pytest.CaptureFixture[str], monkeypatch: 
     assert main("study design --compare --delays 1 --margins 0 --taps 2 --json".split()) == 0  # noqa: SIM905
     case = json.loads(capsys.readouterr().out.splitlines()[-1])["cases"][0]
     assert [law["family"] for law in case["laws"]] == ["pd", "pd_filtered", "pd_alpha", "paper_optimum", "designed"]
+    windowed = case["pd_windowed"]
+    scenes = [
+        replace(scene, device=msgspec.structs.replace(scene.device, resolution=windowed["resolution"]))
+        for scene in landings(demand(1.0, lands=CONVENTIONS))
+    ]
+    for part, lands in ((1.0, True), (1.02, False)):
+        law = parse_law(windowed | {"stiffness": part * windowed["stiffness"]}).compile(T)
+        # By its drops: none fails, and just above one does.
+        assert all(settles(scene, [law], Criterion())[0] for scene in scenes) == lands
     # Two free taps are PD: no gain over the best of the others, and that is what is said. A filter far above ω_N buys 0.05 %.
     assert case["gain"] == pytest.approx(1.0, abs=1e-3)
 

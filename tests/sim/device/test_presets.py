@@ -11,8 +11,9 @@ import pytest
 from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDriverParameters
-from sim.device.model import DeviceModel
-from sim.device.presets import MEMORY, PRESETS, preset
+from sim.device.model import DeviceModel, Hand
+from sim.device.presets import HANDS, MEMORY, PRESETS, preset
+from sim.studies.arguments import hand
 from tests.support.launching import haptic
 
 SCENE = {"mass": 0.1, "damping": 0.7, "friction": 0.03, "delay": 0.4, "resolution": 1e-6}
@@ -37,6 +38,15 @@ def test_every_value_has_a_source_and_a_place(name: str) -> None:
         assert fact.value > 0.0
         assert fact.source
         assert fact.remembered == (fact.source == MEMORY)
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_a_hand_has_sources_and_can_hold_a_device_and_bound_a_design(name: str) -> None:
+    known = HANDS[name].model
+    values = {field: fact.value for field, fact in known.items()}
+    assert convert(values | {"path": [(0.0, 0.0)]}, Hand, "hand").stiffness == values["stiffness"]
+    assert all(fact.source and fact.remembered == ("remembered" in fact.source) for fact in known.values())
+    assert hand(name) == (0.0, values["stiffness"])
 
 
 @pytest.mark.parametrize("name", ["", "none"])
@@ -86,4 +96,4 @@ def test_one_word_and_a_scenario_is_started_and_identified(tmp_path: Path) -> No
     assert told["mass_kg"]["value"] == pytest.approx(0.035, rel=0.01)
     assert told["friction_n"]["value"] == pytest.approx(0.06, rel=0.05)
     listed = json.loads(haptic(tmp_path, "device", "presets", "--json").stdout.splitlines()[-1])["presets"]
-    assert {one["name"] for one in listed} == set(PRESETS)
+    assert {one["name"] for one in listed} == set(PRESETS | HANDS)
