@@ -48,6 +48,8 @@ class Demand:
     lands : tuple of (bool, bool)
         Contact conventions (raw history, clamped force) under which every drop must settle too, with a margin
         (`sim.design.landing`); empty when landing is not asked for.
+    above : float
+        H(1) that is known already: laws below it are not dropped, and need not be found [N/m].
     """
 
     mass: tuple[float, float]
@@ -59,6 +61,7 @@ class Demand:
     stiffness: tuple[float, float] = (0.0, 0.0)
     damping_max: float | None = None
     lands: tuple[tuple[bool, bool], ...] = ()
+    above: float = 0.0
 
     @property
     def dampings(self) -> tuple[float, float]:

@@ -136,11 +136,12 @@ def evolved(
     span: float,
     radius: float,
 ) -> Vector | None:
-    """Evolve in a wide box at the first cases, then in boxes that shrink about the best, at more and at all of them."""
+    """Evolve in a wide box at the first cases; many parameters then in boxes that shrink about the best, at more and at all."""
     unit, p = demand.mass[0] / demand.period**2, len(basis)
     gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit
     here = np.zeros(p)
-    for i, width in enumerate((span, *_BOXES)):
+    # Of two parameters or three the linear programmes find the rest.
+    for i, width in enumerate((span, *_BOXES) if p > 3 else (span,)):
         # The last box keeps the bound at all cases.
         loop = loops[(0, 1, 1, 1, 1, 2)[i]]
         box = np.array([here - width if free else np.maximum(here - width, 0.0), here + width])

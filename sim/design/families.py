@@ -263,7 +263,8 @@ def _stiffest_of(
     bounds = sorted(((_stiffness(at(value, linear)), value) for value in values), reverse=True)
     for bound, value in bounds:
         if best is None or bound > _stiffness(best):
-            tuned = at(value, demand)
+            # Two per cent below it, so that the search still sees where drops settle.
+            tuned = at(value, replace(demand, above=0.98 * _stiffness(best) if best else 0.0))
             best = tuned if best is None else max(best, tuned, key=_stiffness)
     if best is None:
         raise ValueError("no value was given")

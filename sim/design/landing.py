@@ -188,6 +188,8 @@ def _shrunk(
     """Search in boxes that shrink about the best so far; without a start the first is wide."""
     parameters, signs = len(basis), alternating(basis.shape[1])
     unit = demand.mass[0] / demand.period**2
+    # Behind a filter, taps have 1/(1 − pole) times the stiffness.
+    least = demand.above * (1.0 - fine.pole) / unit
     loop = Loop(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
     source = np.random.default_rng(seed)
 
@@ -197,9 +199,9 @@ def _shrunk(
         noise = np.maximum(np.abs(taps @ signs) - demand.nyquist, 0.0) / unit
         scores = np.asarray(1.0 + 10.0 * (excess + noise), dtype=np.float64)
         # Laws that land compete by H(1), the others by how many drops settle or how far they are from the demand. A law that
-        # would not beat its rival even if it landed is not dropped.
+        # would not beat its rival, or what is known, even if it landed is not dropped.
         felt = -taps.sum(axis=1) / unit
-        kept = np.flatnonzero((scores == 1.0) & (felt < beaten))
+        kept = np.flatnonzero((scores == 1.0) & (felt < np.minimum(beaten, -least)))
         share = _settled([filtered(one, fine.pole) for one in taps[kept]], scenes)
         scores[kept] = np.where(share == 1.0, felt[kept], 1.0 - share)
         return scores

@@ -316,7 +316,7 @@ def _line(row: dict[str, Any]) -> str:
     tuning = ", ".join(f"{key} {row['law'][key]:.5g}" for key in ("stiffness", "damping", "order") if key in row["law"])
     return (
         f"{row['family']:13}  H(1) {row['h1_n_per_m']:9.2f} N/m  H(-1) {row['h_nyquist_n_per_m']:9.1f} N/m  "
-        f"radius {row['pole_radius']:.6f}  stable up to {'any delay' if limit is None else f'{limit:.3f} ticks'}  "
+        f"radius {row['pole_radius']:.6f}  stable up to {'100 ticks, and on' if limit is None else f'{limit:.3f} ticks'}  "
         f"drops settled {sum(dropped.values())}/{len(dropped)}  "
         f"{tuning or 'taps ' + ', '.join(f'{tap:.6g}' for tap in row['taps_n_per_m'])}"
     )
