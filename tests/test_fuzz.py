@@ -37,7 +37,6 @@ from messages.transport.endpoints import EndpointRefusedError, split
 from messages.transport.keys import KeyRefusedError, parse_key
 from messages.transport.requests import Reply, Request, decode_reply, decode_request
 from messages.types import DeviceState, Event, Force, NodeStatus, Proxy
-from nodes.base.setup import Setup
 from nodes.launcher import launch_file
 from nodes.launcher.join import Starter
 from nodes.launcher.runs import RunError, RunInfo
@@ -54,6 +53,7 @@ from nodes.view.pointer import PointerReader, SharedHand
 from tests.nodes.tick.test_messages import assert_read_alike
 from tests.support.launching import private_runtime_dir
 from tests.support.recorded import drop
+from tests.support.setups import setup_of
 
 SECONDS = float(os.environ.get("HAPTIC_FUZZ_SECONDS", "0"))
 INPUTS = int(os.environ.get("HAPTIC_FUZZ_INPUTS", "0"))
@@ -207,17 +207,10 @@ def _waiting() -> Starter:
 
 def _setup(starter: Starter) -> bytes:
     return msgspec.json.encode(
-        Setup(
+        setup_of(
             run="r-1",
-            run_dir="",
             name="environment",
             kind="environment",
-            factory="",
-            period=0.002,
-            pace="realtime",
-            apply="on_arrival",
-            axes=["z"],
-            ticks=0,
             publish=starter.publish,
             control=starter.control,
             sources={"/device/state": f"tcp://127.0.0.1:5600#{'ab' * 32}"},

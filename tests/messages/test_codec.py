@@ -20,8 +20,8 @@ from messages.codec import MAX_PAYLOAD, Decoder, MessageRefusedError, encode
 from messages.transport.requests import MAX_REPLY, decode_reply, decode_request
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import MAX_COUNT, DeviceState, Force, Message, Proxy
-from nodes.base.setup import Setup
 from tests.support.launching import private_runtime_dir, wait_for
+from tests.support.setups import setup_of
 from tests.support.strategies import TYPES, messages
 
 GOOD: dict[str, Any] = {"seq": 3, "stamp": 0.006, "force": [0.0, 0.0, 1.5]}
@@ -131,12 +131,19 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
     """A real coupling process, fed by the test in the place of the environment."""
     with private_runtime_dir() as folder:
         inbox, outbox, control = (f"ipc://{folder}/{name}" for name in ("environment.pub", "c.pub", "c.ctl"))
-        setup = Setup(
-            run="garbage", run_dir=str(folder), name="coupling", kind="coupling", factory="nodes.coupling.node:Coupling",
-            period=0.002, pace="lockstep", apply="on_arrival", axes=["z"], ticks=0, publish=outbox, control=control,
-            sources={topics.PROXY: inbox}, listeners=1,
+        setup = setup_of(
+            run="garbage",
+            run_dir=str(folder),
+            name="coupling",
+            kind="coupling",
+            factory="nodes.coupling.node:Coupling",
+            pace="lockstep",
+            publish=outbox,
+            control=control,
+            sources={topics.PROXY: inbox},
+            listeners=1,
             parameters={"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 0.0}}},
-        )  # fmt: skip
+        )
         (folder / "coupling.json").write_bytes(msgspec.json.encode(setup))
         context = new_context()
         rogue = Publisher(context, inbox)

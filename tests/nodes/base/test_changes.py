@@ -11,8 +11,8 @@ import msgspec
 import pytest
 
 from nodes.base.node import Node
-from nodes.base.setup import Setup
 from nodes.parameters.store import ParameterError
+from tests.support.setups import setup_of
 
 
 class GainParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -28,24 +28,7 @@ class Amplifier(Node):
     Parameters: ClassVar[type[msgspec.Struct]] = GainParameters
 
     def __init__(self) -> None:
-        super().__init__(
-            Setup(
-                run="run",
-                run_dir="/nowhere",
-                name="amplifier",
-                kind="amplifier",
-                factory="",
-                period=0.002,
-                pace="realtime",
-                apply="on_arrival",
-                axes=["z"],
-                ticks=0,
-                publish="",
-                control="",
-                sources={},
-                parameters={},
-            )
-        )
+        super().__init__(setup_of(run_dir="/nowhere", name="amplifier", kind="amplifier"))
         self.state = "running"
         self.applied: list[tuple[int, float]] = []
 

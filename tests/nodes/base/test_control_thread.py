@@ -24,19 +24,16 @@ from messages.transport.sockets import new_context
 from nodes.base import control_thread
 from nodes.base.control_thread import ControlServer
 from nodes.base.node import Node
-from nodes.base.setup import Setup
 from tests.support.launching import DEADLINE, HAPTIC, private_runtime_dir, running, wait_for
 from tests.support.ports import free_ports
+from tests.support.setups import setup_of
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
 
 
 def server(context: Context, folder: Path, **operations: Any) -> ControlServer:
-    setup = Setup(
-        run="r", run_dir=str(folder), name="n", kind="k", factory="", period=0.002, pace="realtime",
-        apply="on_arrival", axes=["z"], ticks=0, publish="", control=f"ipc://{folder}/n.ctl", sources={},
-    )  # fmt: skip
+    setup = setup_of(run_dir=str(folder), name="n", kind="k", control=f"ipc://{folder}/n.ctl")
     node = Node(setup)
     made = ControlServer(node, context, Links(context, node.say, node.deny))
     made._operations |= operations
@@ -149,11 +146,17 @@ def test_a_flooded_node_without_a_launcher_ends_by_its_lease(tmp_path: Path, mon
         )  # fmt: skip
         try:
             publish, control = (f"tcp://127.0.0.1:{port + i}#{me.public}" for i in (0, 1))
-            setup = Setup(
-                run="r-1", run_dir="", name="environment", kind="environment", factory="", period=0.002,
-                pace="realtime", apply="on_arrival", axes=["z"], ticks=0, publish=publish, control=control, lease=2.0,
-                sources={"/device/state": f"tcp://127.0.0.1:{free_ports(1)}#{me.public}"}, by_hand=True, patience=1.0,
-            )  # fmt: skip
+            setup = setup_of(
+                run="r-1",
+                name="environment",
+                kind="environment",
+                publish=publish,
+                control=control,
+                lease=2.0,
+                sources={"/device/state": f"tcp://127.0.0.1:{free_ports(1)}#{me.public}"},
+                by_hand=True,
+                patience=1.0,
+            )
             wait_for(lambda: b"waiting for its launcher" in (tmp_path / "err").read_bytes(), "the node waits")
             call(context, control, "configure", timeout=DEADLINE, setup=msgspec.to_builtins(setup))
             clients: list[socket.socket] = []

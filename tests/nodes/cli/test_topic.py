@@ -21,12 +21,12 @@ from hypothesis import strategies as st
 from messages.codec import encode
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
 from messages.types import Force
-from nodes.base.setup import Setup
 from nodes.cli import main
 from nodes.cli.spread import Spread
 from nodes.launcher.runs import RunInfo, new_run_dir, write_run
 from nodes.recording.reader import Recording
 from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, wait_for
+from tests.support.setups import setup_of
 
 RATE = 250.0
 SLACK = 0.5
@@ -157,20 +157,13 @@ def test_lockstep_has_no_delay(capsys: pytest.CaptureFixture[str], monkeypatch: 
     with private_runtime_dir() as runtime_dir:
         monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(runtime_dir))
         path = new_run_dir("quick")
-        driver = Setup(
+        driver = setup_of(
             run="quick",
             run_dir=str(path),
-            name="driver",
-            kind="sim_driver",
             factory="sim.device.driver:SimDriver",
-            period=0.002,
             pace="lockstep",
-            apply="on_arrival",
-            axes=["z"],
-            ticks=0,
             publish=f"ipc://{path}/driver.pub",
             control=f"ipc://{path}/driver.ctl",
-            sources={},
         )
         write_run(path, RunInfo(run="quick", scenario="quick", launcher=os.getpid(), nodes={"driver": driver}))
         assert main.main(["topic", "delay", DEVICE_STATE]) == 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,12 +14,9 @@ from messages.transport.requests import ControlError
 from messages.types import Event, Force
 from nodes.parameters.yaml_io import parse_yaml
 from sim.bench.swaps import measure
-from tests.support import FIXTURES
+from tests.support import INSTALLED
 from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import Running, running, wait_for
-
-INSTALLED = FIXTURES / "installed"
-WITH_PACKAGE = {"PYTHONPATH": os.pathsep.join([str(INSTALLED), os.environ.get("PYTHONPATH", "")])}
 
 REST = 0.981
 """Force at rest under 0.1 kg [N]."""
@@ -100,7 +96,7 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """One real-time loop for all refusals and failures: each must leave it as it was."""
     folder = tmp_path_factory.mktemp("held")
     (folder / "held.yaml").write_text(HELD)
-    with running(folder, "./held.yaml", environment=WITH_PACKAGE) as launch:
+    with running(folder, "./held.yaml", environment=INSTALLED) as launch:
         launch.wait_ticks(100)
         yield launch
 

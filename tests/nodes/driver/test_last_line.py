@@ -19,12 +19,11 @@ from messages.transport.requests import ControlError
 from nodes.recording.reader import Recording
 from nodes.tick.choose import choose
 from sim.measure.rig import full_pipe
-from tests.support import FIXTURES
+from tests.support import INSTALLED
 from tests.support.launching import Running, running, wait_for
 
 pytestmark = pytest.mark.realtime
 
-INSTALLED = {"PYTHONPATH": f"{FIXTURES / 'installed'}:{os.environ.get('PYTHONPATH', '')}"}
 STIFFNESS, DAMPING = 1000.0, 0.5
 LAW_DAMPING = 3.0
 PERIOD = 0.002

@@ -13,6 +13,7 @@ from nodes.driver.limits import STOP_TIME, SafetyParameters, lower
 from nodes.driver.node import Driver
 from nodes.parameters.store import ParameterError, convert
 from tests.support.safety import Port, T
+from tests.support.setups import setup_of
 
 # -- the device's limits ----------------------------------------------------------------------------------------------
 
@@ -91,20 +92,11 @@ def test_parameters_that_make_no_sense_are_refused_by_path(data: dict[str, Any],
 
 def test_an_empty_workspace_is_refused_before_anything_is_started() -> None:
     def setup(high: float) -> Setup:
-        return Setup(
-            run="r",
-            run_dir="",
+        return setup_of(
             name="arm",
             kind="driver",
             factory="nodes.driver.node:Driver",
             period=T,
-            pace="realtime",
-            apply="on_arrival",
-            axes=["z"],
-            ticks=0,
-            publish="",
-            control="",
-            sources={},
             parameters={"safety": {"workspace": [[-1.0, 1.0], [-1.0, 1.0], [0.0, high]]}},
         )
 
@@ -114,9 +106,6 @@ def test_an_empty_workspace_is_refused_before_anything_is_started() -> None:
 
 
 def test_a_device_that_exists_is_not_made_to_wait() -> None:
-    setup = Setup(
-        run="r", run_dir="", name="arm", kind="driver", factory="", period=T, pace="lockstep", apply="on_arrival",
-        axes=["z"], ticks=0, publish="", control="", sources={},
-    )  # fmt: skip
+    setup = setup_of(name="arm", kind="driver", period=T, pace="lockstep")
     with pytest.raises(ParameterError, match=r"^arm: pace lockstep waits for each force, however long"):
         Driver.check(setup)

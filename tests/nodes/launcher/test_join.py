@@ -17,13 +17,13 @@ from messages.transport.endpoints import split
 from messages.transport.keys import Identity
 from messages.transport.requests import ControlError, Request, call
 from nodes.base.node import Node
-from nodes.base.setup import Setup
 from nodes.launcher.external_child import command
 from nodes.parameters.paths import LocalPath, check_paths, needed
 from nodes.parameters.store import ParameterError
 from nodes.recording.logger import LoggerParameters
 from tests.support.launching import DEADLINE, HAPTIC, haptic, private_runtime_dir, wait_for
 from tests.support.ports import free_ports
+from tests.support.setups import setup_of
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
@@ -73,11 +73,15 @@ class Waiting:
 
     def setup(self, kind: str, **parameters: object) -> dict[str, Any]:
         """Write a setup that is right in everything but perhaps what is tested."""
-        made = Setup(
-            run="r-1", run_dir="", name=self.name, kind=kind, factory="", period=0.002, pace="realtime",
-            apply="on_arrival", axes=["z"], ticks=0, publish=self.publish, control=self.control, lease=5.0,
-            sources={}, parameters=parameters,
-        )  # fmt: skip
+        made = setup_of(
+            run="r-1",
+            name=self.name,
+            kind=kind,
+            publish=self.publish,
+            control=self.control,
+            lease=5.0,
+            parameters=parameters,
+        )
         found: dict[str, Any] = msgspec.to_builtins(made)
         return found
 
@@ -216,11 +220,14 @@ def test_what_the_launcher_prints_allows_what_the_launch_needs(tmp_path: Path, m
     parameters = LoggerParameters(path="far away/x.mcap", overwrite=True)
     assert needed(parameters) == ["far away", "."]
     check_paths(parameters, list(map(Path, needed(parameters))), "logger")
-    setup = Setup(
-        run="r", run_dir="", name="disk", kind="logger", factory="nodes.recording.logger:Logger", period=0.002,
-        pace="realtime", apply="on_arrival", axes=["z"], ticks=0, publish="tcp://10.0.0.2:5600#" + "ab" * 32,
-        control="tcp://10.0.0.2:5601#" + "ab" * 32, sources={}, parameters={"path": "far away/x.mcap"},
-    )  # fmt: skip
+    setup = setup_of(
+        name="disk",
+        kind="logger",
+        factory="nodes.recording.logger:Logger",
+        publish="tcp://10.0.0.2:5600#" + "ab" * 32,
+        control="tcp://10.0.0.2:5601#" + "ab" * 32,
+        parameters={"path": "far away/x.mcap"},
+    )
     told = "on 10.0.0.2: haptic node start disk --bind 10.0.0.2:5600 --kind logger --allow-path 'far away'"
     assert command(setup) == told
 
@@ -234,10 +241,7 @@ class _Kind(Node):
 
 
 def test_a_running_node_takes_no_path_from_the_wire_either(tmp_path: Path) -> None:
-    setup = Setup(
-        run="r", run_dir="", name="n", kind="k", factory="", period=0.002, pace="realtime", apply="on_arrival",
-        axes=["z"], ticks=0, publish="", control="", sources={}, allow_paths=[str(tmp_path)],
-    )  # fmt: skip
+    setup = setup_of(name="n", kind="k", allow_paths=[str(tmp_path)])
     node = _Kind(setup)
     with pytest.raises(ParameterError, match="--allow-path /etc"):
         node.change_parameters(lambda: node.store.changed({"path": "/etc/passwd"}))

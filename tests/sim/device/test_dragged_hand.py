@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 from messages.topics import DEVICE_STATE
-from nodes.base.setup import Setup
 from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
@@ -31,22 +30,9 @@ from sim.device.tick.layout import DriverState
 from sim.scene.from_launch import from_launch
 from sim.scene.hand_path import target_path
 from tests.support.launching import running, wait_for
+from tests.support.setups import setup_of
 
-SETUP = Setup(
-    run="r",
-    run_dir="",
-    name="driver",
-    kind="sim_driver",
-    factory="",
-    period=0.002,
-    pace="realtime",
-    apply="on_arrival",
-    axes=["x"],
-    ticks=0,
-    publish="",
-    control="",
-    sources={},
-)
+SETUP = setup_of(axes=["x"])
 
 
 def test_the_target_moves_no_faster_than_it_may_and_comes_back(tmp_path: Path) -> None:

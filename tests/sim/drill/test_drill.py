@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 
 from messages.types import DeviceState
-from nodes.base.setup import Setup
 from nodes.driver.device import DeviceLimits
 from nodes.driver.limits import lower
 from nodes.launcher import launch_file
@@ -27,6 +26,7 @@ from sim.drill.witness import UNEXPLAINED, largest
 from sim.measure.launches import within
 from sim.measure.rig import Rig
 from tests.support.launching import HAPTIC, haptic, wait_for
+from tests.support.setups import setup_of
 
 HELD = (0.0, 0.0, 1.0)
 
@@ -129,10 +129,7 @@ def test_the_limit_is_that_of_the_drill_s_own_safety(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("hold", "let_go"), [(0.02, 10), (None, None)])
 def test_the_virtual_device_lets_go_after_its_deadline(hold: float | None, let_go: int | None) -> None:
     period = 0.002
-    setup = Setup(
-        run="r", run_dir="", name="driver", kind="sim_driver", factory="", period=period, pace="realtime",
-        apply="on_arrival", axes=["z"], ticks=0, publish="", control="", sources={},
-    )  # fmt: skip
+    setup = setup_of(period=period)
     model = convert({"device": {"mass": 1.0, "damping": 0.0}}, SimDriverParameters, "driver").device
     device = TimedDevice(model, setup, hold)
     device.read_position(0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +27,10 @@ from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
 from sim.experiments.k_max_launched import NO_LIMITS, launched, settles_launched
 from sim.scene.loop import Scene, run
+from tests.support import INSTALLED
 from tests.support.launching import launch_json
 
 T, STEP = 0.002, 2.3e-5
-INSTALLED = {"PYTHONPATH": f"{Path(__file__).parents[2] / 'fixtures' / 'installed'}:{os.environ.get('PYTHONPATH', '')}"}
 
 
 def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np.ndarray:
