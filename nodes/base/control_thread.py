@@ -223,7 +223,7 @@ class ControlServer(threading.Thread):
             self._next_status = now + STATUS_PERIOD
             node.post(topics.status(node.setup.name), node.status())
             # Who answers each tick should hear one all the time, from the first one on.
-            self._links.look(node.ticks or None if node.answers and node.state == "running" else None)
+            self._links.look(node.counted().ticks or None if node.answers and node.state == "running" else None)
 
     def _poll_file(self, watched: WatchedFile) -> None:
         node = self._node

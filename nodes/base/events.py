@@ -59,9 +59,13 @@ class Telling:
         self._simulated = setup.pace == "lockstep"
         self._told: dict[str, int] = {}
 
+    def tick_now(self) -> int:
+        """Tell the tick that the node is at; from any thread."""
+        return self.seq
+
     def now(self) -> float:
         """Time for stamps: the monotonic clock of the launcher's host, or simulated time in lockstep."""
-        return self.seq * self._period if self._simulated else time.monotonic() + self.clock_offset
+        return self.tick_now() * self._period if self._simulated else time.monotonic() + self.clock_offset
 
     def set_clock(self, offset: float, error: float) -> None:
         """Take over how far this host's clock is from the launcher's, as the launcher has measured it."""
@@ -70,6 +74,8 @@ class Telling:
                 f"{self.setup.name}: clock.set {offset!r} {error!r}: expected two finite numbers of seconds"
             )
         self.clock_offset, self.clock_error = offset, error
+        # Compiled ticks go on with the one that they were given.
+        self.call()
 
     def say(self, text: str) -> None:
         """Write one line to standard error, named; in a node's process it only joins a queue (nodes/base/words.py)."""
@@ -93,13 +99,20 @@ class Telling:
         self._post_event(kind, reason)
 
     def _post_event(self, kind: str, reason: str) -> None:
-        message = Event(seq=self.seq, stamp=self.now(), node=self.setup.name, kind=kind, reason=reason[:4000])
+        message = Event(seq=self.tick_now(), stamp=self.now(), node=self.setup.name, kind=kind, reason=reason[:4000])
         self.post(topics.event(self.setup.name), message)
 
     def post(self, topic: str, message: Message) -> None:
         """Queue a message that is not part of the tick; it leaves after the tick's own."""
-        self.outbox.append((topic.encode(), encode(message)))
-        self.call()
+        frames = topic.encode(), encode(message)
+        if not self.mail(*frames):
+            self.outbox.append(frames)
+            self.call()
+
+    def mail(self, topic: bytes, payload: bytes) -> bool:
+        """Send a message without calling the loop, where that can be done; from any thread."""
+        del topic, payload
+        return False
 
     def call(self) -> None:
         """Call the loop's attention to what waits between two ticks; from any thread."""

@@ -9,12 +9,9 @@ from messages import topics
 from nodes.base.setup import Setup
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.renderer import ActiveLaw, Renderer
-from nodes.tick.answering import CompiledTicks, Node
+from nodes.tick.answering import NEVER, CompiledTicks, Node
 from nodes.tick.layout import CouplingState
 from nodes.tick.library import Kernel
-
-NEVER = 2**62
-"""A tick that does not come."""
 
 
 class SharedHistory(History):

@@ -136,14 +136,20 @@ class Coupling(Node):
         compiled = self._book.compile(parameters, name)
         return ActiveLaw(name, self._book.text(parameters, name), compiled, self._renderer.histories)
 
+    @property
+    def _felt_delay(self) -> float:
+        """Delay of the loop as measured by now [ticks]; from any thread."""
+        ahead = self.ahead
+        return self._delay if ahead is None or not ahead.inside else float(ahead.state.delay)
+
     def _judge(
         self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool
     ) -> dict[str, Any]:
         """Refuse a change that the stability figures call unstable, or tell these figures, before and after it."""
-        verdict, warning = self._judgement.of_change(now, wanted, law.name, law.compiled, self._delay, force)
+        verdict, warning = self._judgement.of_change(now, wanted, law.name, law.compiled, self._felt_delay, force)
         if warning:
             self.announce("stability", warning)
-        before = self._judgement.verdict(wanted, self._renderer.law.compiled, self._delay)
+        before = self._judgement.verdict(wanted, self._renderer.law.compiled, self._felt_delay)
         return {
             "pole_radius": verdict and verdict.pole_radius,
             "was_pole_radius": before and before.pole_radius,
@@ -190,7 +196,7 @@ class Coupling(Node):
             if law != now.laws.get(name):
                 self._book.compile(parameters, name)
         fallback = self._make_fallback(parameters)
-        self._judgement.refuse_fallback(now, parameters, self._delay, force)
+        self._judgement.refuse_fallback(now, parameters, self._felt_delay, force)
         law = self._prepare_law(parameters, parameters.law)
         judged = law.compiled, parameters.plant, parameters.stability
         stability: dict[str, Any] = {}
@@ -228,10 +234,10 @@ class Coupling(Node):
         parameters: CouplingParameters = self.store.current
         if law:
             described = self._book.description(parameters, law)
-            return {"law": law, **described, **self._book.figures(parameters, law, self._delay)}
+            return {"law": law, **described, **self._book.figures(parameters, law, self._felt_delay)}
         active = self._renderer.law
         described = msgspec.json.decode(active.text)
-        return {**described, **self._book.figures_of(parameters, active.compiled, self._delay)}
+        return {**described, **self._book.figures_of(parameters, active.compiled, self._felt_delay)}
 
     def _switch_law(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
         usual = self.store.current.ramp
@@ -249,8 +255,8 @@ class Coupling(Node):
         )
         parameters: CouplingParameters = self.store.current
         if parameters.figures:
-            receipt["was"] = self._book.figures_of(parameters, before.compiled, self._delay)
-            receipt["is"] = self._book.figures(parameters, law, self._delay)
+            receipt["was"] = self._book.figures_of(parameters, before.compiled, self._felt_delay)
+            receipt["is"] = self._book.figures(parameters, law, self._felt_delay)
         return receipt
 
     # -- between two ticks -------------------------------------------------------------------------------------------

@@ -91,7 +91,7 @@ class Answers(Node):
         """End the process when the device hangs: nobody but the device itself can bring its force down then."""
         what, limit = self._doing
         self._wind(limit)
-        if self._standstill.look((what, self.seq, self.ticks, self._soft_stop_ticks)) >= limit:
+        if self._standstill.look((what, *self.counted(), self._soft_stop_ticks)) >= limit:
             hold = self._device.limits.hold
             lets_go = f"it lets go by itself after {hold:g} s" if math.isfinite(hold) else "it may hold its last force"
             give_up(self, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
@@ -112,7 +112,7 @@ class Answers(Node):
         return {"progress": self._progress, "device": lambda: times}
 
     def _progress(self) -> dict[str, Any]:
-        return {
+        figures = {
             "tick": self.ticks,
             "ticks": self.setup.ticks,
             "position_m": list(self._motion.position),
@@ -123,6 +123,8 @@ class Answers(Node):
             "recent_s": self._responses.recent.tobytes(),
             "answered": self._responses.count,
         }
+        ahead = self.ahead
+        return figures if ahead is None or not ahead.inside else {**figures, **ahead.progress()}
 
     def report(self) -> dict[str, Any]:
         """Summarise the run."""

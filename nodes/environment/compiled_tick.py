@@ -7,7 +7,7 @@ from typing import Any, Protocol
 from messages import topics
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.environment.surfaces import Anchor, Free, Plane, Surface
-from nodes.tick.answering import CompiledTicks, Node
+from nodes.tick.answering import NEVER, CompiledTicks, Node
 from nodes.tick.layout import ANCHOR, FREE, PLANE, EnvironmentState
 from nodes.tick.library import Kernel
 
@@ -42,7 +42,7 @@ class EnvironmentTicks(CompiledTicks):
             setup.pace == "realtime",
         )
         self._environment = node
-        self.state.until = 2**62
+        self.state.until = NEVER
         self.state.may_skip = 1
         self._surface: Surface | None = None
         self._known = False

@@ -8,7 +8,10 @@ subscription, so that the plain tick receives it as if nobody had looked at it.
 from __future__ import annotations
 
 import ctypes
+import sys
+import threading
 from array import array
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Final, Protocol, TypeVar
 
@@ -18,16 +21,16 @@ from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
 from messages.transport.sockets import Publisher, Subscription
 from nodes.tick.fields import key_blocks
-from nodes.tick.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC
+from nodes.tick.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, Counted
 from nodes.tick.library import Kernel, functions
 
 M = TypeVar("M")
 
-GLANCE: Final = 0.25
-"""How often at least the interpreter looks whether it is wanted: counters that others read are at most so old [s]."""
-
 LOCKSTEP_TICKS: Final = 256
-"""After how many ticks it looks in lockstep."""
+"""After how many ticks a kernel stops in lockstep. In real time each stop costs a tick or two at 8 kHz: it does not."""
+
+NEVER: Final = 2**62
+"""A tick that does not come."""
 
 WAIT_MS: Final = 100
 """Longest wait for a message before it looks [ms]."""
@@ -46,6 +49,8 @@ class Node(Protocol):
     answer: bytes
     ticks: int
     ticks_compiled: int
+    outbox: deque[tuple[bytes, bytes]]
+    called: bool
 
 
 class CompiledTicks:
@@ -70,6 +75,8 @@ class CompiledTicks:
     ----------
     state : ctypes.Structure
         The same.
+    inside : bool
+        Whether the kernel ticks now: what the node itself knows is then as old as its last stop.
     """
 
     def __init__(
@@ -78,8 +85,10 @@ class CompiledTicks:
         assert node.inbox is not None  # noqa: S101  # every kind that answers has one
         self._node, self._kernel, self._inbox = node, kernel, node.inbox
         self.state = state
+        self.inside = False
+        self._mailing = threading.Lock()
         self._at = ctypes.addressof(state)
-        self._most = max(1, int(GLANCE / period)) if realtime else LOCKSTEP_TICKS
+        self._most = NEVER if realtime else LOCKSTEP_TICKS
         for name, address in functions().items():
             setattr(state, name, address)
         state.inbox = node.inbox.lend()
@@ -91,6 +100,9 @@ class CompiledTicks:
         self._payload = self._room("payload", LONGEST_IN)
         self._text = self._room("text", LONGEST_TEXT + 16)
         self._room("time", 16)
+        self._room("events", 8)
+        self._room("events_size", 8).raw = (4).to_bytes(8, sys.byteorder)
+        self._mail = self._room("mail_topic", LONGEST_TOPIC), self._room("mail_payload", LONGEST_MAIL)
         # An encoder may write 16 bytes beyond its message.
         self._room("out", LONGEST_OUT + 16)
         self._room("held", state.batch * LONGEST_OUT + 16)
@@ -130,7 +142,58 @@ class CompiledTicks:
     def leave(self, done: int) -> None:
         """Bring the node's side up to date, after compiled ticks."""
 
+    # -- for other threads, while the kernel ticks --------------------------------------------------------------------
+
+    def counted(self) -> Counted:
+        """Tell how far the kernel is; at tick 0 before the first."""
+        return Counted(max(self.state.seq, 0), self.state.ticks, self.state.gaps)
+
+    def progress(self) -> dict[str, Any]:
+        """Tell what the kernel knows better than the node of what its progress tells."""
+        return {}
+
+    def mail(self, topic: bytes, payload: bytes) -> bool:
+        """Have the kernel send a message that is not part of a tick; whether it will, or the loop has to be called for it."""
+        state = self.state
+        fits = len(topic) <= LONGEST_TOPIC and len(payload) <= LONGEST_MAIL
+        if not fits or not self.inside or not self._mailing.acquire(blocking=False):
+            return False
+        try:
+            if state.mail:
+                return False
+            for room, content in zip(self._mail, (topic, payload), strict=True):
+                ctypes.memmove(room, content, len(content))
+            state.mail_topic_size, state.mail_size = len(topic), len(payload)
+            # Last: the kernel looks at this.
+            state.mail = 1
+        finally:
+            self._mailing.release()
+        return True
+
     # -- the border --------------------------------------------------------------------------------------------------
+
+    def go(self) -> int:
+        """Let the kernel tick until it stops; the number of ticks done."""
+        state = self.state
+        state.upstream = 0
+        self.inside = True
+        try:
+            done = self._kernel(self._at)
+        finally:
+            self.inside = False
+        self.take_mail()
+        if state.upstream:
+            self._node.called = True
+        return done
+
+    def take_mail(self) -> None:
+        """Put a message that the kernel was to send, and did not, into the outbox."""
+        state = self.state
+        if state.mail:
+            topic, payload = self._mail
+            self._node.outbox.append((topic.raw[: state.mail_topic_size], payload.raw[: state.mail_size]))
+            state.mail = 0
+            self._node.called = True
 
     def last_sent(self) -> bytes:
         """Copy the message sent last."""
@@ -148,7 +211,7 @@ class CompiledTicks:
             state.most = self._most
             state.seq, state.ticks, state.clock_offset = node.followed, node.ticks, node.clock_offset
             state.gaps = node.gaps
-            done = self._kernel(self._at)
+            done = self.go()
             if done:
                 node.seq = node.followed = node.answered = state.seq
                 node.answer = self.last_sent()

@@ -6,7 +6,7 @@ Addresses are whole numbers: a kernel knows nothing of Python's objects. Whoever
 from __future__ import annotations
 
 from ctypes import Structure, c_double, c_int64
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 LONGEST_OUT: Final = 1024
 """Room for one message sent [bytes]; the longest is under 600."""
@@ -16,6 +16,9 @@ LONGEST_IN: Final = 65536 + 64
 
 LONGEST_TOPIC: Final = 256
 """Room for a first frame [bytes]; of a longer one only the beginning is ever told."""
+
+LONGEST_MAIL: Final = 4096
+"""Room for a message that is not part of a tick [bytes]; a longer one makes the kernel stop."""
 
 LONGEST_TEXT: Final = 128
 """Longest text in a message sent, encoded [bytes]."""
@@ -31,6 +34,15 @@ WHOLES: Final = 16
 
 TEXTS: Final = 12
 """Where among the wholes address and size of a message's text stand; size -1 for one that is absent."""
+
+
+class Counted(NamedTuple):
+    """How far a node is: its tick, ticks handled so far, and ticks missing in what it follows."""
+
+    seq: int
+    ticks: int
+    gaps: int
+
 
 _ADDRESSES: Final = [
     # C functions
@@ -57,6 +69,10 @@ _ADDRESSES: Final = [
     "held",
     "held_sizes",
     "time",
+    "events",
+    "events_size",
+    "mail_topic",
+    "mail_payload",
 ]
 
 LOOP: Final[list[tuple[str, Any]]] = [
@@ -71,7 +87,7 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("may_skip", c_int64),
     ("period", c_double),
     ("clock_offset", c_double),
-    # how many ticks at most before Python looks, and before which tick
+    # how many ticks at most before the kernel stops, and before which tick
     ("most", c_int64),
     ("until", c_int64),
     # what goes on from tick to tick
@@ -84,6 +100,14 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("frames", c_int64),
     ("frame_size", c_int64),
     ("payload_size", c_int64),
+    # a message that another thread wants sent: whether there is one, the sizes of its frames [bytes], how many were sent so far
+    ("mail", c_int64),
+    ("mail_topic_size", c_int64),
+    ("mail_size", c_int64),
+    ("mailed", c_int64),
+    # ticks since the kernel looked for mail, and whether a listener has sent something that must be taken in
+    ("unlooked", c_int64),
+    ("upstream", c_int64),
     # the numbers of the message read, and of the one to be written
     ("reals", c_double * REALS),
     ("wholes", c_int64 * WHOLES),

@@ -10,7 +10,7 @@ from nodes.kernels import SMOOTHING, deflection, fir, one_sided, push, sections
 from nodes.tick.fields import fields_of, slot
 from nodes.tick.kernels.encode import make_encode
 from nodes.tick.kernels.follow import in_order
-from nodes.tick.kernels.hop import answer, flush, monotonic, out_at, receive
+from nodes.tick.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.tick.kernels.machine import compilable, reals_at, record_at
 from nodes.tick.kernels.scan import make_scan
 from nodes.tick.kernels.sources import kernel, record_of
@@ -97,5 +97,7 @@ def ticks(address: int) -> int:
             s.pushes[n] += 1
         s.ticks += 1
         done += 1
+        if called(s):
+            break
     flush(s)
     return done

@@ -9,7 +9,7 @@ from nodes.kernels import plane_distance
 from nodes.tick.fields import fields_of, slot
 from nodes.tick.kernels.encode import make_encode
 from nodes.tick.kernels.follow import in_order
-from nodes.tick.kernels.hop import answer, flush, monotonic, out_at, receive
+from nodes.tick.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.tick.kernels.machine import compilable, record_at
 from nodes.tick.kernels.scan import make_match, make_scan
 from nodes.tick.kernels.sources import kernel, record_of
@@ -74,5 +74,7 @@ def ticks(address: int) -> int:
         answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
         s.ticks += 1
         done += 1
+        if called(s):
+            break
     flush(s)
     return done

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from nodes.tick.kernels.machine import byte, call_clock, call_pass, call_yield, compilable, wholes_at
+from nodes.tick.kernels.machine import byte, call_clock, call_option, call_pass, call_yield, compilable, wholes_at
 from nodes.tick.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TOPIC
 
 SNDMORE = 2
 DONTWAIT = 1
 CLOCK_MONOTONIC = 1
+_EVENTS, _POLLIN = 15, 1
 
 _ROOM, _ROOM_IN, _ROOM_TOPIC = LONGEST_OUT, LONGEST_IN, LONGEST_TOPIC
 
@@ -42,6 +43,15 @@ def receive(s: Any, flags: int) -> bool:
     s.frames = 2
     s.payload_size = size
     return bool(size <= _ROOM_IN)
+
+
+@compilable
+def has_message(s: Any, socket: int) -> bool:
+    """Whether a socket has something to be received."""
+    events = wholes_at(s.events, 1)
+    events[0] = 0
+    call_option(s.zmq_getsockopt, (socket, _EVENTS, s.events, s.events_size))
+    return bool(events[0] & _POLLIN != 0)
 
 
 @compilable
@@ -86,3 +96,22 @@ def answer(s: Any, at: int, size: int) -> None:
         call_yield(s.sched_yield, (0,))
         flush(s)
     s.sent, s.sent_size = at, size
+
+
+@compilable
+def called(s: Any) -> bool:
+    """Send what another thread has to say, once per batch; whether a listener has sent something, which Python takes in."""
+    s.unlooked += 1
+    if s.unlooked < s.batch:
+        return False
+    s.unlooked = 0
+    if s.mail != 0:
+        to = s.aside if s.aside != 0 else s.hop
+        call_pass(s.zmq_send, (to, s.mail_topic, s.mail_topic_size, SNDMORE))
+        call_pass(s.zmq_send, (to, s.mail_payload, s.mail_size, 0))
+        s.mailed += 1
+        s.mail = 0
+    if has_message(s, s.hop) or (s.aside != 0 and has_message(s, s.aside)):
+        s.upstream = 1
+        return True
+    return False

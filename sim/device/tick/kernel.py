@@ -19,7 +19,9 @@ from nodes.tick.kernels.encode import make_encode
 from nodes.tick.kernels.hop import (
     CLOCK_MONOTONIC,
     DONTWAIT,
+    called,
     flush,
+    has_message,
     hold,
     monotonic,
     out_at,
@@ -27,7 +29,6 @@ from nodes.tick.kernels.hop import (
     send_hop,
 )
 from nodes.tick.kernels.machine import (
-    call_option,
     call_poll,
     call_sleep,
     compilable,
@@ -57,7 +58,6 @@ _TO_STAMP, _TO_POSITION, _TO_FORCE, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_
 _BETWEEN, _WAITING = BETWEEN, WAITING
 _STOP = -1
 _TIMER_ABSTIME = 1
-_EVENTS, _POLLIN = 15, 1
 _RECENT = response_times.RECENT
 # As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
 _SOON = 1e-3
@@ -215,11 +215,8 @@ def _sleep_until(s: Any, deadline: float) -> float:
 @compilable
 def _await(s: Any, deadline: float) -> bool:
     """Wait for a message until an absolute time, to the microsecond (`Subscription.receive_until`)."""
-    events = wholes_at(s.events, 1)
     while True:
-        events[0] = 0
-        call_option(s.zmq_getsockopt, (s.inbox, _EVENTS, s.events, s.events_size))
-        if events[0] & _POLLIN != 0:
+        if has_message(s, s.inbox):
             return True
         remaining = deadline - monotonic(s)
         if remaining <= 0.0 or s.attention != 0:
@@ -359,5 +356,7 @@ def ticks(address: int) -> int:
         if found == _STOP:
             break
         done += found
+        if found != 0 and called(s):
+            break
     flush(s)
     return done

@@ -29,8 +29,6 @@ class DriverState(Structure):
         ("epoch", c_double),
         ("fd", c_int64),
         ("poll", c_int64),
-        ("events", c_int64),
-        ("events_size", c_int64),
         ("workspace", c_double * 6),
         ("reach", c_double),
         ("sampled", c_double),

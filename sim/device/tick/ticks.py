@@ -17,10 +17,10 @@ from nodes.driver.ahead import Belated, Stop
 from nodes.driver.mean_force import Latency
 from nodes.driver.motion import Motion
 from nodes.driver.passivity import PassivityGuard
-from nodes.driver.response_times import ResponseTimes
+from nodes.driver.response_times import BLOCK, ResponseTimes
 from nodes.driver.safety import REACH, Safety
 from nodes.tick.answering import WAIT_MS, CompiledTicks, Node
-from nodes.tick.layout import LONGEST_IN
+from nodes.tick.layout import LONGEST_IN, Counted
 from nodes.tick.library import Kernel
 from sim.device.tick.layout import PENDING, WAITING, DriverState
 
@@ -114,9 +114,7 @@ class DriverTicks(CompiledTicks):
         self._poll = array(
             "i", [self._inbox.fd, 1]
         )  # struct pollfd: descriptor, then two shorts: POLLIN, and the answer
-        self._events, self._events_size = array("q", [0]), array("q", [4])
-        for name, numbers in (("poll", self._poll), ("events", self._events), ("events_size", self._events_size)):
-            self.keep(name, numbers)
+        self.keep("poll", self._poll)
 
     def _set_limits(self, safety: Safety) -> None:
         state: Any = self.state
@@ -164,6 +162,22 @@ class DriverTicks(CompiledTicks):
         """Ask the kernel to stop after the present tick; from any thread."""
         self.state.attention = 1
 
+    def counted(self) -> Counted:
+        """Tell how far the kernel is; of a driver, the tick that was sampled last."""
+        return super().counted()._replace(seq=self.state.asked)
+
+    def progress(self) -> dict[str, Any]:
+        """Tell what `Answers` tells of its progress."""
+        state: Any = self.state
+        return {
+            "tick": state.ticks,
+            "position_m": list(state.position),
+            "force_n": list(state.force),
+            "missed": state.missed,
+            "overruns": state.overruns,
+            "answered": state.counted + state.recent_at % BLOCK,
+        }
+
     def _usual(self) -> bool:
         """Whether the next tick is one for the kernel."""
         node = self._driver
@@ -196,7 +210,7 @@ class DriverTicks(CompiledTicks):
         if following is not None:
             state.following[:] = following
         self._take_over()
-        done = self._kernel(self._at)
+        done = self.go()
         self._give_back(done)
         belated = None
         if state.belated:
