@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections import deque
+from typing import TYPE_CHECKING
 
 from messages import topics
 from messages.codec import encode
@@ -17,6 +18,10 @@ from messages.transport.waker import Waker
 from messages.types import Event, Message
 from nodes.base.setup import Setup
 from nodes.parameters.store import ParameterError
+from nodes.tick.layout import Counted
+
+if TYPE_CHECKING:
+    from nodes.tick.answering import CompiledTicks
 
 
 class Telling:
@@ -31,6 +36,10 @@ class Telling:
     ----------
     seq : int
         The tick that the node is at.
+    ticks, gaps, skipped : int
+        Ticks handled so far, ticks missing in what it follows, and messages left out for newer ones.
+    ahead : CompiledTicks or None
+        Its compiled ticks, when the sockets exist.
     outbox : deque of tuple of bytes
         Topics and payloads that wait for the end of the tick.
     called : bool
@@ -54,18 +63,25 @@ class Telling:
         # Nodes are made on the thread that runs their loop.
         self.loop_thread = threading.get_ident()
         self.refused = self.denied = 0
+        self.ticks = self.gaps = self.skipped = 0
+        self.ahead: CompiledTicks | None = None
         self.clock_offset = self.clock_error = 0.0
         self._period = setup.period
         self._simulated = setup.pace == "lockstep"
         self._told: dict[str, int] = {}
 
-    def tick_now(self) -> int:
-        """Tell the tick that the node is at; from any thread."""
-        return self.seq
+    def counted(self) -> Counted:
+        """Tell how far the node is, compiled ticks that still go on included; from any thread."""
+        ahead = self.ahead
+        return (
+            ahead.counted()
+            if ahead is not None and ahead.inside
+            else Counted(self.seq, self.ticks, self.gaps, self.skipped)
+        )
 
     def now(self) -> float:
         """Time for stamps: the monotonic clock of the launcher's host, or simulated time in lockstep."""
-        return self.tick_now() * self._period if self._simulated else time.monotonic() + self.clock_offset
+        return self.counted().seq * self._period if self._simulated else time.monotonic() + self.clock_offset
 
     def set_clock(self, offset: float, error: float) -> None:
         """Take over how far this host's clock is from the launcher's, as the launcher has measured it."""
@@ -99,20 +115,16 @@ class Telling:
         self._post_event(kind, reason)
 
     def _post_event(self, kind: str, reason: str) -> None:
-        message = Event(seq=self.tick_now(), stamp=self.now(), node=self.setup.name, kind=kind, reason=reason[:4000])
+        message = Event(seq=self.counted().seq, stamp=self.now(), node=self.setup.name, kind=kind, reason=reason[:4000])
         self.post(topics.event(self.setup.name), message)
 
     def post(self, topic: str, message: Message) -> None:
         """Queue a message that is not part of the tick; it leaves after the tick's own."""
         frames = topic.encode(), encode(message)
-        if not self.mail(*frames):
+        # Compiled ticks send it themselves, and are not called for it.
+        if self.ahead is None or not self.ahead.mail(*frames):
             self.outbox.append(frames)
             self.call()
-
-    def mail(self, topic: bytes, payload: bytes) -> bool:
-        """Send a message without calling the loop, where that can be done; from any thread."""
-        del topic, payload
-        return False
 
     def call(self) -> None:
         """Call the loop's attention to what waits between two ticks; from any thread."""

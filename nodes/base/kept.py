@@ -42,7 +42,7 @@ def keep(node: Node) -> None:
         return
     node.kept = current
     draft = _path(node).with_suffix(".keeping")
-    draft.write_bytes(msgspec.json.encode(Kept(seq=node.tick_now(), parameters=msgspec.to_builtins(current))))
+    draft.write_bytes(msgspec.json.encode(Kept(seq=node.counted().seq, parameters=msgspec.to_builtins(current))))
     draft.replace(_path(node))
 
 

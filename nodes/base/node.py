@@ -24,7 +24,6 @@ from nodes.base.events import Telling
 from nodes.base.handover import Changeable, Changes, Stopwatch
 from nodes.base.setup import Axis, Setup
 from nodes.parameters.store import ParameterError, ParameterStore
-from nodes.tick.layout import Counted
 
 if TYPE_CHECKING:
     from nodes.tick.answering import CompiledTicks
@@ -67,8 +66,6 @@ class Node(Telling, Changeable):
         They, where the launch asks for them and they could be had.
     ticks_compiled : int
         How many of the ticks they did.
-    ahead : CompiledTicks or None
-        They, when the sockets exist.
     serving : Stopwatch
         How long the control thread was at work.
     kept : msgspec.Struct
@@ -102,7 +99,7 @@ class Node(Telling, Changeable):
         self.changes = Changes(setup.name)
         self.inbox: Subscription | None = None
         self.links: Links | None = None
-        self.ticks = self.sent = self.received = self.skipped = self.gaps = 0
+        self.sent = self.received = 0
         self.followed = self.answered = -1
         self.answer = b""
         self.serving = Stopwatch()
@@ -110,7 +107,6 @@ class Node(Telling, Changeable):
         self.resumed_at = -1
         self.kernel: Kernel | None = None
         self.ticks_compiled = 0
-        self.ahead: CompiledTicks | None = None
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -315,42 +311,6 @@ class Node(Telling, Changeable):
         self.ahead = None if self.kernel is None else self.compiled_ticks(self.kernel)
         return self.ahead
 
-    def counted(self) -> Counted:
-        """Tell how far the node is, compiled ticks that still go on included; from any thread.
-
-        Returns
-        -------
-        Counted
-            Tick, number of ticks and gaps.
-        """
-        ahead = self.ahead
-        return ahead.counted() if ahead is not None and ahead.inside else Counted(self.seq, self.ticks, self.gaps)
-
-    def tick_now(self) -> int:
-        """Tell the tick that the node is at; from any thread.
-
-        Returns
-        -------
-        int
-            Its number.
-        """
-        return self.counted().seq
-
-    def mail(self, topic: bytes, payload: bytes) -> bool:
-        """Send a message without calling the loop, while it is in compiled ticks; from any thread.
-
-        Parameters
-        ----------
-        topic, payload : bytes
-            Its frames.
-
-        Returns
-        -------
-        bool
-            Whether it will be sent; otherwise it has to go through the outbox.
-        """
-        return self.ahead is not None and self.ahead.mail(topic, payload)
-
     def stop(self, reason: str) -> None:
         """Ask the loop to end after the present tick.
 
@@ -459,7 +419,7 @@ class Node(Telling, Changeable):
         NodeStatus
             State and counters.
         """
-        seq, ticks, gaps = self.counted()
+        seq, ticks, gaps, skipped = self.counted()
         answered, sampled = (ticks, 0) if self.answers else (0, ticks - self.ticks)
         mailed = 0 if self.ahead is None else self.ahead.state.mailed
         usage = resource.getrusage(resource.RUSAGE_SELF)
@@ -472,9 +432,9 @@ class Node(Telling, Changeable):
             pid=os.getpid(),
             ticks=ticks,
             sent=self.sent + mailed + answered + sampled,
-            received=self.received + answered + sampled,
+            received=self.received + answered + sampled + skipped - self.skipped,
             refused=self.refused,
-            skipped=self.skipped,
+            skipped=skipped,
             gaps=gaps,
             reason=self.stop_reason,
             memory=float(realtime.memory_bytes()),

@@ -84,6 +84,8 @@ class CouplingTicks(CompiledTicks):
         renderer = node._renderer
         shared.axes, shared.axis[:] = len(renderer.axes), (*renderer.axes, 0, 0)[:3]
         shared.length = renderer.histories[0].length
+        # A longer gap is more than the history remembers.
+        shared.bears_gap = shared.length - 2
         self._law: ActiveLaw | None = None
         self._known = False
 

@@ -41,6 +41,10 @@ class Ahead(Protocol):
         """Do ticks until something is unusual."""
         ...
 
+    def rehearse(self) -> None:
+        """Go the way in and out once, before the first tick."""
+        ...
+
     def wake(self) -> None:
         """Ask them to stop after the present tick; from any thread."""
         ...

@@ -287,6 +287,8 @@ class Driver(Answers):
         assert inbox is not None  # noqa: S101
         period, safety, write = self.setup.period, self._safety, self._write
         next_tick = self.setup.apply == "next_tick"
+        if self._ahead is not None:
+            self._ahead.rehearse()
         epoch = self._epoch()
         seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
         following_command: Vector | None = None

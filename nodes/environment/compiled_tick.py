@@ -43,7 +43,7 @@ class EnvironmentTicks(CompiledTicks):
         )
         self._environment = node
         self.state.until = NEVER
-        self.state.may_skip = 1
+        self.state.bears_gap = NEVER
         self._surface: Surface | None = None
         self._known = False
 

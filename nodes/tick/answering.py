@@ -46,6 +46,8 @@ class Node(Protocol):
     followed: int
     answered: int
     gaps: int
+    skipped: int
+    received: int
     answer: bytes
     ticks: int
     ticks_compiled: int
@@ -146,7 +148,8 @@ class CompiledTicks:
 
     def counted(self) -> Counted:
         """Tell how far the kernel is; at tick 0 before the first."""
-        return Counted(max(self.state.seq, 0), self.state.ticks, self.state.gaps)
+        state = self.state
+        return Counted(max(state.seq, 0), state.ticks, state.gaps, state.skipped)
 
     def progress(self) -> dict[str, Any]:
         """Tell what the kernel knows better than the node of what its progress tells."""
@@ -174,16 +177,19 @@ class CompiledTicks:
 
     def go(self) -> int:
         """Let the kernel tick until it stops; the number of ticks done."""
-        state = self.state
-        state.upstream = 0
+        node, state = self._node, self.state
+        state.upstream = state.skipping = 0
+        state.skipped = node.skipped
         self.inside = True
         try:
             done = self._kernel(self._at)
         finally:
             self.inside = False
+        node.received += state.skipped - node.skipped
+        node.skipped = state.skipped
         self.take_mail()
         if state.upstream:
-            self._node.called = True
+            node.called = True
         return done
 
     def take_mail(self) -> None:
@@ -212,10 +218,12 @@ class CompiledTicks:
             state.seq, state.ticks, state.clock_offset = node.followed, node.ticks, node.clock_offset
             state.gaps = node.gaps
             done = self.go()
-            if done:
+            if state.seq != node.followed:
                 node.seq = node.followed = node.answered = state.seq
+                node.gaps = state.gaps
+            if done:
                 node.answer = self.last_sent()
-                node.ticks, node.gaps = state.ticks, state.gaps
+                node.ticks = state.ticks
                 node.ticks_compiled += done
                 self.leave(done)
             if not state.frames:

@@ -37,11 +37,12 @@ TEXTS: Final = 12
 
 
 class Counted(NamedTuple):
-    """How far a node is: its tick, ticks handled so far, and ticks missing in what it follows."""
+    """How far a node is: its tick, ticks handled, ticks missing in what it follows, messages left out for newer ones."""
 
     seq: int
     ticks: int
     gaps: int
+    skipped: int
 
 
 _ADDRESSES: Final = [
@@ -83,8 +84,8 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("text_size", c_int64),
     ("batch", c_int64),
     ("realtime", c_int64),
-    # whether ticks that the driver left out are nothing but a number to it
-    ("may_skip", c_int64),
+    # how many ticks that the driver left out it can bear
+    ("bears_gap", c_int64),
     ("period", c_double),
     ("clock_offset", c_double),
     # how many ticks at most before the kernel stops, and before which tick
@@ -93,6 +94,9 @@ LOOP: Final[list[tuple[str, Any]]] = [
     # what goes on from tick to tick
     ("seq", c_int64),
     ("gaps", c_int64),
+    # messages left out for newer ones; whether one was just now
+    ("skipped", c_int64),
+    ("skipping", c_int64),
     ("ticks", c_int64),
     ("held_count", c_int64),
     ("sent_size", c_int64),

@@ -9,7 +9,7 @@ from messages.types import Force, Proxy
 from nodes.kernels import SMOOTHING, deflection, fir, one_sided, push, sections
 from nodes.tick.fields import fields_of, slot
 from nodes.tick.kernels.encode import make_encode
-from nodes.tick.kernels.follow import in_order
+from nodes.tick.kernels.follow import in_order, overtaken
 from nodes.tick.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.tick.kernels.machine import compilable, reals_at, record_at
 from nodes.tick.kernels.scan import make_scan
@@ -57,6 +57,28 @@ def _render(s: Any, taken: Any, contact: bool, force: Any) -> bool:
 
 
 @compilable
+def _bridge(s: Any, taken: Any, contact: bool, missing: int) -> None:
+    """Fill ticks that were left out by a straight line (`History.bridge`, `LawOnAxis.catch_up`)."""
+    coefficients = reals_at(s.sections, 4 * s.sections_count)
+    for n in range(s.axes):
+        i = s.axis[n]
+        history = reals_at(s.history[n], 2 * s.length)
+        state = reals_at(s.sections_state[n], 2 * s.sections_count)
+        newest = deflection(
+            taken[_POSITION + i], taken[_PROXY + i], taken[_DISTANCE], taken[_NORMAL + i], contact, s.raw != 0
+        )
+        before = history[s.head[n]]
+        for k in range(1, missing + 1):
+            s.head[n] = head = push(history, s.head[n], s.length, before + (newest - before) * k / (missing + 1))
+            s.pushes[n] += 1
+            if s.sections_count > 0:
+                sections(coefficients, state, history[head], history[head + 1])
+    # Whoever takes the tick over from here must not do it again.
+    s.gaps += missing
+    s.seq += missing
+
+
+@compilable
 def _undo(s: Any) -> None:
     """Take back what a tick did to histories and sections, so that the plain tick can do it."""
     undo = reals_at(s.undo, 6 * s.sections_count)
@@ -79,8 +101,12 @@ def ticks(address: int) -> int:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
             break
         seq = s.wholes[_SEQ]
-        if not in_order(s, seq, s.reals[_STAMP]):
+        if not in_order(s, seq):
             break
+        if overtaken(s, s.reals[_STAMP]):
+            continue
+        if seq > s.seq + 1:
+            _bridge(s, s.reals, s.wholes[_CONTACT] != 0, seq - s.seq - 1)
         if not _render(s, s.reals, s.wholes[_CONTACT] != 0, s.out_reals):
             _undo(s)
             break

@@ -8,7 +8,7 @@ from messages.types import DeviceState, Proxy
 from nodes.kernels import plane_distance
 from nodes.tick.fields import fields_of, slot
 from nodes.tick.kernels.encode import make_encode
-from nodes.tick.kernels.follow import in_order
+from nodes.tick.kernels.follow import in_order, overtaken
 from nodes.tick.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.tick.kernels.machine import compilable, record_at
 from nodes.tick.kernels.scan import make_match, make_scan
@@ -61,8 +61,10 @@ def ticks(address: int) -> int:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
             break
         seq = s.wholes[_SEQ]
-        if not in_order(s, seq, s.reals[_STAMP]) or not _is_active(s.wholes):
+        if not in_order(s, seq) or not _is_active(s.wholes):
             break
+        if overtaken(s, s.reals[_STAMP]):
+            continue
         s.frames = 0
         s.gaps += seq - s.seq - 1
         s.seq = seq

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
-from nodes.tick.kernels.hop import monotonic
+from nodes.tick.kernels.hop import has_message, monotonic
 from nodes.tick.kernels.machine import compilable
 
 
 @compilable
-def in_order(s: Any, seq: int, stamp: float) -> bool:
-    """Whether a message is the next one, in time, and not to be left to the plain tick.
-
-    After ticks that the driver left out the next one is a later one; who remembers what was before may have to bridge them.
-    """
-    if seq <= s.seq or seq >= s.until or (seq > s.seq + 1 and (s.seq < 0 or s.may_skip == 0)):
+def in_order(s: Any, seq: int) -> bool:
+    """Whether a message is the next one, or one after ticks that the driver left out, and not to be left to the plain tick."""
+    if seq <= s.seq or seq >= s.until:
         return False
-    return bool(s.realtime == 0 or monotonic(s) + s.clock_offset - stamp <= s.period)
+    return bool(seq == s.seq + 1 or (s.seq >= 0 and seq - s.seq - 1 <= s.bears_gap))
+
+
+@compilable
+def overtaken(s: Any, stamp: float) -> bool:
+    """Whether a message is older than a period and a newer one is there: then the node goes on with the newest."""
+    if s.realtime == 0 or (s.skipping == 0 and monotonic(s) + s.clock_offset - stamp <= s.period):
+        return False
+    s.skipping = 1 if has_message(s, s.inbox) else 0
+    s.skipped += s.skipping
+    return bool(s.skipping != 0)

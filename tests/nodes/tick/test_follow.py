@@ -1,0 +1,142 @@
+"""A coupling's compiled ticks beside its plain ones, on real sockets: ticks that were left out, messages that are too late."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.types import Force, Proxy
+from nodes.coupling.node import Coupling
+from nodes.tick.choose import choose
+from sim.measure.launches import wait_for
+from tests.support.setups import setup_of
+
+# One of taps alone, one with a recursive section, which sees what is bridged too.
+LAWS = {
+    "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0},
+    "pd_filtered": {"kind": "pd_filtered", "stiffness": 500.0, "damping": 3.0, "cutoff": 60.0},
+}
+MEMORY = 64
+
+
+def proxy_of(seq: int, stamp: float) -> Proxy:
+    depth = -1e-3 - 1e-5 * (seq * 7 % 11)
+    vector = (0.0, 0.0, depth)
+    return Proxy(
+        seq=seq,
+        stamp=stamp,
+        position=vector,
+        proxy=(0.0, 0.0, 0.0),
+        normal=(0.0, 0.0, 1.0),
+        distance=depth,
+        contact=True,
+        delay=0.1,
+    )
+
+
+def answered(
+    place: Path, tick: str, law: str, pace: str, feed: Callable[[Publisher, Callable[[int], Force]], None]
+) -> tuple[list[Force], Coupling]:
+    """Run a coupling on this thread while another one feeds it; what it answered."""
+    assert choose(tick, [Coupling.kernel_module], print) == tick  # type: ignore[arg-type]
+    context = new_context()
+    source, sink = f"ipc://{place}/proxy", f"ipc://{place}/force"
+    node = Coupling(
+        setup_of(
+            name="coupling",
+            kind="coupling",
+            tick=tick,
+            pace=pace,
+            sources={topics.PROXY: source},
+            parameters={"law": law, "laws": LAWS, "memory": MEMORY, "stability": "off", "figures": False},
+        )
+    )
+    node.load_kernel()
+    node.configure()
+    proxies, node.publisher = Publisher(context, source), Publisher(context, sink)
+    node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))
+    inbox = Subscription(context, [sink], [topics.FORCE])
+    wait_for(lambda: proxies.listeners() and node.publisher.listeners(), "both subscriptions")
+    forces: list[Force] = []
+
+    def force_of(seq: int) -> Force:
+        while not forces or forces[-1].seq != seq:
+            frames = inbox.receive(10_000)
+            assert frames is not None, f"no force for tick {seq}"
+            forces.append(Decoder(Force).decode(frames[1]))
+        return forces[-1]
+
+    failed: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            feed(proxies, force_of)
+        except BaseException as error:  # noqa: BLE001  # told by the thread that waits
+            failed.append(error)
+        node.stopping = True
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    node.loop()
+    thread.join()
+    for socket in (inbox, proxies, node.publisher, node.inbox):
+        assert socket is not None
+        socket.close()
+    context.term()
+    assert not failed, failed
+    return forces, node
+
+
+def one_by_one(ticks: Sequence[int]) -> Callable[[Publisher, Callable[[int], Force]], None]:
+    def feed(proxies: Publisher, force_of: Callable[[int], Force]) -> None:
+        for seq in ticks:
+            proxies.send_hop(topics.PROXY.encode(), encode(proxy_of(seq, 0.002 * seq)))
+            force_of(seq)
+
+    return feed
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_ticks_left_out_are_bridged_with_the_same_bits(tmp_path: Path, law: str) -> None:
+    # Gaps of 1, 5, the longest that the compiled tick bears (the memory less two), the first beyond, and one beyond the memory.
+    ticks, at = list(range(20)), 19
+    for missing in (1, 5, MEMORY - 2, MEMORY - 1, 3 * MEMORY):
+        at += missing + 1
+        ticks += [at, at + 1, at + 2]
+        at += 2
+    runs = {tick: answered(tmp_path, tick, law, "lockstep", one_by_one(ticks)) for tick in ("plain", "compiled")}
+    (plain, one), (compiled, other) = runs["plain"], runs["compiled"]
+    assert [force.seq for force in compiled] == ticks
+    assert [force.force for force in compiled] == [force.force for force in plain]
+    assert (other.gaps, other.ticks) == (one.gaps, one.ticks)
+    # All but those after the two gaps that are too long for it.
+    assert other.ticks_compiled == len(ticks) - 2
+    assert one.ticks_compiled == 0
+
+
+@pytest.mark.parametrize("tick", ["plain", "compiled"])
+def test_of_messages_that_are_too_late_the_newest_is_answered(tmp_path: Path, tick: str) -> None:
+    late = 7
+
+    def feed(proxies: Publisher, force_of: Callable[[int], Force]) -> None:
+        # In time until here: a minute ahead is not late, whatever the machine does.
+        proxies.send_hop(topics.PROXY.encode(), encode(proxy_of(0, time.monotonic() + 60.0)))
+        force_of(0)
+        for seq in range(1, late + 1):
+            proxies.send_hop(topics.PROXY.encode(), encode(proxy_of(seq, time.monotonic() - 60.0)))
+        force_of(late)
+
+    forces, node = answered(tmp_path, tick, "pd", "realtime", feed)
+    # How many had arrived when it looked is the machine's to say; each was answered or left out, and those are counted.
+    assert len(forces) + node.skipped == late + 1
+    assert node.gaps == node.skipped
+    assert node.received == node.skipped
+    if tick == "compiled":
+        assert node.ticks_compiled == len(forces)
