@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import shutil
@@ -10,13 +11,13 @@ import signal
 import statistics
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
-from nodes.base.realtime import memory_bytes
+from nodes.base.realtime import memory_bytes, off
 from nodes.cli.main import UsageError, add_json, answer
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
@@ -101,12 +102,13 @@ def _with_page(
 
 
 def loop_cost(
-    rounds: int, seconds: float, rate: float, browser: Any, progress: Progress, picture: Path | None = None
+    rounds: int, seconds: float, rate: float, progress: Progress, picture: Path | None = None
 ) -> dict[str, Any]:
     """Run one launch and open a page in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
     delays: dict[str, list[float]] = {"first_picture_s": [], "switch_s": []}
-    with Running("touch_wall", f"rate:={rate}") as launch:
+    # As ``haptic view`` opens one: a browser, too, keeps off the processor of the loop.
+    with Running("touch_wall", f"rate:={rate}") as launch, off(launch.run.processors), browsing() as browser:
         for _ in range(rounds):
             began = time.monotonic()
             time.sleep(seconds)
@@ -159,8 +161,9 @@ def memory(minutes: float, rate: float) -> dict[str, float]:
     return {"after_one_minute_mb": after or memory_bytes() / 1e6, "at_the_end_mb": memory_bytes() / 1e6}
 
 
-def browsing(work: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-    """Do some work with a browser."""
+@contextlib.contextmanager
+def browsing() -> Iterator[Any]:
+    """Start a browser for the length of a with block."""
     path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     try:
         from playwright.sync_api import sync_playwright
@@ -171,7 +174,7 @@ def browsing(work: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=BROWSER)
         try:
-            return work(browser)
+            yield browser
         finally:
             browser.close()
 
@@ -179,11 +182,7 @@ def browsing(work: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     progress = Progress(2 * arguments.rounds)
-    figures = browsing(
-        lambda browser: loop_cost(
-            arguments.rounds, arguments.seconds, arguments.rate, browser, progress, arguments.picture
-        )
-    )
+    figures = loop_cost(arguments.rounds, arguments.seconds, arguments.rate, progress, arguments.picture)
     figures |= {"memory": memory(arguments.minutes, arguments.rate), "machine": machine()}
     lines = [figures["machine"]]
     for label, text in (("without", "no page"), ("with", "page open, somebody dragging")):
