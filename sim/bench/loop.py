@@ -31,7 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--rounds", type=int, default=3, help="interleaved rounds of each (default 3)")
     parser.add_argument("--ticks", type=int, default=20000, help="ticks of a lockstep round (default 20000)")
-    parser.add_argument("--seconds", type=float, default=4.0, help="length of a real-time round (default 4 s)")
+    parser.add_argument("--seconds", type=float, default=10.0, help="length of a real-time round (default 10 s)")
     add_json(parser)
     parser.set_defaults(run=run)
 
