@@ -70,14 +70,15 @@ class Telling:
         self._simulated = setup.pace == "lockstep"
         self._told: dict[str, int] = {}
 
+    def ticking(self) -> CompiledTicks | None:
+        """Give the compiled ticks while they go on: the node itself knows then only what was before; from any thread."""
+        ahead = self.ahead
+        return ahead if ahead is not None and ahead.inside else None
+
     def counted(self) -> Counted:
         """Tell how far the node is, compiled ticks that still go on included; from any thread."""
-        ahead = self.ahead
-        return (
-            ahead.counted()
-            if ahead is not None and ahead.inside
-            else Counted(self.seq, self.ticks, self.gaps, self.skipped)
-        )
+        ahead = self.ticking()
+        return Counted(self.seq, self.ticks, self.gaps, self.skipped) if ahead is None else ahead.counted()
 
     def now(self) -> float:
         """Time for stamps: the monotonic clock of the launcher's host, or simulated time in lockstep."""

@@ -139,8 +139,8 @@ class Coupling(Node):
     @property
     def _felt_delay(self) -> float:
         """Delay of the loop as measured by now [ticks]; from any thread."""
-        ahead = self.ahead
-        return self._delay if ahead is None or not ahead.inside else float(ahead.state.delay)
+        ahead = self.ticking()
+        return self._delay if ahead is None else float(ahead.state.delay)
 
     def _judge(
         self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool

@@ -123,8 +123,8 @@ class Answers(Node):
             "recent_s": self._responses.recent.tobytes(),
             "answered": self._responses.count,
         }
-        ahead = self.ahead
-        return figures if ahead is None or not ahead.inside else {**figures, **ahead.progress()}
+        ahead = self.ticking()
+        return figures if ahead is None else {**figures, **ahead.progress()}
 
     def report(self) -> dict[str, Any]:
         """Summarise the run."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from sim.device.tick.ticks import DriverTicks
 
 
-NO_END: Final = ((-math.inf, math.inf),) * 3
+NO_END: Final = DeviceLimits().workspace
 """The workspace of a device that declares none [m]."""
 
 
@@ -52,6 +52,11 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
     hold: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
     pointer: PointerParameters | None = None
     preset: str = ""
+
+    @property
+    def ends(self) -> tuple[tuple[float, float], ...]:
+        """Where the device stops, axis by axis [m]."""
+        return self.safety.workspace or NO_END
 
     def __post_init__(self) -> None:
         if self.preset not in ("", "none"):
@@ -266,7 +271,7 @@ class SimDriver(Driver):
         super().check(setup)
         parameters: SimDriverParameters = convert(setup.parameters, cls.Parameters, setup.name)
         begin = parameters.device.position
-        low, high = (parameters.safety.workspace or NO_END)[AXIS_INDEX[setup.axes[0]]]
+        low, high = parameters.ends[AXIS_INDEX[setup.axes[0]]]
         if not low <= begin <= high:
             raise ParameterError(
                 f"{setup.name}.device.position: {begin:g} m, expected {low:g} to {high:g} m, as safety.workspace says"
@@ -284,7 +289,7 @@ class SimDriver(Driver):
         dragged = None
         if hand is not None and parameters.pointer is not None and self.setup.pace == "realtime":
             dragged = DraggedHand(hand, parameters.pointer, self.setup)
-        axes, box = self.setup.axes, parameters.safety.workspace or NO_END
+        axes = self.setup.axes
         parts = [
             # The pointer drags the hand along the first axis.
             TimedDevice(
@@ -292,7 +297,7 @@ class SimDriver(Driver):
                 msgspec.structs.replace(self.setup, axes=[axis]),
                 parameters.hold,
                 dragged if axis == axes[0] else None,
-                box[AXIS_INDEX[axis]],
+                parameters.ends[AXIS_INDEX[axis]],
             )
             for axis, model in zip(axes, along(parameters.device, axes), strict=True)
         ]
