@@ -13,7 +13,7 @@ from nodes.cli.main import RefusedError, UsageError, add_json, answer
 from sim.measure.launches import HAPTIC
 
 if TYPE_CHECKING:
-    from sim.identify.identify import Identified
+    from sim.identify.identified import Identified
     from sim.identify.push import Loop, Pushed
 
 

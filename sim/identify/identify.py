@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from sim.identify.encoder import Encoder, encoder
 from sim.identify.experiment import Experiment
 from sim.identify.first_guess import first_guess
+from sim.identify.identified import Estimate, HeldOut, Identified
 from sim.identify.output_error import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS, Fit, fit, windows
 
 __all__ = [
@@ -18,8 +18,6 @@ __all__ = [
     "HELD_OUT",
     "WINDOW",
     "Array",
-    "Estimate",
-    "Identified",
     "identify",
     "initial_state",
 ]
@@ -31,111 +29,6 @@ WINDOW = 100
 HELD_OUT = 4
 """Every so many windows one is held out, to judge the fit by what it has not seen."""
 CONFIDENCE = 0.95
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """One parameter.
-
-    Attributes
-    ----------
-    value, low, high : float or None
-        Estimate and 95 % interval in the unit of the parameter; None where it cannot be told.
-    why : str
-        Why not; empty when it can.
-    """
-
-    value: float | None
-    low: float | None = None
-    high: float | None = None
-    why: str = ""
-
-    def known(self) -> tuple[float, float, float]:
-        """Give value, low and high of a parameter that has them.
-
-        Returns
-        -------
-        tuple of float, shape (3,)
-            Value, low, high.
-
-        Raises
-        ------
-        ValueError
-            When it could not be told; the text says why.
-        """
-        if self.value is None or self.low is None or self.high is None:
-            raise ValueError(self.why)
-        return self.value, self.low, self.high
-
-
-@dataclass(frozen=True)
-class Identified:
-    """A device as a recording tells it.
-
-    Attributes
-    ----------
-    mass, damping, friction : Estimate
-        Moving mass [kg] and viscous damping [N s/m], a hand's share included; Coulomb friction [N].
-    delay : Estimate
-        From the sample to the force taking effect, median over the ticks [ticks].
-    device_delay : Estimate
-        The part of it that the driver does not see [ticks].
-    encoder : Estimate
-        Encoder step [m].
-    stiffness : Estimate
-        Of a hand that holds the device [N/m]; 0 when none was found.
-    load : Estimate
-        Constant force that acts besides: weight, or the pull of a hand [N].
-    jitter : Estimate
-        Spread of the delay over the ticks, 99.9 % quantile minus 0.1 % [ticks].
-    delay_range : tuple of float, shape (2,)
-        Shortest and longest delay: those two quantiles, widened by the interval of `device_delay` [ticks].
-    held : bool
-        Whether a hand's stiffness was found.
-    residual : float
-        Root-mean-square distance of the model's positions from the measured ones [m].
-    held_out : float or None
-        The same in windows that the fit has not seen, the middle one of them [m]; None when there are none.
-    dropped : int
-        Windows left out because a stall or a knock spoilt them.
-    windows, ticks : int
-        How many windows of how many ticks.
-    axis : str
-        The axis.
-    period : float
-        Sampling period [s].
-    """
-
-    mass: Estimate
-    damping: Estimate
-    friction: Estimate
-    delay: Estimate
-    device_delay: Estimate
-    encoder: Estimate
-    stiffness: Estimate
-    load: Estimate
-    jitter: Estimate
-    delay_range: tuple[float, float]
-    held: bool
-    residual: float
-    held_out: float | None
-    dropped: int
-    windows: int
-    ticks: int
-    axis: str
-    period: float
-
-    @property
-    def residual_steps(self) -> float | None:
-        """Residual in encoder steps; None when the step is not known. 0.29 is what rounding alone leaves."""
-        return None if self.encoder.value is None else self.residual / self.encoder.value
-
-    @property
-    def held_out_steps(self) -> float | None:
-        """The same of the held-out windows."""
-        if self.encoder.value is None or self.held_out is None:
-            return None
-        return self.held_out / self.encoder.value
 
 
 def identify(experiment: Experiment, held: bool | None = None, length: int = WINDOW) -> Identified:
@@ -239,7 +132,7 @@ def _nothing(experiment: Experiment, length: int, why: str) -> Identified:
         delay_range=(shortest, longest),
         held=False,
         residual=math.nan,
-        held_out=None,
+        held_out=HeldOut(),
         dropped=0,
         windows=0,
         ticks=length,
@@ -368,7 +261,7 @@ def _conclude(experiment: Experiment, found: Fit, grid: Encoder, test: Fit, drop
         held=STIFFNESS in index and float(found.theta[STIFFNESS]) > 0.0,
         residual=found.rms,
         # The middle one: a window that a stall spoilt says nothing about the model.
-        held_out=math.sqrt(float(np.median(test.errors)) / (test.length - 2)),
+        held_out=HeldOut(math.sqrt(float(np.median(test.errors)) / (test.length - 2))),
         dropped=dropped,
         windows=len(found.starts),
         ticks=found.length,

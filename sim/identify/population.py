@@ -13,7 +13,8 @@ from nodes.stability.closed_loop import pole_radius
 from sim.design.demand import Demand
 from sim.design.families import best_pd, designed
 from sim.device.model import DeviceModel
-from sim.identify.identify import Identified, identify
+from sim.identify.identified import Identified
+from sim.identify.identify import identify
 from sim.identify.tune import Wanted, demand
 from sim.identify.virtual import draw, excite
 

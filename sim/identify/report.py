@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from sim.identify.identify import Estimate, Identified
+from sim.identify.identified import Estimate, HeldOut, Identified
 
 ROWS = (
     ("mass_kg", "mass", "moving mass", "kg"),
@@ -37,8 +37,14 @@ def figures(found: Identified) -> dict[str, Any]:
         "held": found.held,
         "residual_steps": found.residual_steps,
         "residual_m": None if math.isnan(found.residual) else found.residual,
-        "held_out_steps": found.held_out_steps,
-        "held_out_m": found.held_out,
+        "refuted": found.refuted,
+        "why": found.why,
+        "terms": list(found.terms),
+        "held_out": {
+            "residual_steps": found.held_out_steps,
+            "residual_m": found.held_out.residual,
+            "whiteness": found.held_out.whiteness,
+        },
         "windows": found.windows,
         "windows_dropped": found.dropped,
         "window_ticks": found.ticks,
@@ -57,25 +63,29 @@ def from_figures(told: Mapping[str, Any]) -> Identified:
         delay_range=(low, high),
         held=told["held"],
         residual=math.nan if told["residual_m"] is None else told["residual_m"],
-        held_out=told["held_out_m"],
+        held_out=HeldOut(told["held_out"]["residual_m"], told["held_out"]["whiteness"]),
         dropped=told["windows_dropped"],
         windows=told["windows"],
         ticks=told["window_ticks"],
         axis=told["axis"],
         period=1.0 / told["rate_hz"],
+        terms=tuple(told["terms"]),
+        refuted=told["refuted"],
+        why=told["why"],
     )
 
 
 def text(found: Identified) -> str:
     """Give an identified device as a table."""
-    lines = [f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals"]
+    lines = [f"REFUTED: {found.why}"] if found.refuted else []
+    lines.append(f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals")
     for _, name, label, unit in ROWS:
         estimate: Estimate = getattr(found, name)
         if estimate.value is None:
             lines.append(f"  {label:30} cannot tell: {estimate.why}")
         else:
             lines.append(f"  {label:30} {estimate.value:10.5g}  ({estimate.low:.5g} to {estimate.high:.5g}) {unit}")
-    steps, unseen = found.residual_steps, found.held_out
+    steps, unseen = found.residual_steps, found.held_out.residual
     residual = f"{found.residual * 1e6:.3g} µm" + (
         "" if steps is None else f" = {steps:.3g} encoder steps (rounding: 0.29)"
     )

@@ -20,7 +20,7 @@ from sim.design.demand import CONVENTIONS, Demand
 from sim.design.families import Tuned, best_pd, designed, latest_delay
 from sim.design.landing import drops
 from sim.device.model import DeviceModel
-from sim.identify.identify import Identified
+from sim.identify.identified import Identified
 from sim.identify.knock import Edge, factors, predicted_edge
 
 __all__ = [

@@ -19,7 +19,7 @@ from sim.identify.device_verb import add_push, excitation, identify_running, say
 from sim.measure.launches import HAPTIC
 
 if TYPE_CHECKING:
-    from sim.identify.identify import Identified
+    from sim.identify.identified import Identified
     from sim.identify.push import Loop
 
 STEPS = ("identify", "design", "predict", "apply", "verify")

@@ -16,7 +16,8 @@ from sim.device.model import DeviceModel, Hand, coefficients
 from sim.device.state import VirtualDevice
 from sim.identify.encoder import encoder
 from sim.identify.experiment import Experiment, lockstep
-from sim.identify.identify import Estimate, identify
+from sim.identify.identified import Estimate
+from sim.identify.identify import identify
 from sim.identify.output_error import _window
 from sim.identify.virtual import draw, excite
 from tests.support.launching import haptic, launch_json

@@ -1,0 +1,162 @@
+"""A device as a recording tells it: each parameter with a 95 % interval or the reason why not, and whether the model holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = [
+    "Estimate",
+    "HeldOut",
+    "Identified",
+    "refusal",
+]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter.
+
+    Attributes
+    ----------
+    value, low, high : float or None
+        Estimate and 95 % interval in the unit of the parameter; None where it cannot be told.
+    why : str
+        Why not; empty when it can.
+    """
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    why: str = ""
+
+    def known(self) -> tuple[float, float, float]:
+        """Give value, low and high of a parameter that has them.
+
+        Returns
+        -------
+        tuple of float, shape (3,)
+            Value, low, high.
+
+        Raises
+        ------
+        ValueError
+            When it could not be told; the text says why.
+        """
+        if self.value is None or self.low is None or self.high is None:
+            raise ValueError(self.why)
+        return self.value, self.low, self.high
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What is left in the windows that the fit has not seen.
+
+    Attributes
+    ----------
+    residual : float or None
+        Root-mean-square distance of the model's positions from the measured ones, the middle window of them [m]; None when
+        there are none.
+    whiteness : float or None
+        Probability that a model that holds leaves a residual at least so far from white, by rounding alone; None where it
+        was not tested.
+    """
+
+    residual: float | None = None
+    whiteness: float | None = None
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A device as a recording tells it.
+
+    Attributes
+    ----------
+    mass, damping, friction : Estimate
+        Moving mass [kg] and viscous damping [N s/m], a hand's share included; Coulomb friction [N].
+    delay : Estimate
+        From the sample to the force taking effect, median over the ticks [ticks].
+    device_delay : Estimate
+        The part of it that the driver does not see [ticks].
+    encoder : Estimate
+        Encoder step [m].
+    stiffness : Estimate
+        Of a hand that holds the device [N/m]; 0 when none was found.
+    load : Estimate
+        Constant force that acts besides: weight, or the pull of a hand [N].
+    jitter : Estimate
+        Spread of the delay over the ticks, 99.9 % quantile minus 0.1 % [ticks].
+    delay_range : tuple of float, shape (2,)
+        Shortest and longest delay: those two quantiles, widened by the interval of `device_delay` [ticks].
+    held : bool
+        Whether a hand's stiffness was found.
+    residual : float
+        Root-mean-square distance of the model's positions from the measured ones [m].
+    held_out : HeldOut
+        The residual in windows that the fit has not seen.
+    dropped : int
+        Windows left out because a stall or a knock spoilt them.
+    windows, ticks : int
+        How many windows of how many ticks.
+    axis : str
+        The axis.
+    period : float
+        Sampling period [s].
+    terms : tuple of str
+        What the model has beyond mass, damping, friction, delay and hand because the data ask for it.
+    refuted : bool
+        Whether the held-out windows refute the model, and no richer one explains them.
+    why : str
+        What refutes it, and what the data ask for; empty for a model that holds.
+    """
+
+    mass: Estimate
+    damping: Estimate
+    friction: Estimate
+    delay: Estimate
+    device_delay: Estimate
+    encoder: Estimate
+    stiffness: Estimate
+    load: Estimate
+    jitter: Estimate
+    delay_range: tuple[float, float]
+    held: bool
+    residual: float
+    held_out: HeldOut
+    dropped: int
+    windows: int
+    ticks: int
+    axis: str
+    period: float
+    terms: tuple[str, ...] = ()
+    refuted: bool = False
+    why: str = ""
+
+    @property
+    def residual_steps(self) -> float | None:
+        """Residual in encoder steps; None when the step is not known. 0.29 is what rounding alone leaves."""
+        return None if self.encoder.value is None else self.residual / self.encoder.value
+
+    @property
+    def held_out_steps(self) -> float | None:
+        """The same of the held-out windows."""
+        if self.encoder.value is None or self.held_out.residual is None:
+            return None
+        return self.held_out.residual / self.encoder.value
+
+
+def refusal(found: Identified) -> str | None:
+    """Say why nothing may be designed on an identified device.
+
+    Parameters
+    ----------
+    found : Identified
+        The device.
+
+    Returns
+    -------
+    str or None
+        What refutes its model; None for a model that holds.
+    """
+    if not found.refuted:
+        return None
+    return f"the recording refutes the model of the device: {found.why}"
