@@ -1,0 +1,229 @@
+"""A device that is more than one mass: a second mass on a joint, and an actuator with a lag. Poles of its loop, exact.
+
+Motor, encoder, damping and friction are on one side of the joint, the rest of the mass on the other. The force is held between
+ticks, so the device is one matrix per tick (a matrix exponential, no integration), whatever the delay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from nodes.laws import CompiledLaw
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Matrix = NDArray[np.float64]
+
+__all__ = [
+    "FlexiblePlant",
+    "flexible_radius",
+]
+
+
+@dataclass(frozen=True)
+class FlexiblePlant:
+    """What the law is coupled to.
+
+    Attributes
+    ----------
+    mass : float
+        All that moves, on both sides of the joint [kg].
+    damping : float
+        Viscous damping against the ground, on the motor's side [N s/m].
+    delay : float
+        From the sample to the force that answers it, the lag not included [ticks].
+    stiffness : float
+        Stiffness of a hand, on the motor's side [N/m].
+    lag : float
+        Time constant of the actuator, first order [s]; 0 for a force that is there at once.
+    share : float
+        Part of the mass that lies beyond the joint, in [0, 1); 0 for a rigid device.
+    frequency : float
+        Of the two masses against each other, undamped [Hz].
+    loss : float
+        Damping ratio of that mode.
+    """
+
+    mass: float
+    damping: float
+    delay: float = 0.0
+    stiffness: float = 0.0
+    lag: float = 0.0
+    share: float = 0.0
+    frequency: float = math.inf
+    loss: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "damping", "delay", "stiffness", "lag", "share", "loss"):
+            value = getattr(self, name)
+            if not math.isfinite(value) or value < 0.0 or (name == "mass" and value == 0.0):
+                raise ValueError(
+                    f"{name} = {value!r}: must be finite and {'positive' if name == 'mass' else 'at least 0'}"
+                )
+        if self.share >= 1.0 or not self.frequency > 0.0:
+            raise ValueError(
+                f"share = {self.share!r}, frequency = {self.frequency!r}: expected share < 1, frequency > 0"
+            )
+
+    @property
+    def rigid(self) -> bool:
+        """Whether no joint moves."""
+        return self.share == 0.0 or math.isinf(self.frequency)
+
+    @property
+    def joint(self) -> tuple[float, float]:
+        """Stiffness [N/m] and damping [N s/m] of the joint."""
+        reduced = self.mass * self.share * (1.0 - self.share)
+        pulse = 2.0 * math.pi * self.frequency
+        return reduced * pulse * pulse, 2.0 * self.loss * reduced * pulse
+
+    def continuous(self) -> tuple[Matrix, Matrix]:
+        """Equations of motion.
+
+        Returns
+        -------
+        tuple of ndarray, shapes (s, s) and (s,)
+            A and B of the state: position [m] and velocity [m/s] on the motor's side, the same beyond the joint, and
+            the force that the actuator gives [N]; the last three only where the device has them.
+        """
+        import numpy as np
+
+        own, states = self.mass, 2
+        matrix = np.zeros((5, 5))
+        matrix[0, 1] = 1.0
+        if not self.rigid:
+            own, states = self.mass * (1.0 - self.share), 4
+            spring, damper = self.joint
+            pull = np.array([-spring, -damper, spring, damper])
+            matrix[1, :4] = pull / own
+            matrix[2, 3] = 1.0
+            matrix[3, :4] = -pull / (self.mass * self.share)
+        matrix[1, :2] -= np.array([self.stiffness, self.damping]) / own
+        push = np.zeros(states + 1)
+        if self.lag == 0.0:
+            push[1] = 1.0 / own
+            return matrix[:states, :states], push[:states]
+        full = np.zeros((states + 1, states + 1))
+        full[:states, :states] = matrix[:states, :states]
+        full[1, states] = 1.0 / own
+        full[states, states] = -1.0 / self.lag
+        push[states] = 1.0 / self.lag
+        return full, push
+
+    def held(self, period: float) -> tuple[int, Matrix, Matrix, Matrix]:
+        """One tick with the force held.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        tuple of int and ndarray, shapes (s, s), (s,), (s,)
+            Whole ticks of the delay; the state's own matrix; what the force of that many ticks ago adds, and the one before.
+        """
+        whole = math.floor(self.delay)
+        fraction = self.delay - whole
+        late, new = self._over((1.0 - fraction) * period)
+        early, old = self._over(fraction * period)
+        return whole, late @ early, new, late @ old
+
+    def _over(self, duration: float) -> tuple[Matrix, Matrix]:
+        import numpy as np
+        from scipy.linalg import expm
+
+        matrix, push = self.continuous()
+        size = len(push)
+        whole = np.zeros((size + 1, size + 1))
+        whole[:size, :size], whole[:size, size] = matrix * duration, push * duration
+        moved = expm(whole)
+        return moved[:size, :size], moved[:size, size]
+
+    def rational(self, period: float) -> tuple[int, Matrix, Matrix]:
+        """Position over force as a rational function of z.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+
+        Returns
+        -------
+        tuple of int and ndarray, shapes (s + 1,) and (s + 1,)
+            Whole ticks of the delay; numerator [m/N] over z^(whole + 1) times the denominator, highest power first.
+        """
+        import numpy as np
+
+        whole, step, new, old = self.held(period)
+        size = len(new)
+        # det(zI − A + b c) − det(zI − A) is the numerator; in units in which the force's effect is about 1.
+        unit = period * period / self.mass
+        denominator = np.real(np.poly(step))
+        parts = np.zeros(size + 2)
+        for vector, shift in ((new, 0), (old, 1)):
+            closed = step.copy()
+            closed[:, 0] -= vector / unit
+            parts[shift : shift + size + 1] += (np.real(np.poly(closed)) - denominator) * unit
+        # The first is 1 − 1: position follows force one tick later.
+        return whole, parts[1:], denominator
+
+
+def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> float:
+    """Largest pole of the loop of a law and a flexible device: stable iff below 1.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    plant : FlexiblePlant
+        The device.
+
+    Returns
+    -------
+    float
+        Pole radius. The loop decays by this factor per tick.
+    """
+    import numpy as np
+
+    return float(np.abs(np.linalg.eigvals(_loop(law, period, plant))).max())
+
+
+def _loop(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix:
+    """One tick of the closed loop: device, deflection history, sections, forces on their way."""
+    import numpy as np
+
+    whole, step, new, old = plant.held(period)
+    states = len(new)
+    # Forces in lengths, so that the matrix is balanced.
+    unit = period * period / plant.mass
+    history = max(len(law.taps) - 1, 1 if law.sections else 0)
+    first_section, first_force = states + history, states + history + 2 * len(law.sections)
+    size = first_force + whole + 1
+    force = np.zeros(size)
+    force[0] = -law.taps[0] * unit
+    force[states : states - 1 + len(law.taps)] = -np.array(law.taps[1:]) * unit
+    loop = np.zeros((size, size))
+    for s, (b0, b1, a1, a2) in enumerate(law.sections):
+        row = first_section + 2 * s
+        loop[row, 0], loop[row, states], loop[row, row], loop[row, row + 1] = b0 * unit, b1 * unit, -a1, -a2
+        loop[row + 1, row] = 1.0
+        force -= loop[row]
+    loop[:states, :states] = step
+    if whole == 0:
+        loop[:states] += np.outer(new / unit, force)
+    else:
+        loop[:states, first_force + whole - 1] += new / unit
+    loop[:states, first_force + whole] += old / unit
+    if history:
+        loop[states, 0] = 1.0
+        loop[np.arange(states + 1, states + history), np.arange(states, states + history - 1)] = 1.0
+    loop[first_force] += force
+    loop[np.arange(first_force + 1, size), np.arange(first_force, size - 1)] = 1.0
+    return loop
