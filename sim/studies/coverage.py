@@ -31,9 +31,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Sweep over the devices."""
-    from sim.identify.population import study_device, summary
     from sim.measure.stopwatch import Progress
     from sim.measure.sweep import executor, sweep
+    from sim.population.study import study_device, summary
 
     if not 1 <= arguments.devices <= 100_000:
         raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")

@@ -19,7 +19,7 @@ from sim.identify.experiment import Experiment, lockstep
 from sim.identify.identified import Estimate
 from sim.identify.identify import identify
 from sim.identify.output_error import _window
-from sim.identify.virtual import draw, excite
+from sim.population.virtual import draw, excite
 from tests.support.launching import haptic, launch_json
 
 T = 0.002

@@ -24,7 +24,7 @@ from sim.identify.identify import identify
 from sim.identify.knock import STEP, factors, judge, predicted_edge
 from sim.identify.report import figures, from_figures
 from sim.identify.tune import Wanted, demand, linear_edge, model
-from sim.identify.virtual import excite
+from sim.population.virtual import excite
 from tests.support.launching import HAPTIC, haptic, launch_json, running, wait_for
 
 pytestmark = pytest.mark.realtime

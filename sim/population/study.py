@@ -16,7 +16,7 @@ from sim.device.model import DeviceModel
 from sim.identify.identified import Identified
 from sim.identify.identify import identify
 from sim.identify.tune import Wanted, demand
-from sim.identify.virtual import draw, excite
+from sim.population.virtual import draw, excite
 
 PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")
 """What is compared; the stiffness is a hand's."""
