@@ -25,7 +25,8 @@ from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
 from nodes.launcher.wiring import FIFO
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
-from nodes.tick.build import find, folder
+from nodes.tick.build import find
+from nodes.tick.cache import CacheRefusedError, folder
 
 DISTRIBUTION = ("/usr",)
 """Where the interpreters of distributions are installed."""
@@ -310,7 +311,15 @@ def _compiled_tick() -> Finding:
         # A kind that cannot be imported is named under "other packages".
         with contextlib.suppress(ParameterError):
             modules.add(load(factory).kernel_module)
-    missing = sorted(module for module in modules - {""} if find(module) is None)
+    try:
+        missing = sorted(module for module in modules - {""} if find(module) is None)
+    except CacheRefusedError as error:
+        return Finding(
+            "compiled tick",
+            "limited",
+            f"compiled code is not taken from there: {error}",
+            "remove it, or set XDG_CACHE_HOME to a folder that only you may write to",
+        )
     if not missing:
         return Finding("compiled tick", "ok", f"built for this version and processor, auto takes it: {folder()}")
     return Finding(

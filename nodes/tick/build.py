@@ -1,29 +1,25 @@
-"""Compiling the ticks, once, into files: a node that ticks needs neither numba nor its memory.
+"""Compiling the ticks, once, into the cache of compiled code: a node that ticks needs neither numba nor its memory.
 
 numba makes a kernel from the functions that the plain tick calls, and LLVM writes it as an object file. Where the machine has
-a linker it becomes a shared library, which costs a node nothing; otherwise llvmlite loads the object file. Beside it stands
-what it was made of (source files, versions, processor), so what is found is what would be compiled. In a process of its own::
+a linker it becomes a shared library, which costs a node nothing; otherwise llvmlite loads the object file. In a process of its
+own, which compiles one kernel after the other::
 
-    python -m nodes.tick.build MODULE...
+    python -m nodes.tick.build [--idle] MODULE...
 """
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import os
-import platform
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
-
+from nodes.tick import cache
 from nodes.tick.fields import NotCompilableError
 
 ENTRY: Final = "haptic_tick"
@@ -32,56 +28,18 @@ ENTRY: Final = "haptic_tick"
 TIMEOUT: Final = 300.0
 """How long compiling may take [s]; some ten seconds are usual."""
 
-_ROOT: Final = Path(__file__).parents[2]
 _LINKERS: Final = ("cc", "gcc", "clang")
 
 
-class Built(msgspec.Struct, frozen=True, kw_only=True):
-    """A kernel in the folder.
+def find(module: str) -> cache.Entry | None:
+    """Find a kernel that was compiled before, from what is installed now.
 
-    Attributes
-    ----------
-    file : str
-        Its name in the folder: ``.so`` or ``.o``.
-    sources : dict of str to str
-        What it was made of, and the digest of each.
+    Raises
+    ------
+    CacheRefusedError
+        When it would not be this user's own.
     """
-
-    file: str
-    sources: dict[str, str]
-
-
-@cache
-def folder() -> Path:
-    """Find the folder of the kernels for this installation, these compilers and this processor."""
-    text = [str(_ROOT), str(sys.version_info[:2]), platform.machine()]
-    for package in ("numba", "llvmlite", "numpy"):
-        try:
-            text.append(version(package))
-        except PackageNotFoundError:
-            text.append("none")
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    text += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
-    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "haptic-nodes" / f"tick-{hashlib.sha256('|'.join(text).encode()).hexdigest()[:16]}"
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def find(module: str) -> Path | None:
-    """Find a kernel that was compiled before, from what is installed now."""
-    try:
-        built = msgspec.json.decode((folder() / f"{module}.json").read_bytes(), type=Built)
-        fresh = all(_digest(_ROOT / name) == digest for name, digest in built.sources.items())
-    except (OSError, msgspec.DecodeError):
-        return None
-    path = folder() / built.file
-    return path if fresh and path.exists() else None
+    return cache.read(f"{module}.tick")
 
 
 def build(modules: Sequence[str]) -> None:
@@ -146,31 +104,23 @@ def _object_file(module: str) -> bytes:
     return made
 
 
-def _compile(module: str) -> None:
-    place = folder()
-    place.mkdir(parents=True, exist_ok=True)
-    made = _object_file(module)
-    stem = f"{module}-{hashlib.sha256(made).hexdigest()[:16]}"
-    path = place / f"{stem}.o"
-    draft = place / f"{stem}.{os.getpid()}.o"
-    draft.write_bytes(made)
-    draft.replace(path)
+def _linked(made: bytes) -> cache.Entry:
+    """Make a shared library of an object file, where there is a linker."""
     linker = next(filter(None, map(shutil.which, _LINKERS)), None)
     if linker is not None:
-        linked = draft.with_suffix(".so")
-        done = subprocess.run([linker, "-shared", "-o", linked, path, "-lm"], capture_output=True, check=False)
-        if done.returncode == 0:
-            path = path.with_suffix(".so")
-            linked.replace(path)
-    sources = {}
-    for loaded in list(sys.modules.values()):
-        file = getattr(loaded, "__file__", None)
-        if file and Path(file).is_relative_to(_ROOT) and loaded.__name__.split(".")[0] in ("messages", "nodes", "sim"):
-            sources[str(Path(file).relative_to(_ROOT))] = _digest(Path(file))
-    sources["nodes/tick/build.py"] = _digest(Path(__file__))
-    note = place / f"{module}.{os.getpid()}.json"
-    note.write_bytes(msgspec.json.encode(Built(file=path.name, sources=sources)))
-    note.replace(place / f"{module}.json")
+        with tempfile.TemporaryDirectory(prefix="haptic-tick-") as folder:
+            draft, linked = Path(folder) / "tick.o", Path(folder) / "tick.so"
+            draft.write_bytes(made)
+            done = subprocess.run([linker, "-shared", "-o", linked, draft, "-lm"], capture_output=True, check=False)
+            if done.returncode == 0:
+                return cache.Entry(kind="so", content=linked.read_bytes())
+    return cache.Entry(kind="o", content=made)
+
+
+def _compile(module: str) -> None:
+    # Before compiling: what is changed meanwhile was not compiled.
+    sources = {**cache.sources_of(module), **cache.sources_of(__spec__.name if __spec__ else __name__)}
+    cache.write(f"{module}.tick", _linked(_object_file(module)), sources)
 
 
 if __name__ == "__main__":
@@ -178,4 +128,7 @@ if __name__ == "__main__":
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.sched_setaffinity(0, range(os.cpu_count() or 1))
     for _module in sys.argv[1:]:
-        _compile(_module)
+        try:
+            _compile(_module)
+        except cache.CacheRefusedError as error:
+            sys.exit(f"not kept: {error}")

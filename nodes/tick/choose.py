@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 from typing import Final, Literal, TypeAlias
 
 from nodes.tick.build import build, find
+from nodes.tick.cache import CacheRefusedError
 from nodes.tick.fields import NotCompilableError
 
 Wanted: TypeAlias = Literal["auto", "compiled", "plain"]
@@ -25,7 +26,11 @@ def choose(
     """
     if wanted == "plain" or not modules:
         return "plain"
-    missing = [module for module in modules if find(module) is None]
+    try:
+        missing = [module for module in modules if find(module) is None]
+    except CacheRefusedError as error:
+        say(f"the plain tick runs, for compiled code is not taken from there: {error}")
+        return "plain"
     if missing and wanted == "auto":
         if scarce:
             say("the plain tick runs, for the compiled one is not there yet; --tick compiled has it compiled, once")

@@ -13,6 +13,7 @@ from typing import Any, Final, TypeAlias
 
 import zmq
 
+from nodes.tick import cache
 from nodes.tick.build import ENTRY, find
 from nodes.tick.fields import NotCompilableError
 
@@ -51,14 +52,14 @@ def functions() -> dict[str, int]:
     return found
 
 
-def _address_by_llvm(path: Path) -> int:
+def _address_by_llvm(made: bytes) -> int:
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-    engine.add_object_file(llvm.ObjectFileRef.from_path(str(path)))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(made))
     engine.finalize_object()
     _kept.append(engine)
     address: int = engine.get_function_address(ENTRY)
@@ -67,26 +68,29 @@ def _address_by_llvm(path: Path) -> int:
 
 def obtain(module: str) -> Kernel:
     """Load a kernel that is compiled already: a node that compiled one would leave its launcher without an answer meanwhile."""
-    path = find(module)
-    if path is None:
+    try:
+        entry = find(module)
+    except cache.CacheRefusedError as error:
+        raise NotCompilableError(f"{module}: {error}") from error
+    if entry is None:
         raise NotCompilableError(
             f"{module} is not compiled on this machine; `haptic launch floor_drop --tick compiled` has it compiled, once"
         )
     try:
-        return _load(path)
+        return _load(entry)
     except (OSError, ImportError, AttributeError, RuntimeError) as error:
-        raise NotCompilableError(f"{path}: {error}") from error
+        raise NotCompilableError(f"{module}: {error}") from error
 
 
-def _load(path: Path) -> Kernel:
+def _load(entry: cache.Entry) -> Kernel:
     # numba's own way of calling: where the result goes, where an exception would be told, and the argument.
     prototype = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
-    if path.suffix == ".so":
-        library = ctypes.CDLL(str(path))
+    if entry.kind == "so":
+        library = cache.load(entry.content)
         _kept.append(library)
         function = prototype((ENTRY, library))
     else:
-        function = prototype(_address_by_llvm(path))
+        function = prototype(_address_by_llvm(entry.content))
     result, error = ctypes.c_int64(), ctypes.c_void_p()
     at, told = ctypes.addressof(result), ctypes.addressof(error)
 

@@ -1,21 +1,21 @@
 """Compiling the very functions that the nodes call.
 
 The kernels of `nodes.kernels` and `sim.device.model` are registered with numba as they are, without copies and without
-fastmath, so compiled and interpreted runs give the same bits. Compiled code is kept on disk between processes, in a
-folder named after the text of all kernels: numba by itself looks only at the file of the outermost function, and
-would go on using old kernels.
+fastmath, so compiled and interpreted runs give the same bits. Compiled code is kept between processes in the cache of compiled
+code (nodes/tick/cache.py), each version of a function with the digests of all sources that it was made of.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
+import pickle
+import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import serialize
+from numba.core.compiler import CompileResult
 from numba.extending import overload
 
 import nodes.driver.passivity
@@ -23,10 +23,8 @@ import nodes.kernels
 import nodes.laws.pd_windowed
 import sim.device.friction
 import sim.device.model
+from nodes.tick import cache
 from nodes.tick.kernels.sources import kernel
-
-# numba's settings are made at run time, out of a type checker's sight.
-_CONFIG: Any = numba.config
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -76,31 +74,57 @@ overload(own_force)(
 )
 
 
-def _cache_folder() -> str | None:
-    """Folder for compiled code, None where nothing can be written."""
-    text = hashlib.sha256()
-    for module in (
-        nodes.kernels,
-        nodes.laws.pd_windowed,
-        nodes.driver.passivity,
-        sim.device.model,
-        sim.device.friction,
-    ):
-        text.update(Path(str(module.__file__)).read_bytes())
-    for path in (Path(__file__), Path(__file__).with_name("tick_loop.py")):
-        text.update(path.read_bytes())
-    base = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(base) / "haptic-nodes" / f"numba-{text.hexdigest()[:16]}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError:
-        return None
-    return str(folder)
+_dumps: Any = serialize.dumps
 
 
-_FOLDER = _cache_folder()
+class _Kept:
+    """What a compiled function of numba's asks for its machine code: that of each combination of argument types is an entry.
+
+    Its pickles are read only after the cache has vouched for them.
+    """
+
+    _told = False
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._sources: dict[str, str] | None = None
+
+    def _name(self, types: Any, codegen: Any) -> str:
+        which = f"{self._function.__qualname__}{types}{codegen.magic_tuple()}"
+        return f"{self._function.__module__}.{hashlib.sha256(which.encode()).hexdigest()[:24]}.numba"
+
+    def load_overload(self, types: Any, target: Any) -> Any:
+        """Find machine code; None where it must be compiled."""
+        target.refresh()
+        try:
+            entry = cache.read(self._name(types, target.codegen()))
+        except cache.CacheRefusedError as error:
+            self._refused(error)
+            return None
+        if entry is None:
+            # Before compiling: what is changed meanwhile was not compiled.
+            self._sources = cache.sources_of(self._function.__module__)
+            return None
+        rebuild: Any = CompileResult._rebuild
+        return rebuild(target, *pickle.loads(entry.content))  # noqa: S301  # of this user's own making
+
+    def save_overload(self, types: Any, result: Any) -> None:
+        """Keep machine code."""
+        if self._sources is None or result.lifted or result.library.has_dynamic_globals:
+            return
+        try:
+            entry = cache.Entry(kind="numba", content=_dumps(result._reduce()))
+            cache.write(self._name(types, result.codegen), entry, self._sources)
+        except cache.CacheRefusedError as error:
+            self._refused(error)
+
+    def flush(self) -> None:
+        """Nothing waits to be written."""
+
+    def _refused(self, error: cache.CacheRefusedError) -> None:
+        if not _Kept._told:
+            _Kept._told = True
+            sys.stderr.write(f"compiled anew in each process, for nothing is kept: {error}\n")
 
 
 def compiled() -> Callable[[Function], Function]:
@@ -110,12 +134,10 @@ def compiled() -> Callable[[Function], Function]:
     """
 
     def decorate(function: Function) -> Function:
-        before = _CONFIG.CACHE_DIR
-        _CONFIG.CACHE_DIR = _FOLDER or before
-        try:
-            result = cast(Function, numba.njit(nogil=True, cache=_FOLDER is not None)(function))
-        finally:
-            _CONFIG.CACHE_DIR = before
-        return result
+        made: Any = numba.njit(nogil=True)(function)
+        # With NUMBA_DISABLE_JIT functions stay what they are.
+        if made is not function:
+            made._cache = _Kept(function)
+        return cast(Function, made)
 
     return decorate

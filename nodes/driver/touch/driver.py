@@ -35,8 +35,8 @@ from nodes.driver.touch.hdapi import (
     MAX_WORKSPACE,
     UPDATE_RATE,
     Servo,
-    build_servo,
     load_library,
+    servo_library,
     to_ours,
     to_theirs,
 )
@@ -108,7 +108,7 @@ class TouchDevice:
     def connect(self) -> None:
         """Load the vendor's library, take hold of the device, and read its limits; no force yet."""
         self._hd: Any = load_library(self._parameters.library)
-        self._code: Any = ctypes.CDLL(str(build_servo()))
+        self._code: Any = servo_library()
         self._code.servo_size.restype = ctypes.c_size_t
         if self._code.servo_size() != ctypes.sizeof(Servo):
             raise OSError(

@@ -5,15 +5,16 @@ From public headers and bindings; HDAPI counts in millimetres with +x right, +y 
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
-import hashlib
-import os
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 from typing import Any, ClassVar
 
 from messages.types import Vector
+from nodes.tick import cache
 
 FORCE_OUTPUT = 0x4000
 CALIBRATION_OK, CALIBRATION_NEEDS_UPDATE, CALIBRATION_NEEDS_MANUAL = 0x5000, 0x5001, 0x5002
@@ -72,26 +73,35 @@ def to_theirs(force: Vector) -> tuple[float, float, float]:
     return (-y, z, -x)
 
 
-def build_servo() -> Path:
-    """Compile the servo loop, once per version of its source."""
+def servo_library() -> Any:
+    """Load the servo loop, which is compiled once per version of its source."""
     source = Path(__file__).with_name("servo.c")
-    digest = hashlib.sha256(source.read_bytes()).hexdigest()[:16]
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "haptic-nodes"
-    library = cache / f"servo-{digest}.so"
-    if library.exists():
-        return library
+    sources = {str(source.relative_to(cache.ROOT)): cache.digest_of(source)}
+    name = "servo.so"
+    try:
+        found = cache.read(name)
+    except cache.CacheRefusedError:
+        found = None
+    if found is None:
+        found = cache.Entry(kind="so", content=_compiled_servo(source))
+        # Where nothing can be kept it is compiled at each start.
+        with contextlib.suppress(cache.CacheRefusedError):
+            cache.write(name, found, sources)
+    return cache.load(found.content)
+
+
+def _compiled_servo(source: Path) -> bytes:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         raise OSError("no C compiler: the servo loop of the Touch is compiled once at first use; install gcc or clang")
-    cache.mkdir(parents=True, exist_ok=True)
-    draft = library.with_suffix(f".{os.getpid()}")
-    done = subprocess.run(
-        [compiler, "-O2", "-shared", "-fPIC", "-o", draft, source], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise OSError(f"{compiler} cannot compile {source}: {done.stderr[-1000:]}")
-    draft.replace(library)
-    return library
+    with tempfile.TemporaryDirectory(prefix="haptic-servo-") as folder:
+        library = Path(folder) / "servo.so"
+        done = subprocess.run(
+            [compiler, "-O2", "-shared", "-fPIC", "-o", library, source], capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            raise OSError(f"{compiler} cannot compile {source}: {done.stderr[-1000:]}")
+        return library.read_bytes()
 
 
 def load_library(name: str) -> Any:

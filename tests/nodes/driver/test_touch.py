@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 
 from nodes.driver.limits import SafetyParameters, lower
 from nodes.driver.touch.driver import TouchDevice, TouchParameters
-from nodes.driver.touch.hdapi import build_servo, to_ours, to_theirs
+from nodes.driver.touch.hdapi import to_ours, to_theirs
 from nodes.recording.reader import Recording
 from tests.support import FIXTURES
 from tests.support.launching import launch_json, running, wait_for
@@ -189,13 +190,15 @@ def test_a_missing_library_is_told_with_what_to_do() -> None:
 
 
 @needs_cc
-def test_a_missing_device_and_a_wrong_library_are_told(fake: tuple[Path, Any]) -> None:
+def test_a_missing_device_and_a_wrong_library_are_told(fake: tuple[Path, Any], tmp_path: Path) -> None:
     with pytest.raises(
         OSError, match=r"device absent cannot be opened: communication error \(0x0302\); is it plugged in"
     ):
         connected(fake[0], name="absent")
+    wrong = tmp_path / "wrong.so"
+    subprocess.run(["cc", "-shared", "-o", wrong, "-x", "c", os.devnull], check=True)
     with pytest.raises(OSError, match="has no hdInitDevice: it is not HDAPI's library"):
-        connected(build_servo())
+        connected(wrong)
 
 
 def test_no_launch_file_raises_the_limits_of_the_device() -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from nodes.tick import build
 from nodes.tick.choose import choose
 from nodes.tick.fields import NotCompilableError
 from nodes.tick.library import functions, library_of_pyzmq, obtain
@@ -18,7 +17,6 @@ KERNEL = "nodes.tick.kernels.environment"
 def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Forget what was compiled before."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(build, "folder", lambda: tmp_path / "kernels")
     return tmp_path
 
 
@@ -29,7 +27,7 @@ def test_plain_and_auto_never_wait_for_the_compiler(empty_cache: Path) -> None:
     assert told == []
     assert choose("auto", [KERNEL], told.append, scarce=True) == "plain"
     assert "--tick compiled" in told[0]
-    assert not list(empty_cache.rglob("*.json"))
+    assert not list(empty_cache.rglob("*.tick"))
 
 
 def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
@@ -44,17 +42,6 @@ def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
     # A node, on another machine too, loads what is there and never compiles.
     with pytest.raises(NotCompilableError, match=r"environment is not compiled on this machine; `haptic launch"):
         obtain(KERNEL)
-
-
-def test_a_kernel_of_other_sources_is_not_taken(empty_cache: Path) -> None:
-    place = empty_cache / "kernels"
-    place.mkdir()
-    (place / "kernel.so").write_bytes(b"")
-    note = '{"file": "kernel.so", "sources": {"nodes/kernels.py": "%s"}}'
-    (place / f"{KERNEL}.json").write_text(note % ("0" * 64), encoding="ascii")
-    assert build.find(KERNEL) is None
-    (place / f"{KERNEL}.json").write_text("no note", encoding="ascii")
-    assert build.find(KERNEL) is None
 
 
 def test_the_library_is_the_one_that_pyzmq_uses() -> None:

@@ -1,0 +1,274 @@
+"""Compiled code on disk: whatever is loaded was written by this user, whole, from the sources that are installed now.
+
+Compiled code is run as it stands, so a file that somebody else could have written is never opened. Everything lies in one
+folder of the user's own: nobody else can write to it or to what leads there, and it is entered without following a link. An
+entry is one file: the digest of all that follows, what it was made of (every source file, by digest), and the code. It is
+written aside and put in place at once, so it is there as a whole or not at all; one that is cut, damaged or of other sources
+counts as absent, and is made anew by whoever may compile. What is run is the copy in memory whose digest was taken.
+
+Versions and processor are in the folder's name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import hashlib
+import os
+import platform
+import pwd
+import re
+import stat
+import sys
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+ROOT: Final = Path(__file__).parents[2]
+"""Where the packages are installed: sources are named from here."""
+
+LARGEST: Final = 256 * 2**20
+"""Longest entry that is read [bytes]; a kernel has some hundred thousand."""
+
+_DIGEST: Final = 64
+_BARE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_SEALS: Final = fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE
+
+
+class CacheRefusedError(OSError):
+    """A folder that compiled code is not taken from, or that cannot be had; the text says why."""
+
+
+class _About(msgspec.Struct, frozen=True, kw_only=True):
+    """What an entry's code is, and which source files it was made of: their digests by their place in the installation."""
+
+    kind: str
+    sources: dict[str, str]
+
+
+class Entry(msgspec.Struct, frozen=True, kw_only=True):
+    """Compiled code as it was found.
+
+    Attributes
+    ----------
+    kind : str
+        What `content` is: ``so``, ``o`` or ``numba``.
+    content : bytes
+        The code.
+    """
+
+    kind: str
+    content: bytes
+
+
+# -- the folder ------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _versions() -> str:
+    """Name this installation, these compilers and this processor."""
+    text = [str(ROOT), sys.implementation.cache_tag or "", platform.machine()]
+    for package in ("numba", "llvmlite", "numpy"):
+        try:
+            text.append(version(package))
+        except PackageNotFoundError:
+            text.append("none")
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    text += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+    return hashlib.sha256("|".join(text).encode()).hexdigest()[:16]
+
+
+def folder() -> Path:
+    """Name the folder of compiled code, which need not exist: below ``NUMBA_CACHE_DIR``, ``XDG_CACHE_HOME`` or ``~/.cache``."""
+    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base).absolute() / "haptic-nodes" / f"compiled-{_versions()}"
+
+
+def _others_write(found: os.stat_result) -> bool:
+    """Whether anybody but this user and root may write to what was found."""
+    if found.st_uid not in (0, os.getuid()):
+        return True
+    if found.st_mode & stat.S_IWOTH:
+        return True
+    if not found.st_mode & stat.S_IWGRP or found.st_gid == 0:
+        return False
+    # Many systems give each user a group of its own, and write permission to it.
+    user = pwd.getpwuid(os.getuid())
+    return found.st_gid != user.pw_gid or found.st_gid != user.pw_uid
+
+
+def _safe(path: Path, depth: int = 0) -> None:
+    """Look whether a path, link by link and folder by folder, leads where nobody else can put something else."""
+    if depth > 16:
+        raise CacheRefusedError(f"{path}: too many symbolic links")
+    for step in (*reversed(path.parents), path):
+        found = step.lstat()
+        if stat.S_ISLNK(found.st_mode):
+            if found.st_uid not in (0, os.getuid()):
+                raise CacheRefusedError(f"{step}: a symbolic link of another user")
+            _safe((step.parent / step.readlink()).absolute(), depth + 1)
+        # In a sticky folder, as /tmp is, only its owner replaces what is there.
+        elif _others_write(found) and not (found.st_uid == 0 and found.st_mode & stat.S_ISVTX):
+            raise CacheRefusedError(f"{step}: others than user {os.getuid()} may write there")
+
+
+def _enter(name: str, make: bool) -> int:
+    """Open the folder of an entry, without following a link in its last two steps; its descriptor."""
+    if not _BARE.fullmatch(name):
+        raise CacheRefusedError(f"{name!r}: is no name of an entry")
+    path = folder()
+    base = path.parent.parent
+    try:
+        if make:
+            base.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _safe(base)
+        at = os.open(base, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        for step in path.parts[-2:]:
+            outer = at
+            try:
+                if make:
+                    with contextlib.suppress(FileExistsError):
+                        os.mkdir(step, 0o700, dir_fd=outer)
+                at = os.open(step, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=outer)
+            finally:
+                os.close(outer)
+            found = os.fstat(at)
+            if found.st_uid != os.getuid() or _others_write(found):
+                os.close(at)
+                raise CacheRefusedError(
+                    f"{path}: {step} must belong to user {os.getuid()}, with write permission for nobody else; remove it"
+                )
+    except (CacheRefusedError, FileNotFoundError):
+        raise
+    except OSError as error:
+        raise CacheRefusedError(f"{path}: {error.strerror}") from error
+    return at
+
+
+# -- sources ---------------------------------------------------------------------------------------------------------
+
+
+def digest_of(path: Path) -> str:
+    """Take the digest of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def sources_of(module: str) -> dict[str, str]:
+    """Take the digests of a module and of all that it imports, near and far, of its own and this project's packages."""
+    # A node, which only loads, does without it.
+    import ast
+
+    packages = {module.split(".", maxsplit=1)[0], "messages", "nodes", "sim"}
+    seen: set[str] = set()
+    waiting = [module]
+    sources = {}
+    while waiting:
+        name = waiting.pop()
+        if name in seen or name.split(".", maxsplit=1)[0] not in packages:
+            continue
+        seen.add(name)
+        waiting.append(name.rpartition(".")[0])
+        place = ROOT.joinpath(*name.split("."))
+        # ``from module import name`` of something that is no module is in that module's own file.
+        for path in (place.with_suffix(".py"), place / "__init__.py"):
+            if path.is_file():
+                text = path.read_bytes()
+                sources[str(path.relative_to(ROOT))] = hashlib.sha256(text).hexdigest()
+                for found in ast.walk(ast.parse(text)):
+                    if isinstance(found, ast.Import):
+                        waiting += [one.name for one in found.names]
+                    elif isinstance(found, ast.ImportFrom) and found.module:
+                        waiting += [found.module, *(f"{found.module}.{one.name}" for one in found.names)]
+    return sources
+
+
+def _fresh(sources: Mapping[str, str]) -> bool:
+    return all(digest_of(ROOT / name) == digest for name, digest in sources.items())
+
+
+# -- entries ---------------------------------------------------------------------------------------------------------
+
+
+def read(name: str) -> Entry | None:
+    """Find an entry, whole and of today's sources; None when there is none.
+
+    Raises
+    ------
+    CacheRefusedError
+        When somebody else could have written it.
+    """
+    try:
+        at = _enter(name, make=False)
+    except FileNotFoundError:
+        return None
+    try:
+        descriptor = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK, dir_fd=at)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise CacheRefusedError(f"{folder() / name}: {error.strerror}") from error
+    finally:
+        os.close(at)
+    with os.fdopen(descriptor, "rb") as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid() or _others_write(found):
+            raise CacheRefusedError(
+                f"{folder() / name}: must be a file of user {os.getuid()} that nobody else may write to; remove it"
+            )
+        whole = file.read(LARGEST) if found.st_size <= LARGEST else b""
+    digest, rest = whole[:_DIGEST], whole[_DIGEST:]
+    if hashlib.sha256(rest).hexdigest().encode() != digest:
+        return None
+    about, _, content = rest.partition(b"\n")
+    try:
+        known = msgspec.json.decode(about, type=_About)
+        return Entry(kind=known.kind, content=content) if _fresh(known.sources) else None
+    except (msgspec.DecodeError, OSError):
+        return None
+
+
+def write(name: str, entry: Entry, sources: Mapping[str, str]) -> None:
+    """Put an entry in place, all of it at once; the last one to do so counts.
+
+    Raises
+    ------
+    CacheRefusedError
+        When it cannot be kept: a folder that is not the user's own, read-only, or a full disk.
+    """
+    about = msgspec.json.encode(_About(kind=entry.kind, sources=dict(sources)))
+    rest = about + b"\n" + entry.content
+    at = _enter(name, make=True)
+    draft = f".{name}.{os.getpid()}.{os.urandom(4).hex()}"
+    try:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        with os.fdopen(os.open(draft, flags, 0o600, dir_fd=at), "wb") as file:
+            file.write(hashlib.sha256(rest).hexdigest().encode() + rest)
+        os.rename(draft, name, src_dir_fd=at, dst_dir_fd=at)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            os.unlink(draft, dir_fd=at)
+        raise CacheRefusedError(f"{folder() / name}: {error.strerror}") from error
+    finally:
+        os.close(at)
+
+
+_open: list[int] = []
+"""Descriptors of loaded libraries: a loader that meets one of these names again would give the library that had it before."""
+
+
+def load(library: bytes) -> Any:
+    """Load a shared library from memory: nothing and nobody can change it any more."""
+    descriptor = os.memfd_create("haptic-compiled", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    with open(descriptor, "wb", closefd=False) as file:
+        file.write(library)
+    fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEALS)
+    _open.append(descriptor)
+    return ctypes.CDLL(f"/proc/self/fd/{descriptor}")
