@@ -10,6 +10,7 @@ from nodes.cli.ask import add_run, ask, chosen_run, node_name
 from nodes.cli.main import UsageError, answer
 from nodes.cli.param import FORCE, forced, told
 from nodes.parameters.store import ParameterError
+from nodes.stability.plant import Plant
 
 if TYPE_CHECKING:
     from nodes.launcher.runs import RunInfo
@@ -221,7 +222,9 @@ def _described(arguments: argparse.Namespace) -> dict[str, Any]:
         name: value if (value := getattr(arguments, name)) is not None else usual for name, usual in DEFAULTS.items()
     }
     period = 1.0 / loop["rate"]
-    figures = law_figures(compile_law(law, period), period, loop["mass"], loop["damping"], loop["delay"], loop["hand"])
+    figures = law_figures(
+        compile_law(law, period), Plant(period, loop["mass"], loop["damping"], loop["delay"], loop["hand"])
+    )
     plant = {"mass": loop["mass"], "damping": loop["damping"], "stiffness": loop["hand"]}
     name = arguments.law if not isinstance(data, dict) or "{" not in arguments.law else law.kind
     return {"law": name, "rate_hz": loop["rate"], **law_to_dict(law), "plant": plant, **figures}

@@ -18,7 +18,6 @@ from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
     from nodes.stability.judge import Verdict
-    from nodes.stability.k_max import Plant
 
 _SOFTEST = 1e-12
 """A stiffness is looked for from this part of what was asked."""
@@ -51,21 +50,13 @@ class Judgement:
             return None
         from nodes.stability.judge import judge
 
-        return judge(law, self._period, self._device(parameters, measured_delay))
+        return judge(law, parameters.plant.at(self._period, measured_delay))
 
     def why_not(self, parameters: CouplingParameters) -> str:
         """Say why there is no verdict."""
         if parameters.plant is None:
             return f"{self._node}.plant, the device, is not declared"
         return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
-
-    @staticmethod
-    def _device(parameters: CouplingParameters, measured_delay: float) -> Plant:
-        from nodes.stability.k_max import Plant
-
-        plant = parameters.plant
-        assert plant is not None  # noqa: S101  # asked before
-        return Plant(plant.mass, plant.damping, plant.loop_delay(measured_delay), plant.stiffness)
 
     def at_start(self, parameters: CouplingParameters, delay: float) -> list[str]:
         """Judge the law of tick 0, those that are scheduled, and the fallback."""
@@ -123,11 +114,11 @@ class Judgement:
                 raise ParameterError(f"{text}; nothing was changed")
 
     def _complaint(self, what: str, verdict: Verdict) -> str:
-        device = verdict.device
-        hand = f", hand {device.stiffness:g} N/m" if device.stiffness else ""
+        plant = verdict.plant
+        hand = f", hand {plant.stiffness:g} N/m" if plant.stiffness else ""
         return (
-            f"{self._node}.{what}: pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass {device.mass:g} kg, "
-            f"damping {device.damping:g} N s/m{hand} at a delay of {device.delay:.3g} ticks: the loop is unstable"
+            f"{self._node}.{what}: pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass {plant.mass:g} kg, "
+            f"damping {plant.damping:g} N s/m{hand} at a delay of {plant.delay:.3g} ticks: the loop is unstable"
         )
 
     # -- what would be taken instead ---------------------------------------------------------------------------------
@@ -140,7 +131,7 @@ class Judgement:
         start = self._start(now, name, asked)
         if not start:
             whole = self._compiled(asked)
-            share = furthest_stable(lambda part: _scaled(whole, part), self._period, verdict.device)
+            share = furthest_stable(lambda part: _scaled(whole, part), verdict.plant)
             part = f"all taps of {where} times {_rounded(share, 0.0):g}" if share else f"no part of {where}"
             return f"{part} would be taken"
 
@@ -151,7 +142,7 @@ class Judgement:
             blended: dict[str, Any] = _mapped(asked, change)
             return blended
 
-        share = furthest_stable(lambda part: self._compiled(at(part)), self._period, verdict.device)
+        share = furthest_stable(lambda part: self._compiled(at(part)), verdict.plant)
         if share is None:
             return f"no value of {where}.{' or '.join(start)} would be taken on the way there, the rest as asked"
         reached, ends = _numbers(at(share)), _numbers(asked)
@@ -162,7 +153,7 @@ class Judgement:
         ((path, begin),) = start.items()
         value = _rounded(reached[path], begin)
         rounded = self._compiled(_mapped(asked, lambda at, end: value if at == path else end))
-        found = judge(rounded, self._period, verdict.device)
+        found = judge(rounded, verdict.plant)
         shown = f"{value:g}" if found is not None and found.stable else f"{reached[path]:.9g}"
         return f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that would be taken is {shown}"
 

@@ -92,10 +92,7 @@ class LawBook:
         from nodes.stability.closed_loop import law_figures
 
         plant = parameters.plant
-        if plant is None:
-            return law_figures(compiled, self._period)
-        delay = plant.loop_delay(measured_delay)
-        return law_figures(compiled, self._period, plant.mass, plant.damping, delay, plant.stiffness)
+        return law_figures(compiled, self._period if plant is None else plant.at(self._period, measured_delay))
 
     def unfit(self, parameters: CouplingParameters) -> list[str]:
         """List the laws that cannot be rendered as they are: nothing to refuse until one is switched to."""

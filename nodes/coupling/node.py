@@ -153,7 +153,7 @@ class Coupling(Node):
         return {
             "pole_radius": verdict and verdict.pole_radius,
             "was_pole_radius": before and before.pole_radius,
-            "delay_ticks": verdict and verdict.device.delay,
+            "delay_ticks": verdict and verdict.plant.delay,
             "stable": verdict and verdict.stable,
             "why": "" if verdict else self._judgement.why_not(wanted),
         }

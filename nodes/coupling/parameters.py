@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from nodes.laws import CompiledLaw
+from nodes.stability.plant import Plant
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -71,9 +72,10 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     delay: NonNegative | None = None
     device_delay: NonNegative = 0.0
 
-    def loop_delay(self, measured: float) -> float:
-        """Tell the delay that a law is judged at."""
-        return (measured if self.delay is None else self.delay) + self.device_delay
+    def at(self, period: float, measured: float) -> Plant:
+        """Give the device in a loop of a period and a measured delay, as a law is judged on it."""
+        delay = (measured if self.delay is None else self.delay) + self.device_delay
+        return Plant(period, self.mass, self.damping, delay, self.stiffness)
 
 
 class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

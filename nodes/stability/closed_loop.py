@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from nodes.laws import CompiledLaw
 from nodes.stability.effective_damping import damping_needed, least
-from nodes.stability.held_plant import held_plant, held_step
+from nodes.stability.plant import Plant, held_plant, held_step
 
 if TYPE_CHECKING:
     import numpy as np
@@ -65,28 +65,15 @@ class Rendered:
     pole_radius: float | None
 
 
-def closed_loop(
-    law: CompiledLaw,
-    period: float,
-    mass: float,
-    damping: float,
-    delay: float = 0.0,
-    stiffness: float = 0.0,
-) -> NDArray[np.float64]:
+def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """Characteristic polynomial of taps, delay and device.
 
     Parameters
     ----------
     law : CompiledLaw
         A law without recursive sections.
-    period : float
-        Sampling period T [s].
-    mass, damping : float
-        Device, a hand's share included [kg], [N s/m].
-    delay : float
-        Whole or fractional delay [ticks].
-    stiffness : float
-        Hand's stiffness [N/m].
+    plant : Plant
+        The device and its loop.
 
     Returns
     -------
@@ -103,38 +90,25 @@ def closed_loop(
 
     if law.sections:
         raise ValueError("law: recursive sections have no well-conditioned polynomial; use pole_radius")
-    plant = held_plant(mass, damping, period, delay, stiffness)
-    numerator = np.trim_zeros(np.array(plant.numerator), "b")
+    held = held_plant(plant)
+    numerator = np.trim_zeros(np.array(held.numerator), "b")
     # With z² N + z N' the loop has one common factor z when the delay is whole.
-    padding = plant.whole + len(numerator) - 2 + len(law.taps) - 1
-    total = np.concatenate([plant.denominator, np.zeros(padding)])
+    padding = held.whole + len(numerator) - 2 + len(law.taps) - 1
+    total = np.concatenate([held.denominator, np.zeros(padding)])
     feedback = np.convolve(numerator, law.taps)
     total[len(total) - len(feedback) :] += feedback
     return total
 
 
-def pole_radius(
-    law: CompiledLaw,
-    period: float,
-    mass: float,
-    damping: float,
-    delay: float = 0.0,
-    stiffness: float = 0.0,
-) -> float:
+def pole_radius(law: CompiledLaw, plant: Plant) -> float:
     """Largest pole of the closed loop: stable iff below 1.
 
     Parameters
     ----------
     law : CompiledLaw
         Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-    mass, damping : float
-        Device, a hand's share included [kg], [N s/m].
-    delay : float
-        Whole or fractional delay [ticks].
-    stiffness : float
-        Hand's stiffness [N/m].
+    plant : Plant
+        The device and its loop.
 
     Returns
     -------
@@ -144,34 +118,21 @@ def pole_radius(
     from nodes.stability.roots import largest_root
 
     if not law.sections:
-        return largest_root(closed_loop(law, period, mass, damping, delay, stiffness))
+        return largest_root(closed_loop(law, plant))
     import numpy as np
 
-    return float(np.abs(np.linalg.eigvals(state_matrix(law, period, mass, damping, delay, stiffness))).max())
+    return float(np.abs(np.linalg.eigvals(state_matrix(law, plant))).max())
 
 
-def state_matrix(
-    law: CompiledLaw,
-    period: float,
-    mass: float,
-    damping: float,
-    delay: float = 0.0,
-    stiffness: float = 0.0,
-) -> NDArray[np.float64]:
+def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """One tick of the closed loop as a matrix: device, deflection history, sections and forces on their way.
 
     Parameters
     ----------
     law : CompiledLaw
         Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-    mass, damping : float
-        Device, a hand's share included [kg], [N s/m].
-    delay : float
-        Whole or fractional delay [ticks].
-    stiffness : float
-        Hand's stiffness [N/m].
+    plant : Plant
+        The device and its loop.
 
     Returns
     -------
@@ -181,8 +142,9 @@ def state_matrix(
     """
     import numpy as np
 
-    whole, (a11, a12, a21, a22), new, old = held_step(mass, damping, period, delay, stiffness)
-    unit = period * period / mass
+    whole, (a11, a12, a21, a22), new, old = held_step(plant)
+    period = plant.period
+    unit = period * period / plant.mass
     history = max(len(law.taps) - 1, 1 if law.sections else 0)
     first_section, first_force = 2 + history, 2 + history + 2 * len(law.sections)
     size = first_force + whole + 1
@@ -212,29 +174,15 @@ def state_matrix(
     return step
 
 
-def rendered(
-    law: CompiledLaw,
-    period: float,
-    mass: float | None = None,
-    damping: float | None = None,
-    delay: float = 0.0,
-    stiffness: float = 0.0,
-    nominal: float | None = None,
-) -> Rendered:
+def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None) -> Rendered:
     """Tell what a law really renders.
 
     Parameters
     ----------
     law : CompiledLaw
         Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-    mass, damping : float or None
-        Device, a hand's share included [kg], [N s/m]; without them there is no pole radius.
-    delay : float
-        Whole or fractional delay of the loop [ticks].
-    stiffness : float
-        Hand's stiffness [N/m].
+    loop : Plant or float
+        The device and its loop; a sampling period alone [s] leaves out what needs a device.
     nominal : float or None
         K that f(ω) takes as the spring [N/m]. The default is H(1), the spring that is really there; with the law's
         nominal K, f is the paper's and its mean tells the leak.
@@ -249,13 +197,12 @@ def rendered(
     ValueError
         When a parameter of the device is out of its limits.
     """
+    plant = loop if isinstance(loop, Plant) else None
+    period, delay = (loop.period, loop.delay) if isinstance(loop, Plant) else (loop, 0.0)
     spring = law.h1 if nominal is None else nominal
     offset = 0.5 * period * (law.h1 - spring)
     where, lowest = least(law, period)
     needed = damping_needed(law, period, delay)
-    scale = None
-    if damping is not None:
-        scale = damping / needed if needed > 0.0 else None
     return Rendered(
         h1_n_per_m=law.h1,
         h_nyquist_n_per_m=law.h_nyquist,
@@ -264,33 +211,20 @@ def rendered(
         f_nyquist_n_s_per_m=0.5 * period * (law.h_nyquist - spring),
         f_mean_n_s_per_m=offset,
         damping_needed_n_s_per_m=needed,
-        passive_scale=scale,
-        pole_radius=None if mass is None else pole_radius(law, period, mass, damping or 0.0, delay, stiffness),
+        passive_scale=None if plant is None or needed <= 0.0 else plant.damping / needed,
+        pole_radius=None if plant is None else pole_radius(law, plant),
     )
 
 
-def law_figures(
-    law: CompiledLaw,
-    period: float,
-    mass: float | None = None,
-    damping: float | None = None,
-    delay: float = 0.0,
-    stiffness: float = 0.0,
-) -> dict[str, Any]:
+def law_figures(law: CompiledLaw, loop: Plant | float) -> dict[str, Any]:
     """Tell what a law really renders, for an answer in JSON or on the control socket.
 
     Parameters
     ----------
     law : CompiledLaw
         Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-    mass, damping : float or None
-        Device, a hand's share included [kg], [N s/m]; without them there is no pole radius.
-    delay : float
-        Whole or fractional delay of the loop [ticks].
-    stiffness : float
-        Hand's stiffness [N/m].
+    loop : Plant or float
+        The device and its loop; a sampling period alone [s] leaves out what needs a device.
 
     Returns
     -------
@@ -298,8 +232,9 @@ def law_figures(
         ``taps_n_per_m``, ``sections`` (count), ``delay_ticks`` and the fields of `Rendered`; of a law with code of its own
         all of these but H(1) are None.
     """
+    delay = loop.delay if isinstance(loop, Plant) else 0.0
     figures: dict[str, Any] = {"taps_n_per_m": list(law.taps), "sections": len(law.sections), "delay_ticks": delay}
-    linear = asdict(rendered(law, period, mass, damping, delay, stiffness))
+    linear = asdict(rendered(law, loop))
     if law.evaluate is not None:
         linear = {key: value if key == "h1_n_per_m" else None for key, value in linear.items()}
     return figures | linear

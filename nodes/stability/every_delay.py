@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from nodes.stability.closed_loop import state_matrix
-from nodes.stability.held_plant import held_step
+from nodes.stability.plant import Plant, held_step
 
 if TYPE_CHECKING:
     import numpy as np
@@ -70,25 +70,15 @@ class EveryDelay:
     growth: float
 
 
-def every_delay(
-    law: CompiledLaw,
-    period: float,
-    mass: float,
-    damping: float,
-    delay: tuple[float, float],
-    stiffness: float = 0.0,
-    rate: float = 1.0,
-) -> EveryDelay:
+def every_delay(law: CompiledLaw, plant: Plant, delay: tuple[float, float], rate: float = 1.0) -> EveryDelay:
     """Certify a loop for every sequence of delays of a range, or find one that it does not survive.
 
     Parameters
     ----------
     law : CompiledLaw
         Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-    mass, damping, stiffness : float
-        Device and hand [kg], [N s/m], [N/m].
+    plant : Plant
+        The device and its loop; the range takes the place of its delay.
     delay : tuple of float, shape (2,)
         Shortest and longest delay, at most one tick apart: then no force overtakes another [ticks].
     rate : float
@@ -109,7 +99,7 @@ def every_delay(
     low, high = delay
     if not 0.0 <= low <= high <= low + 1.0:
         raise ValueError(f"delay {low:g}..{high:g} ticks: expected low to high, at most one tick apart")
-    ticks = _Ticks(law, period, (mass, damping, stiffness), delay)
+    ticks = _Ticks(law, plant, delay)
     if ticks.size > MAX_STATES:
         raise ValueError(f"law: {ticks.size} states, at most {MAX_STATES} are certified; shorten the law")
     growth, growing = _worst_word(ticks, delay)
@@ -128,23 +118,22 @@ def every_delay(
 class _Ticks:
     """Matrices of one tick: by the delays of two forces that follow each other, and a hull of those of all delays."""
 
-    def __init__(
-        self, law: CompiledLaw, period: float, body: tuple[float, float, float], delay: tuple[float, float]
-    ) -> None:
+    def __init__(self, law: CompiledLaw, plant: Plant, delay: tuple[float, float]) -> None:
         import numpy as np
 
-        self._body, self._period = body, period
+        period = plant.period
+        self._plant = replace(plant, delay=0.0)
         self._low, self._high = delay
         self._first = math.floor(delay[0])
         # Of the forces on their way, that of age `depth` arrives in each tick, or may; where the range crosses a whole tick
         # the one after it may arrive late in the same tick.
         self._depth = self._first + 1 if delay[1] > self._first + 1 else self._first
-        base = state_matrix(law, period, body[0], body[1], float(self._depth), body[2])
+        base = state_matrix(law, replace(plant, delay=float(self._depth)))
         self.size = len(base)
         newest = self.size - 1 - self._depth
         rows = [base[newest].copy(), *np.eye(self.size)[newest:]]
         self._forces = rows
-        _, (a11, a12, a21, a22), _, _ = held_step(body[0], body[1], period, 0.0, body[2])
+        _, (a11, a12, a21, a22), _, _ = held_step(self._plant)
         base[:2] = 0.0
         base[0, :2] = a11, a12 / period
         base[1, :2] = a21 * period, a22
@@ -157,9 +146,9 @@ class _Ticks:
 
         if s >= 1.0:
             return np.zeros(2)
-        mass, damping, stiffness = self._body
-        _, _, (g1, g2), _ = held_step(mass, damping, self._period * (1.0 - s), 0.0, stiffness)
-        return np.array([g1, g2 * self._period]) * mass / self._period**2
+        mass, period = self._plant.mass, self._plant.period
+        _, _, (g1, g2), _ = held_step(replace(self._plant, period=period * (1.0 - s)))
+        return np.array([g1, g2 * period]) * mass / period**2
 
     def _polygon(self, low: float, high: float) -> list[Matrix]:
         """Corners of the tangents of that curve: the curve lies in their hull."""
@@ -167,13 +156,13 @@ class _Ticks:
 
         if high <= low:
             return [self._share(low)]
-        mass, damping, stiffness = self._body
+        plant = self._plant
 
         def slope(s: float) -> Matrix:
             # Against s: velocity, and acceleration = force less what damping and hand take.
             g1, g2 = self._share(s)
-            ratio = self._period / mass
-            return np.array([-g2, -(1.0 - damping * ratio * g2 - stiffness * self._period * ratio * g1)])
+            ratio = plant.period / plant.mass
+            return np.array([-g2, -(1.0 - plant.damping * ratio * g2 - plant.stiffness * plant.period * ratio * g1)])
 
         knots = np.linspace(low, high, _SEGMENTS + 1).tolist()
         corners = [self._share(low)]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant
+from nodes.stability.plant import Plant
 
 __all__ = [
     "MARGINAL",
@@ -41,28 +41,26 @@ class Verdict:
     ----------
     pole_radius : float
         Largest pole of the closed loop: it decays, or grows, by this factor per tick.
-    device : Plant
+    plant : Plant
         What it was computed for, the delay included.
     stable : bool
         Whether the loop is stable; without any spring, whether its motion decays.
     """
 
     pole_radius: float
-    device: Plant
+    plant: Plant
     stable: bool
 
 
-def judge(law: CompiledLaw, period: float, device: Plant) -> Verdict | None:
+def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
     """Judge a law on a device.
 
     Parameters
     ----------
     law : CompiledLaw
         Taps and sections.
-    period : float
-        Sampling period T [s].
-    device : Plant
-        Mass, damping, hand and the loop's delay, all in their limits.
+    plant : Plant
+        The device and its loop, all in their limits.
 
     Returns
     -------
@@ -72,25 +70,23 @@ def judge(law: CompiledLaw, period: float, device: Plant) -> Verdict | None:
     if law.evaluate is not None:
         return None
     try:
-        radius = pole_radius(law, period, device.mass, device.damping, device.delay, device.stiffness)
+        radius = pole_radius(law, plant)
     except ValueError:
         # Taps so large that the loop's coefficients overflow.
         radius = math.inf
-    free = law.h1 + device.stiffness == 0.0
-    return Verdict(radius, device, radius < 1.0 or (free and radius < 1.0 + MARGINAL))
+    free = law.h1 + plant.stiffness == 0.0
+    return Verdict(radius, plant, radius < 1.0 or (free and radius < 1.0 + MARGINAL))
 
 
-def furthest_stable(way: Callable[[float], CompiledLaw], period: float, device: Plant) -> float | None:
+def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float | None:
     """Find how far one can go on a way that ends in an unstable law.
 
     Parameters
     ----------
     way : callable
         From a share of the way, 0 to 1, to the law there; a `ValueError` says that there is no law at this point.
-    period : float
-        Sampling period T [s].
-    device : Plant
-        Mass, damping, hand and the loop's delay.
+    plant : Plant
+        The device and its loop.
 
     Returns
     -------
@@ -101,7 +97,7 @@ def furthest_stable(way: Callable[[float], CompiledLaw], period: float, device: 
 
     def stable(share: float) -> bool:
         try:
-            found = judge(way(share), period, device)
+            found = judge(way(share), plant)
         except ValueError:
             return False
         return found is not None and found.stable

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw, Law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.held_plant import HeldPlant, held_plant
 from nodes.stability.occurring import Edge, edge_at
+from nodes.stability.plant import Plant, held_plant
 
 __all__ = [
     "KMax",
-    "Plant",
     "Tolerance",
     "boundaries",
     "crossings",
@@ -32,28 +31,6 @@ __all__ = [
     "with_spring",
     "without_spring",
 ]
-
-
-@dataclass(frozen=True)
-class Plant:
-    """What the law is coupled to: the device, a hand's share included, and the loop's delay.
-
-    Attributes
-    ----------
-    mass : float
-        Moving mass m [kg].
-    damping : float
-        Viscous damping b [N s/m].
-    delay : float
-        Delay of the loop, whole or fractional [ticks].
-    stiffness : float
-        Stiffness of a hand [N/m].
-    """
-
-    mass: float
-    damping: float
-    delay: float = 0.0
-    stiffness: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -116,17 +93,15 @@ def with_spring(derivative: CompiledLaw, stiffness: float) -> CompiledLaw:
     return replace(derivative, taps=(derivative.taps[0] + stiffness, *derivative.taps[1:]))
 
 
-def k_max(derivative: CompiledLaw, period: float, device: Plant, method: str | None = None) -> KMax:
+def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> KMax:
     """Find the largest stable nominal stiffness, everything else fixed.
 
     Parameters
     ----------
     derivative : CompiledLaw
         Derivative part of the law, e.g. from `without_spring`.
-    period : float
-        Sampling period T [s].
-    device : Plant
-        Mass, damping, delay and hand.
+    plant : Plant
+        The device and its loop.
     method : {"closed_form", "pole_radius"} or None
         None takes the closed form where there is one.
 
@@ -143,33 +118,29 @@ def k_max(derivative: CompiledLaw, period: float, device: Plant, method: str | N
     """
     if derivative.evaluate is not None:
         raise ValueError("law: has code of its own and no poles; take --method simulation or lockstep")
-    closed = len(derivative.taps) <= 2 and not derivative.sections and device.delay == 0.0
+    closed = len(derivative.taps) <= 2 and not derivative.sections and plant.delay == 0.0
     if method == "closed_form" and not closed:
         raise ValueError(
             f"method: closed_form needs a spring or PD without delay; this law has {len(derivative.taps)} taps and "
-            f"{len(derivative.sections)} sections at a delay of {device.delay:g} ticks; use pole_radius"
+            f"{len(derivative.sections)} sections at a delay of {plant.delay:g} ticks; use pole_radius"
         )
     leak = derivative.h1
     floor = max(0.0, -leak)
     if closed and method in (None, "closed_form"):
-        name, stable = "closed_form", _jury(derivative, period, device, floor)
+        name, stable = "closed_form", _jury(derivative, plant, floor)
     else:
-        name, stable = "pole_radius", _between_boundaries(derivative, period, device, floor)
+        name, stable = "pole_radius", _between_boundaries(derivative, plant, floor)
     if not stable:
         return KMax(None, None, name, ())
     top = stable[0][1]
     return KMax(top, top + leak, name, tuple(stable))
 
 
-def _plant(period: float, device: Plant) -> HeldPlant:
-    return held_plant(device.mass, device.damping, period, device.delay, device.stiffness)
-
-
-def _jury(derivative: CompiledLaw, period: float, device: Plant, floor: float) -> list[tuple[float, float]]:
+def _jury(derivative: CompiledLaw, plant: Plant, floor: float) -> list[tuple[float, float]]:
     """Stable interval of z³ + a₂z² + a₁z + a₀ with a₂, a₁ linear in K and a₀ free of it."""
-    plant = _plant(period, device)
-    n1, n0, _ = plant.numerator
-    _, trace, determinant = plant.denominator
+    held = held_plant(plant)
+    n1, n0, _ = held.numerator
+    _, trace, determinant = held.denominator
     h0, h1 = (*derivative.taps, 0.0)[:2]
     a2, a1, a0 = trace + n1 * h0, determinant + n1 * h1 + n0 * h0, n0 * h1
     # Each condition reads c + s·K > 0.
@@ -192,82 +163,70 @@ def _jury(derivative: CompiledLaw, period: float, device: Plant, floor: float) -
     return [(low, high)] if abs(a0) < 1.0 and low < high else []
 
 
-def _between_boundaries(
-    derivative: CompiledLaw, period: float, device: Plant, floor: float
-) -> list[tuple[float, float]]:
+def _between_boundaries(derivative: CompiledLaw, plant: Plant, floor: float) -> list[tuple[float, float]]:
     """Cut the K axis at all boundaries, keep the cells whose middle is stable; above the last one K is taken as open."""
-    cuts = [floor, *(k for k in boundaries(derivative, period, device) if k > floor * (1.0 + 1e-12) + 1e-12)]
+    cuts = [floor, *(k for k in boundaries(derivative, plant) if k > floor * (1.0 + 1e-12) + 1e-12)]
     stable = []
     for low, high in zip(cuts, [*cuts[1:], math.inf], strict=True):
         middle = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1.0
-        if _stable(with_spring(derivative, middle), period, device):
+        if pole_radius(with_spring(derivative, middle), plant) < 1.0:
             stable.append((low, high))
         elif stable:
             break
     return stable
 
 
-def _stable(law: CompiledLaw, period: float, device: Plant) -> bool:
-    return pole_radius(law, period, device.mass, device.damping, device.delay, device.stiffness) < 1.0
-
-
-def boundaries(derivative: CompiledLaw, period: float, device: Plant) -> list[float]:
+def boundaries(derivative: CompiledLaw, plant: Plant) -> list[float]:
     """All nominal stiffnesses at which a pole is on the unit circle.
 
     Parameters
     ----------
     derivative : CompiledLaw
         Derivative part of the law.
-    period : float
-        Sampling period T [s].
-    device : Plant
-        Mass, damping, delay and hand.
+    plant : Plant
+        The device and its loop.
 
     Returns
     -------
     list of float
         K, increasing [N/m].
     """
-    return [stiffness for stiffness, _ in crossings(derivative, period, device)]
+    return [stiffness for stiffness, _ in crossings(derivative, plant)]
 
 
-def edge_of(derivative: CompiledLaw, period: float, device: Plant) -> Edge | None:
+def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
     """Tell which frequency occurs at K_max, and what Colgate's condition says there (THEORY.md §9).
 
     Parameters
     ----------
     derivative : CompiledLaw
         Derivative part of the law.
-    period : float
-        Sampling period T [s].
-    device : Plant
-        Mass, damping, delay and hand.
+    plant : Plant
+        The device and its loop.
 
     Returns
     -------
     Edge or None
         None when there is no K_max, or when it is at ω = 0 or ω_N, where the loop drifts or alternates.
     """
-    limit = k_max(derivative, period, device).k_max_n_per_m
+    limit = k_max(derivative, plant).k_max_n_per_m
     if limit is None or not math.isfinite(limit):
         return None
-    stiffness, theta = min(crossings(derivative, period, device), key=lambda c: abs(c[0] - limit))
+    stiffness, theta = min(crossings(derivative, plant), key=lambda c: abs(c[0] - limit))
     if abs(stiffness - limit) > 1e-6 * limit or not 0.0 < theta < math.pi:
         return None
-    return edge_at(derivative, period, theta / period, device.damping, device.mass, device.delay, device.stiffness)
+    return edge_at(derivative, plant, theta / plant.period)
 
 
-def crossings(derivative: CompiledLaw, period: float, device: Plant) -> list[tuple[float, float]]:
+def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]]:
     """All nominal stiffnesses at which a pole is on the unit circle, and where on it.
 
     Parameters
     ----------
     derivative : CompiledLaw
         Derivative part of the law.
-    period : float
-        Sampling period T [s].
-    device : Plant
-        Mass, damping, delay and hand.
+    plant : Plant
+        The device and its loop.
 
     Returns
     -------
@@ -276,20 +235,20 @@ def crossings(derivative: CompiledLaw, period: float, device: Plant) -> list[tup
     """
     from scipy.optimize import brentq
 
-    plant = _plant(period, device)
-    numerator, denominator = np.array(plant.numerator), np.array(plant.denominator)
+    held = held_plant(plant)
+    numerator, denominator = np.array(held.numerator), np.array(held.denominator)
 
     def curve(theta: NDArray[np.float64] | float) -> NDArray[np.complex128]:
         z = np.exp(1j * np.asarray(theta, dtype=np.float64))
         top = np.polyval(numerator, z)
-        loop = np.polyval(denominator, z) * z ** (plant.whole + 1) + top * derivative.response(z)
+        loop = np.polyval(denominator, z) * z ** (held.whole + 1) + top * derivative.response(z)
         return np.asarray(-loop / top)
 
     def imaginary(theta: float) -> float:
         return float(curve(theta).imag)
 
     # Sixteen points per fastest turn of the curve; the slow end, where a heavy device lives, in logarithmic steps.
-    count = 16 * (len(derivative.taps) + plant.whole + 8)
+    count = 16 * (len(derivative.taps) + held.whole + 8)
     grid = np.union1d(np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1])
     signs = np.sign(curve(grid).imag)
     found = [(float(curve(grid[i]).real), float(grid[i])) for i in np.flatnonzero(signs == 0.0)]
@@ -297,7 +256,7 @@ def crossings(derivative: CompiledLaw, period: float, device: Plant) -> list[tup
         theta = brentq(imaginary, grid[i], grid[i + 1], xtol=1e-15, rtol=8.9e-16)
         found.append((float(curve(theta).real), float(theta)))
     # z = 1 and z = −1 are always on the curve; without friction the device does not answer at z = −1 at all.
-    found.append((-device.stiffness - derivative.h1, 0.0))
+    found.append((-plant.stiffness - derivative.h1, 0.0))
     if abs(np.polyval(numerator, -1.0)) > 1e-12 * np.abs(numerator).sum():
         found.append((float(curve(math.pi).real), math.pi))
     return sorted(found)
@@ -326,16 +285,14 @@ class Tolerance:
     delay_max_ticks: float | None
 
 
-def tolerance(law: CompiledLaw, period: float, device: Plant, radius: float = 1.0) -> Tolerance | None:
+def tolerance(law: CompiledLaw, plant: Plant, radius: float = 1.0) -> Tolerance | None:
     """Tell how far mass, damping, a hand and delay may be from what is declared.
 
     Parameters
     ----------
     law : CompiledLaw
         The whole law.
-    period : float
-        Sampling period T [s].
-    device : Plant
+    plant : Plant
         What is declared.
     radius : float
         Pole radius that counts as the limit.
@@ -347,21 +304,21 @@ def tolerance(law: CompiledLaw, period: float, device: Plant, radius: float = 1.
     """
 
     def within(other: Plant) -> bool:
-        return pole_radius(law, period, other.mass, other.damping, other.delay, other.stiffness) < radius
+        return pole_radius(law, other) < radius
 
-    if not within(device):
+    if not within(plant):
         return None
     decades = np.geomspace(1.0, 1e4, 81)[1:]
-    hands = device.stiffness + np.concatenate([np.geomspace(1.0, 1e6, 61)])
-    delays = device.delay + np.concatenate([np.arange(1, 81) / 20.0, np.arange(5, 101)])
+    hands = plant.stiffness + np.concatenate([np.geomspace(1.0, 1e6, 61)])
+    delays = plant.delay + np.concatenate([np.arange(1, 81) / 20.0, np.arange(5, 101)])
     return Tolerance(
-        mass_min_kg=_edge(lambda m: within(replace(device, mass=m)), device.mass, device.mass / decades),
-        mass_max_kg=_edge(lambda m: within(replace(device, mass=m)), device.mass, device.mass * decades),
+        mass_min_kg=_edge(lambda m: within(replace(plant, mass=m)), plant.mass, plant.mass / decades),
+        mass_max_kg=_edge(lambda m: within(replace(plant, mass=m)), plant.mass, plant.mass * decades),
         damping_min_n_s_per_m=_edge(
-            lambda b: within(replace(device, damping=b)), device.damping, device.damping * np.linspace(1.0, 0.0, 41)[1:]
+            lambda b: within(replace(plant, damping=b)), plant.damping, plant.damping * np.linspace(1.0, 0.0, 41)[1:]
         ),
-        hand_stiffness_max_n_per_m=_edge(lambda k: within(replace(device, stiffness=k)), device.stiffness, hands),
-        delay_max_ticks=_edge(lambda d: within(replace(device, delay=d)), device.delay, delays),
+        hand_stiffness_max_n_per_m=_edge(lambda k: within(replace(plant, stiffness=k)), plant.stiffness, hands),
+        delay_max_ticks=_edge(lambda d: within(replace(plant, delay=d)), plant.delay, delays),
     )
 
 

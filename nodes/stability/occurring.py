@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from nodes.laws import CompiledLaw
-from nodes.stability.held_plant import held_plant
+from nodes.stability.plant import Plant, held_plant
 
 __all__ = [
     "Edge",
@@ -49,17 +49,15 @@ class Edge:
     k_exact_n_per_m: float
 
 
-def damping_shown(theta: float, period: float, mass: float, damping: float, stiffness: float = 0.0) -> float:
+def damping_shown(plant: Plant, theta: float) -> float:
     """Damping that a held device shows at one frequency: T Re{−1/((1 − z) P(z))}.
 
     Parameters
     ----------
+    plant : Plant
+        The device; its delay plays no part.
     theta : float
         ωT, 0 < ωT < π.
-    period : float
-        Sampling period T [s].
-    mass, damping, stiffness : float
-        Device and hand [kg], [N s/m], [N/m].
 
     Returns
     -------
@@ -67,36 +65,22 @@ def damping_shown(theta: float, period: float, mass: float, damping: float, stif
         b R [N s/m]; for k = 0 and light damping b (1 + tan²(ωT/2)/3).
     """
     z = cmath.exp(1j * theta)
-    return period * (-1.0 / ((1.0 - z) * _held(z, period, mass, damping, 0.0, stiffness))).real
+    return plant.period * (-1.0 / ((1.0 - z) * _held(z, replace(plant, delay=0.0)))).real
 
 
-def edge_at(
-    derivative: CompiledLaw,
-    period: float,
-    omega: float,
-    damping: float,
-    mass: float | None = None,
-    delay: float = 0.0,
-    stiffness: float = 0.0,
-) -> Edge:
+def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = False) -> Edge:
     """Tell the stiffness that Colgate's condition allows at one frequency.
 
     Parameters
     ----------
     derivative : CompiledLaw
         Derivative part D of the law.
-    period : float
-        Sampling period T [s].
+    plant : Plant
+        The device and its loop.
     omega : float
         Frequency at which the device swings, 0 < ω < π/T [rad/s].
-    damping : float
-        b [N s/m].
-    mass : float or None
-        m [kg]; only the exact figure needs it. None takes the light device, R = 1 + tan²(ωT/2)/3.
-    delay : float
-        Whole or fractional delay [ticks].
-    stiffness : float
-        Of a hand [N/m].
+    light : bool
+        Take the damping as light, b ≪ m/T: the mass then plays no part, and R = 1 + tan²(ωT/2)/3.
 
     Returns
     -------
@@ -108,33 +92,32 @@ def edge_at(
     ValueError
         When the frequency is not between 0 and Nyquist.
     """
+    period, damping = plant.period, plant.damping
     theta = omega * period
     if not 0.0 < theta < math.pi:
         raise ValueError(
             f"omega = {omega:g} rad/s: must be between 0 and {math.pi / period:g} rad/s, the Nyquist frequency"
         )
     z = cmath.exp(1j * theta)
-    whole = math.floor(delay)
+    whole = math.floor(plant.delay)
     late = z**-whole
-    if delay > whole:
+    if plant.delay > whole:
         # A fraction of a tick splits the hold; of a free, light device that is the delay's own share of the response.
-        body = (1.0 if mass is None else mass, 0.0 if mass is None else damping, stiffness)
-        late *= _held(z, period, body[0], body[1], delay - whole, body[2]) / _held(
-            z, period, body[0], body[1], 0.0, body[2]
-        )
+        body = replace(plant, mass=1.0, damping=0.0) if light else plant
+        late *= _held(z, replace(body, delay=plant.delay - whole)) / _held(z, replace(body, delay=0.0))
     # D late + K (late − 1): what law and delay do beside the spring K/2. It is linear in K, which is solved for.
     by_law = period * (derivative.response(z) * late / (1.0 - z)).real
     by_spring = period * (late / (1.0 - z)).real
-    if mass is None:
+    if light:
         factor = 1.0 + math.tan(0.5 * theta) ** 2 / 3.0
     else:
-        factor = damping_shown(theta, period, mass, damping, stiffness) / damping if damping > 0.0 else 1.0
+        factor = damping_shown(plant, theta) / damping if damping > 0.0 else 1.0
     simple, exact = ((damping * r - by_law) / by_spring for r in (1.0, factor))
     return Edge(omega, by_law + exact * (by_spring - 0.5 * period), factor, simple, exact)
 
 
-def _held(z: complex, period: float, mass: float, damping: float, delay: float, stiffness: float) -> complex:
-    plant = held_plant(mass, damping, period, delay, stiffness)
-    n2, n1, n0 = plant.numerator
-    _, d1, d0 = plant.denominator
-    return ((n2 * z + n1) * z + n0) / (z ** (plant.whole + 1) * ((z + d1) * z + d0))
+def _held(z: complex, plant: Plant) -> complex:
+    held = held_plant(plant)
+    n2, n1, n0 = held.numerator
+    _, d1, d0 = held.denominator
+    return ((n2 * z + n1) * z + n0) / (z ** (held.whole + 1) * ((z + d1) * z + d0))

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from nodes.stability.effective_damping import damping_needed
+from nodes.stability.plant import Plant
 
 if TYPE_CHECKING:
     from nodes.laws import CompiledLaw
@@ -56,39 +57,26 @@ class Rest:
     buzz_hz: float | None
 
 
-def rest(
-    law: CompiledLaw,
-    period: float,
-    resolution: float,
-    mass: float | None = None,
-    damping: float = 0.0,
-    delay: float = 0.0,
-) -> Rest:
+def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
     """Tell the friction that a law asks for to come to rest.
 
     Parameters
     ----------
     law : CompiledLaw
         Taps, and sections if any.
-    period : float
-        Sampling period T [s].
+    loop : Plant or float
+        The device and its loop; a sampling period alone [s] leaves out the estimate, which needs a device.
     resolution : float
         Step Δ of the encoder [m].
-    mass : float or None
-        Of the device; without it there is no estimate [kg].
-    damping : float
-        Of the device [N s/m].
-    delay : float
-        Of the loop [ticks].
 
     Returns
     -------
     Rest
         The frictions.
     """
-    estimated, buzz = (None, None)
-    if mass is not None:
-        estimated, buzz = _describing(law, period, resolution, mass, damping, delay)
+    plant = loop if isinstance(loop, Plant) else None
+    period, damping, delay = (loop.period, loop.damping, loop.delay) if isinstance(loop, Plant) else (loop, 0.0, 0.0)
+    estimated, buzz = (None, None) if plant is None else _describing(law, plant, resolution)
     return Rest(
         friction_bound_n=0.5 * resolution * absolute_sum(law),
         certain=damping_needed(law, period, delay) <= damping,
@@ -150,9 +138,7 @@ def absolute_sum(law: CompiledLaw) -> float:
     return total
 
 
-def _describing(
-    law: CompiledLaw, period: float, resolution: float, mass: float, damping: float, delay: float
-) -> tuple[float, float | None]:
+def _describing(law: CompiledLaw, plant: Plant, resolution: float) -> tuple[float, float | None]:
     """Largest f_c at which a swing across one edge balances: relay of Δ/2 in the encoder, relay of f_c against the velocity.
 
     With amplitude A at ω: −m ω² A + (2Δ/π) Re G = 0 and ω b A + 4 f_c/π + (2Δ/π) Im G = 0, G the law with its hold and delay.
@@ -161,12 +147,12 @@ def _describing(
     for i in range(1, _POINTS + 1):
         theta = math.pi * i / _POINTS
         half = 0.5 * theta
-        late = cmath.exp(-1j * theta * (delay + 0.5)) * math.sin(half) / half
+        late = cmath.exp(-1j * theta * (plant.delay + 0.5)) * math.sin(half) / half
         g = law.response(cmath.exp(1j * theta)) * late
         if g.real <= 0.0:
             continue
-        omega = theta / period
-        friction = 0.5 * resolution * (-g.imag - damping / (mass * omega) * g.real)
+        omega = theta / plant.period
+        friction = 0.5 * resolution * (-g.imag - plant.damping / (plant.mass * omega) * g.real)
         if friction > best:
             best, at = friction, omega / (2.0 * math.pi)
     return best, at

@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from nodes.stability.held_plant import held_step
+from nodes.stability.plant import Plant, held_step
 
 if TYPE_CHECKING:
     import numpy as np
@@ -112,7 +112,7 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
     if law.sections:
         raise ValueError("law: only taps can be lifted over the servo's ticks")
     short = period / device.ratio
-    _, (a11, a12, a21, a22), (b1, b2), _ = held_step(device.mass, device.damping, short)
+    _, (a11, a12, a21, a22), (b1, b2), _ = held_step(Plant(short, device.mass, device.damping))
     n, waiting = len(law.taps) - 1, device.delay // device.ratio + 1
     size = 3 + n + waiting
     rows = np.eye(size)

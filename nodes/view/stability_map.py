@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -18,7 +19,8 @@ from nodes.coupling.parameters import PlantParameters
 from nodes.laws import Law
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import KMax, Plant, k_max, without_spring
+from nodes.stability.k_max import KMax, k_max, without_spring
+from nodes.stability.plant import Plant
 
 NEAR, FAR = 33, 24
 """Points of the edge: evenly spaced around the present gain, then in equal ratios to where nothing is stable any more."""
@@ -43,32 +45,32 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None
     return PlantParameters(mass=mass, damping=damping, stiffness=stiffness, device_delay=delay)
 
 
-def _edge(law: Law, period: float, device: Plant) -> KMax:
-    return k_max(without_spring(law, period), period, device)
+def _edge(law: Law, device: Plant) -> KMax:
+    return k_max(without_spring(law, device.period), device)
 
 
 def _at(law: Law, damping: float) -> Law:
     return msgspec.structs.replace(law, damping=damping)
 
 
-def _bounds(law: Law, period: float, device: Plant, dampings: list[float]) -> list[list[float | None]]:
+def _bounds(law: Law, device: Plant, dampings: list[float]) -> list[list[float | None]]:
     found: list[list[float | None]] = []
     for damping in dampings:
-        edge = _edge(_at(law, damping), period, device)
+        edge = _edge(_at(law, damping), device)
         low, high = edge.stable[0] if edge.stable else (None, None)
         found.append([damping, low, high if high is None or math.isfinite(high) else None])
     return found
 
 
-def _end(law: Law, period: float, device: Plant, near: float) -> float:
+def _end(law: Law, device: Plant, near: float) -> float:
     """Largest B with any stable K, from `near` on; at most so many times as far."""
     inside = near
     while inside < near * FARTHEST:
         outside = 2.0 * inside
-        if not _edge(_at(law, outside), period, device).stable:
+        if not _edge(_at(law, outside), device).stable:
             for _ in range(10):
                 middle = 0.5 * (inside + outside)
-                if _edge(_at(law, middle), period, device).stable:
+                if _edge(_at(law, middle), device).stable:
                     inside = middle
                 else:
                     outside = middle
@@ -77,12 +79,12 @@ def _end(law: Law, period: float, device: Plant, near: float) -> float:
     return inside
 
 
-def delay_margin(law: Law, period: float, device: Plant) -> float | None:
+def delay_margin(law: Law, device: Plant) -> float | None:
     """How much longer the loop's delay may get until a stable loop is no longer stable."""
-    compiled = law.compile(period)
+    compiled = law.compile(device.period)
 
     def stable(delay: float) -> bool:
-        return pole_radius(compiled, period, device.mass, device.damping, delay, device.stiffness) < 1.0
+        return pole_radius(compiled, replace(device, delay=delay)) < 1.0
 
     if not stable(device.delay):
         return 0.0
@@ -100,16 +102,15 @@ def delay_margin(law: Law, period: float, device: Plant) -> float | None:
 
 def stability_map(law: Law, period: float, plant: PlantParameters, delay: float) -> dict[str, Any]:
     """Draw the (B, K) plane of a law's kind."""
-    delay = plant.loop_delay(delay)
-    device = Plant(plant.mass, plant.damping, delay, plant.stiffness)
+    device = plant.at(period, delay)
     compiled = law.compile(period)
     if compiled.evaluate is not None:
         raise ValueError("the law has code of its own beside its taps, and so no poles.")
-    radius = pole_radius(compiled, period, device.mass, device.damping, device.delay, device.stiffness)
-    edge = _edge(law, period, device)
+    radius = pole_radius(compiled, device)
+    edge = _edge(law, device)
     k = float(getattr(law, "stiffness", compiled.h1))
     found: dict[str, Any] = {
-        "delay_ticks": delay,
+        "delay_ticks": device.delay,
         "plant": msgspec.to_builtins(plant),
         "pole_radius": radius,
         "stable": radius < 1.0,
@@ -117,17 +118,17 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
         "k_max_n_per_m": edge.k_max_n_per_m
         if edge.k_max_n_per_m is None or math.isfinite(edge.k_max_n_per_m)
         else None,
-        "delay_margin_ticks": delay_margin(law, period, device),
+        "delay_margin_ticks": delay_margin(law, device),
     }
     b = getattr(law, "damping", None)
     if not isinstance(b, float) or not hasattr(law, "stiffness"):
         return found
     # In powers of two, so that the picture stays where it is while a slider moves within it.
     near = 2.0 ** math.ceil(math.log2(max(2.0 * b, plant.damping, 1e-3)))
-    rows = _bounds(law, period, device, np.linspace(0.0, near, NEAR).tolist())
-    end = _end(law, period, device, near)
+    rows = _bounds(law, device, np.linspace(0.0, near, NEAR).tolist())
+    end = _end(law, device, near)
     if end > near:
-        rows += _bounds(law, period, device, np.geomspace(near, end, FAR)[1:].tolist())
+        rows += _bounds(law, device, np.geomspace(near, end, FAR)[1:].tolist())
     return found | {"b_n_s_per_m": b, "near": near, "edge": rows}
 
 

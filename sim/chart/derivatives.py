@@ -18,6 +18,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import derivative_kinds, realise
 from nodes.laws.pd_alpha import combine
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import analyse
 from sim.chart.points import Detail, Group, Point
 from sim.measure.stopwatch import interleaved
@@ -188,7 +189,7 @@ def _limits(law: CompiledLaw, order: float) -> tuple[float, float]:
 
     def radius(stiffness: float, gain: float) -> float:
         whole = with_stiffness(law, stiffness, gain, order, PERIOD)
-        return pole_radius(whole, PERIOD, MASS, DAMPING, DELAY)
+        return pole_radius(whole, Plant(PERIOD, MASS, DAMPING, DELAY))
 
     return (
         largest_stable(lambda k: radius(k, GAIN), 30.0, 20000.0),

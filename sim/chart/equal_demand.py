@@ -18,6 +18,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.pd_filtered import PDFiltered
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import without_spring
+from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import Analysis, analyse
 from sim.chart.derivatives import DAMPING, DELAY, PERIOD, candidates, with_stiffness
 from sim.chart.points import Detail, Group, Point
@@ -40,7 +41,7 @@ Way = Callable[[float, float], CompiledLaw]
 def keeps(law: CompiledLaw, radius: float) -> bool:
     """Tell whether a law keeps the demand, the lightest device first."""
     return abs(law.h_nyquist) <= NYQUIST and all(
-        pole_radius(law, PERIOD, mass, DAMPING, DELAY) <= radius for mass in MASSES
+        pole_radius(law, Plant(PERIOD, mass, DAMPING, DELAY)) <= radius for mass in MASSES
     )
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
-from nodes.stability.k_max import Plant, k_max, without_spring
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
 from sim.chart.derivatives import largest_stable
 from sim.chart.points import Group, Point
 from sim.device.model import DeviceModel
@@ -34,7 +35,7 @@ Way = Callable[[], float]
 def poles(delay: float, precision: float) -> float:
     """Find K_max from the pole radius."""
     return largest_stable(
-        lambda k: pole_radius(PD(stiffness=k, damping=GAIN).compile(PERIOD), PERIOD, MASS, DAMPING, delay),
+        lambda k: pole_radius(PD(stiffness=k, damping=GAIN).compile(PERIOD), Plant(PERIOD, MASS, DAMPING, delay)),
         10.0,
         1e5,
         precision,
@@ -44,7 +45,7 @@ def poles(delay: float, precision: float) -> float:
 def solved(delay: float, method: str) -> float:
     """Find K_max without a search: Jury's conditions, linear in K, or the crossings of the boundary curve (THEORY.md §3)."""
     derivative = without_spring(PD(stiffness=1.0, damping=GAIN), PERIOD)
-    return k_max(derivative, PERIOD, Plant(MASS, DAMPING, delay), method).k_max_n_per_m or 0.0
+    return k_max(derivative, Plant(PERIOD, MASS, DAMPING, delay), method).k_max_n_per_m or 0.0
 
 
 def light(_delay: float) -> float:

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from nodes.launcher.launch_file import find
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
-from nodes.stability.k_max import Plant, k_max, without_spring
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
 from sim.chart.points import Detail, Group, Point
 from sim.device.model import DeviceModel
 from sim.measure import launches
@@ -162,7 +163,7 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
         limit = 0.0
         if math.isfinite(delay):
             law = without_spring(PD(stiffness=1.0, damping=GAIN), period)
-            limit = k_max(law, period, Plant(MASS, DAMPING, delay)).k_max_n_per_m or 0.0
+            limit = k_max(law, Plant(period, MASS, DAMPING, delay)).k_max_n_per_m or 0.0
         tries = (factor * limit for factor in _TRIES if limit > 0.0)
         stable = next((k for k in tries if calms_down(launch(rate, apply, k, tick=tick).height)), 0.0)
         detail: dict[str, Detail] = {

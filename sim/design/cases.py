@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.stability.held_plant import held_plant
+from nodes.stability.plant import Plant, held_plant
 from nodes.stability.roots import largest_roots
 from sim.design.demand import Demand, Vector
 
@@ -16,7 +16,7 @@ class Loop:
     """Closed-loop polynomials at given cases (mass, delay, hand), linear in the taps."""
 
     def __init__(self, demand: Demand, cases: Vector, taps: int, pole: float = 0.0) -> None:
-        plants = [held_plant(mass, b, demand.period, delay, hand) for mass, delay, hand, b in cases.tolist()]
+        plants = [held_plant(Plant(demand.period, mass, b, delay, hand)) for mass, delay, hand, b in cases.tolist()]
         # A shorter delay is the same polynomial times a power of z: roots at zero that nobody minds.
         size = max(plant.whole for plant in plants) + 3 + taps + (pole != 0.0)
         self.taps, self.pole = taps, pole

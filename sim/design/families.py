@@ -18,7 +18,8 @@ from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from nodes.parameters.yaml_io import write_yaml
 from nodes.stability.every_delay import every_delay
-from nodes.stability.k_max import Plant, tolerance
+from nodes.stability.k_max import tolerance
+from nodes.stability.plant import Plant
 from sim.design.demand import Demand, Robust
 from sim.design.robust import stiffest
 
@@ -299,8 +300,8 @@ def latest_delay(tuned: Tuned, demand: Demand) -> float | None:
     compiled = tuned.found.law
     known = []
     for mass in np.geomspace(*demand.mass, 5).tolist():
-        device = Plant(mass, demand.damping, demand.delay[1], demand.stiffness[0])
-        limits = tolerance(compiled, demand.period, device)
+        device = Plant(demand.period, mass, demand.damping, demand.delay[1], demand.stiffness[0])
+        limits = tolerance(compiled, device)
         if limits is not None and limits.delay_max_ticks is not None:
             known.append(limits.delay_max_ticks)
     return min(known) if known else None
@@ -328,7 +329,7 @@ def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
     for mass in np.unique(np.geomspace(*demand.mass, 5)).tolist():
         for damping in sorted(set(demand.dampings)):
             for hand in sorted(set(demand.stiffness)):
-                found = every_delay(law, demand.period, mass, damping, demand.delay, hand).stable
+                found = every_delay(law, Plant(demand.period, mass, damping, stiffness=hand), demand.delay).stable
                 if found is False:
                     return False
                 worst = worst if found else None

@@ -11,11 +11,11 @@ from collections import deque
 from collections.abc import Sequence
 
 from nodes.laws import CompiledLaw
-from nodes.stability.k_max import Plant
+from nodes.stability.plant import Plant
 from sim.device.model import advance, coefficients
 
 
-def replayed_radius(law: CompiledLaw, period: float, device: Plant, delays: Sequence[float]) -> float:
+def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> float:
     """Measure by how much a released deflection grows or decays per tick, the delay of each force as given."""
     if law.sections:
         raise ValueError("law: only taps can be replayed")
@@ -27,11 +27,11 @@ def replayed_radius(law: CompiledLaw, period: float, device: Plant, delays: Sequ
     trace = []
 
     def move(ticks: float) -> tuple[float, float]:
-        return advance(x, v, force, coefficients(device.mass, device.damping, device.stiffness, ticks * period))
+        return advance(x, v, force, coefficients(plant.mass, plant.damping, plant.stiffness, ticks * plant.period))
 
     for k, delay in enumerate(delays):
         past.appendleft(x)
-        trace.append(abs(x) + abs(v) * period)
+        trace.append(abs(x) + abs(v) * plant.period)
         if not trace[-1] < 1e200:
             return math.inf
         waiting.append((k + delay, k, -sum(tap * value for tap, value in zip(law.taps, past, strict=True))))

@@ -143,7 +143,7 @@ def _stiffest(scene: LaunchedScene) -> float | None:
     law = scene.last_law
     if scene.scene.surface.kind == "free" or law.evaluate is not None:
         return None
-    return k_max(with_spring(law, -law.h1), scene.scene.period, scene.plant).h1_max_n_per_m
+    return k_max(with_spring(law, -law.h1), scene.plant).h1_max_n_per_m
 
 
 def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]:

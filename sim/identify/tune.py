@@ -15,6 +15,7 @@ import numpy as np
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.every_delay import every_delay
+from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.families import Tuned, best_pd, designed, latest_delay
@@ -199,7 +200,7 @@ def linear_edge(law: CompiledLaw, found: Identified) -> float:
 
     def radius(factor: float) -> float:
         scaled = CompiledLaw(tuple(factor * tap for tap in law.taps))
-        return pole_radius(scaled, found.period, mass, damping, delay, found.stiffness.value or 0.0)
+        return pole_radius(scaled, Plant(found.period, mass, damping, delay, found.stiffness.value or 0.0))
 
     low, high = 1.0, 1.0
     while high < 100.0 and radius(high) < 1.0:
@@ -275,7 +276,7 @@ def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
             "every_delay_why": f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart",
         }
     told = [
-        every_delay(law, asked.period, mass, asked.damping, (low, high), grip).stable
+        every_delay(law, Plant(asked.period, mass, asked.damping, stiffness=grip), (low, high)).stable
         for mass in asked.mass
         for grip in sorted(set(asked.stiffness))
     ]
@@ -285,14 +286,8 @@ def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
 def _at_rest(law: CompiledLaw, found: Identified) -> dict[str, Any]:
     if found.encoder.value is None or found.friction.value is None:
         return {"limit_cycle_free": None}
-    told = rest(
-        law,
-        found.period,
-        found.encoder.value,
-        found.mass.known()[0],
-        found.damping.known()[0],
-        found.delay.known()[0],
-    )
+    plant = Plant(found.period, found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
+    told = rest(law, plant, found.encoder.value)
     needed = told.friction_estimated_n
     return {
         "friction_n": found.friction.value,

@@ -14,7 +14,8 @@ from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from nodes.laws.pd_alpha import PDAlpha
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
+from nodes.stability.k_max import k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from sim.experiments.drop import Criterion, free_scene, settles
 from sim.paper.claims import Claim, verdict
 from sim.paper.traps import (
@@ -28,7 +29,6 @@ from sim.paper.traps import (
     leak_law,
     model,
     optimum,
-    radius,
     recursive_coefficient,
     tustin_split,
     tustin_whole,
@@ -78,24 +78,24 @@ def edges() -> Iterator[Edge]:
     )
     short = without_spring(PDAlpha(stiffness=1.0, damping=2.0, order=1.5, taps=8, gains="paper"), PERIOD)
     cases = [
-        ("spring", spring, Plant(0.1, 1.0)),
-        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(0.1, 1.0)),
-        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(0.1, 1.0, 1.0)),
-        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(0.1, 1.0, 0.4)),
-        ("PD, B 40 N s/m", without_spring(PD(stiffness=1.0, damping=40.0), PERIOD), Plant(0.1, 1.0)),
-        ("PDα, α 1.5, 8 taps", short, Plant(0.05, 1.0)),
-        ("PDα, α 0.8, Oustaloup", recursive, Plant(0.1, 1.0, 1.0)),
-        ("paper's optimum, B 3 N s/m", optimum(3.0), Plant(0.1, 1.0)),
-        ("paper's optimum, B 3 N s/m", optimum(3.0), Plant(0.1, 1.0, 1.0)),
-        ("paper's optimum, B 30 N s/m", optimum(30.0), Plant(0.1, 1.0)),
-        ("paper's optimum, B 3 N s/m, hand 300 N/m", optimum(3.0), Plant(0.1, 1.0, 0.0, 300.0)),
+        ("spring", spring, Plant(PERIOD, 0.1, 1.0)),
+        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0)),
+        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0, 1.0)),
+        ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0, 0.4)),
+        ("PD, B 40 N s/m", without_spring(PD(stiffness=1.0, damping=40.0), PERIOD), Plant(PERIOD, 0.1, 1.0)),
+        ("PDα, α 1.5, 8 taps", short, Plant(PERIOD, 0.05, 1.0)),
+        ("PDα, α 0.8, Oustaloup", recursive, Plant(PERIOD, 0.1, 1.0, 1.0)),
+        ("paper's optimum, B 3 N s/m", optimum(3.0), Plant(PERIOD, 0.1, 1.0)),
+        ("paper's optimum, B 3 N s/m", optimum(3.0), Plant(PERIOD, 0.1, 1.0, 1.0)),
+        ("paper's optimum, B 30 N s/m", optimum(30.0), Plant(PERIOD, 0.1, 1.0)),
+        ("paper's optimum, B 3 N s/m, hand 300 N/m", optimum(3.0), Plant(PERIOD, 0.1, 1.0, 0.0, 300.0)),
     ]
     for name, derivative, device in cases:
-        limit = k_max(derivative, PERIOD, device).k_max_n_per_m
+        limit = k_max(derivative, device).k_max_n_per_m
         if limit is None or not math.isfinite(limit):
             continue
         laws = [with_spring(derivative, limit * share) for share in (1.0 - MARGIN, 1.0 + MARGIN)]
-        inside, outside = (radius(law, device) for law in laws)
+        inside, outside = (pole_radius(law, device) for law in laws)
         settled = settles(free_scene(model(device), PERIOD), laws, Criterion(HORIZON))
         yield Edge(
             f"{name}, m {device.mass:g} kg, d {device.delay:g} ticks", limit, inside, outside, settled[0], settled[1]
@@ -110,13 +110,13 @@ def traps() -> list[Claim]:
     limit = leak_boundary()
     inside, outside = leak_law(0.999 * limit), leak_law(1.001 * limit)
     # A hand heavy enough that only the leak, not the damping, can make it unstable.
-    radii = [pole_radius(law, PERIOD, 5.0, 1.0) for law in (inside, outside)]
+    radii = [pole_radius(law, Plant(PERIOD, 5.0, 1.0)) for law in (inside, outside)]
     whole, split = tustin_whole(500.0, 0.05), tustin_split(500.0, 0.05)
-    bad, good = (pole_radius(law, PERIOD, 0.1, 1.0) for law in (whole, split))
+    bad, good = (pole_radius(law, Plant(PERIOD, 0.1, 1.0)) for law in (whole, split))
     fragile = fragility()
     noisy = {name: chatter_bound(name) for name in ("pd", "optimum")}
     passive = 2.0 * (1.0 - 2.0) / PERIOD
-    really = k_max(without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), PERIOD, Plant(0.1, 1.0)).k_max_n_per_m or 0.0
+    really = k_max(without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0)).k_max_n_per_m or 0.0
     slow, fast = descent_outcomes(0.03), descent_outcomes(3.0)
     return [
         Claim(

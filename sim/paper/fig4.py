@@ -20,7 +20,8 @@ from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.laws.pd_filtered import PDFiltered
 from nodes.laws.pd_windowed import PDWindowed
-from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
+from nodes.stability.k_max import k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene
@@ -68,7 +69,7 @@ class Setting:
 
     def held(self, delay: float) -> Plant:
         """Describe the same as the linear loop sees it."""
-        return Plant(self.mass, self.damping, delay)
+        return Plant(self.period, self.mass, self.damping, delay)
 
 
 @dataclass(frozen=True)
@@ -166,9 +167,8 @@ def _fill(curves: list[Curve], setting: Setting, step: Step) -> None:
     for delay in DELAYS:
         for name, family in families(setting, delay).items():
             derivatives = [family(gain) for gain in setting.gains]
-            device = Plant(setting.mass, setting.damping, delay)
             # A law with code of its own has no poles.
-            linear = [None if d.evaluate else k_max(d, setting.period, device).k_max_n_per_m for d in derivatives]
+            linear = [None if d.evaluate else k_max(d, setting.held(delay)).k_max_n_per_m for d in derivatives]
             for touch in (False, True):
                 scene = drop_scene(setting.device(delay, touch), setting.period, *CONVENTIONS[0])
                 laws = [_spring_on(d) for d in derivatives]

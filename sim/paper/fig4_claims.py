@@ -7,7 +7,8 @@ import math
 from dataclasses import replace
 
 from nodes.laws.pd import PD
-from nodes.stability.k_max import Plant, edge_of, k_max, with_spring, without_spring
+from nodes.stability.k_max import edge_of, k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from sim.paper.claims import Claim, verdict
 from sim.paper.fig4 import CUTOFF, DELAYS, LAWS, Curve, Setting, best, published
 
@@ -21,8 +22,7 @@ def claims_4(setting: Setting, curves: list[Curve], spreads: list[tuple[float, s
     peak = 2.0 * math.sqrt(2.0) - 2.0
     boundary = k_max(
         without_spring(PD(stiffness=1.0, damping=peak * mass / period), period),
-        period,
-        Plant(mass, 0.0),
+        Plant(period, mass, 0.0),
         "pole_radius",
     ).k_max_n_per_m
     kappa = (boundary or 0.0) * period * period / mass
@@ -117,7 +117,7 @@ def _rings(setting: Setting, curves: list[Curve]) -> tuple[list[tuple[float, flo
             omega = 2.0 * math.pi * found.frequency_hz
             rings.append((omega / math.sqrt(found.k_max_n_per_m / setting.mass), gain))
             law = with_spring(family(gain), found.k_max_n_per_m)
-            poles = np.roots(closed_loop(law, setting.period, setting.mass, setting.damping, curve.delay))
+            poles = np.roots(closed_loop(law, setting.held(curve.delay)))
             slowest = poles[np.argmax(np.abs(poles) - (poles.imag == 0.0))]
             angles.append(omega * setting.period / abs(float(np.angle(slowest))))
     return rings, angles
@@ -176,16 +176,15 @@ def _thesis(setting: Setting, curves: list[Curve]) -> list[Claim]:
         for gain, limit in zip(setting.gains, curve.linear, strict=False)
         if limit is not None
         and math.isfinite(limit)
-        and (edge := edge_of(published(setting)[curve.law](gain), setting.period, setting.held(0.0))) is not None
+        and (edge := edge_of(published(setting)[curve.law](gain), setting.held(0.0))) is not None
     ]
     simple = [edge.k_simple_n_per_m / limit for edge, limit in edges]
     exact = max(abs(edge.k_exact_n_per_m / limit - 1.0) for edge, limit in edges)
     pairs = [
         ((optimum.f_n_s_per_m < pd.f_n_s_per_m) == (optimum.k_exact_n_per_m > pd.k_exact_n_per_m))
         for gain in setting.gains
-        if (pd := edge_of(published(setting)["pd"](gain), setting.period, setting.held(0.0))) is not None
-        and (optimum := edge_of(published(setting)["paper_optimum"](gain), setting.period, setting.held(0.0)))
-        is not None
+        if (pd := edge_of(published(setting)["pd"](gain), setting.held(0.0))) is not None
+        and (optimum := edge_of(published(setting)["paper_optimum"](gain), setting.held(0.0))) is not None
     ]
     tops = [_top(replace(setting, period=period), curves[0].law) for period in _PERIODS]
     return [
@@ -216,5 +215,5 @@ def _top(setting: Setting, law: str) -> float:
 
     family = published(setting)[law]
     gains = np.geomspace(0.1, 2.0 * setting.mass / setting.period, 60).tolist()
-    found = (k_max(family(gain), setting.period, setting.held(0.0)).k_max_n_per_m for gain in gains)
+    found = (k_max(family(gain), setting.held(0.0)).k_max_n_per_m for gain in gains)
     return max(k for k in found if k is not None and math.isfinite(k))

@@ -20,6 +20,7 @@ from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import without_spring
 from nodes.stability.occurring import Edge, edge_at
+from nodes.stability.plant import Plant
 from sim.design.recorded_loop import measure
 
 Vector = NDArray[np.float64]
@@ -89,7 +90,7 @@ def recorded_swing(path: Path, damping: float | None = None) -> Swing:
     end = int(moving[-1]) + 1 if moving.size else len(inside)
     theta, decay = ringing(inside[min(end // 4, max(end - _SHORTEST, 0)) : end])
     derivative = without_spring(law, loop.period)
-    edge = edge_at(derivative, loop.period, theta / loop.period, known, None, loop.median)
+    edge = edge_at(derivative, Plant(loop.period, 1.0, known, loop.median), theta / loop.period, light=True)
     return Swing(theta / loop.period, decay, end, edge, _nominal(law, compiled))
 
 

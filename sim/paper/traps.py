@@ -16,7 +16,8 @@ from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.laws.pd_alpha import PDAlpha, combine
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
+from nodes.stability.k_max import k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
 from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
 from sim.paper.descent import paper_targets, survey
@@ -29,11 +30,6 @@ PERIOD = 0.002
 def optimum(damping: float) -> CompiledLaw:
     """Give the derivative part of the paper's optimum."""
     return without_spring(parse_law({"kind": "paper_optimum", "damping": damping}), PERIOD)
-
-
-def radius(law: CompiledLaw, device: Plant) -> float:
-    """Pole radius of a law on a device."""
-    return pole_radius(law, PERIOD, device.mass, device.damping, device.delay, device.stiffness)
 
 
 def model(device: Plant) -> DeviceModel:
@@ -70,7 +66,7 @@ def euler_k_max(substeps: int, mass: float, damping: float, period: float) -> fl
 def euler_bias(substeps: int) -> tuple[float, float]:
     """Overstatement of K_max by semi-implicit Euler on a heavy device, found and predicted."""
     mass, damping = 10.0, 1.0
-    exact = k_max(CompiledLaw((0.0,)), PERIOD, Plant(mass, damping)).k_max_n_per_m
+    exact = k_max(CompiledLaw((0.0,)), Plant(PERIOD, mass, damping)).k_max_n_per_m
     assert exact is not None  # noqa: S101 - a spring on a damped mass always has a limit
     return euler_k_max(substeps, mass, damping, PERIOD) / exact, 1.0 / (1.0 - 1.0 / substeps)
 
@@ -119,22 +115,22 @@ def tustin_split(stiffness: float, gain: float, order: float = 1.5) -> CompiledL
 def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, tuple[float, bool]]]:
     """Tune PD and the paper's optimum to a share of their K_max at 0.1 kg and no delay, then change the loop."""
     loops = {
-        "as tuned": Plant(0.1, 1.0),
-        "one tick of delay": Plant(0.1, 1.0, 1.0),
-        "half a tick of delay": Plant(0.1, 1.0, 0.5),
-        "half the mass": Plant(0.05, 1.0),
-        "twice the mass": Plant(0.2, 1.0),
+        "as tuned": Plant(PERIOD, 0.1, 1.0),
+        "one tick of delay": Plant(PERIOD, 0.1, 1.0, 1.0),
+        "half a tick of delay": Plant(PERIOD, 0.1, 1.0, 0.5),
+        "half the mass": Plant(PERIOD, 0.05, 1.0),
+        "twice the mass": Plant(PERIOD, 0.2, 1.0),
     }
     derivatives = {"pd": without_spring(PD(stiffness=1.0, damping=damping), PERIOD), "optimum": optimum(damping)}
     told: dict[str, dict[str, tuple[float, bool]]] = {}
     for name, derivative in derivatives.items():
-        limit = k_max(derivative, PERIOD, loops["as tuned"]).k_max_n_per_m
+        limit = k_max(derivative, loops["as tuned"]).k_max_n_per_m
         assert limit is not None  # noqa: S101 - both laws are stable at small K
         law = with_spring(derivative, share * limit)
         told[name] = {}
         for loop, device in loops.items():
             scene = free_scene(model(device), PERIOD)
-            told[name][loop] = radius(law, device), settles(scene, [law], Criterion(20_000))[0]
+            told[name][loop] = pole_radius(law, device), settles(scene, [law], Criterion(20_000))[0]
     return told
 
 

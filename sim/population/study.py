@@ -10,6 +10,7 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.plant import Plant
 from sim.design.demand import Demand
 from sim.design.families import best_pd, designed
 from sim.device.model import DeviceModel
@@ -82,7 +83,9 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
             taps = CompiledLaw(tuple(law.found.taps.tolist()))
             told[name] = {
                 "h1_n_per_m": taps.h1,
-                "radius": pole_radius(taps, period, model.moving_mass, model.moving_damping, model.delay, model.grip),
+                "radius": pole_radius(
+                    taps, Plant(period, model.moving_mass, model.moving_damping, model.delay, model.grip)
+                ),
             }
     return told
 

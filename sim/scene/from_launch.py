@@ -19,7 +19,7 @@ from nodes.environment.surfaces import parse_surface
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
-from nodes.stability.k_max import Plant
+from nodes.stability.plant import Plant
 from sim.device.driver import SimDriverParameters
 from sim.scene.loop import Scene, Surface, Swap, Trace, run
 
@@ -77,7 +77,13 @@ class LaunchedScene:
             What moves, its delay with that of the loop.
         """
         body = self.scene.device
-        return Plant(body.moving_mass, body.moving_damping, body.delay + float(self.scene.next_tick), body.grip)
+        return Plant(
+            self.scene.period,
+            body.moving_mass,
+            body.moving_damping,
+            body.delay + float(self.scene.next_tick),
+            body.grip,
+        )
 
     def play(self, ticks: int | None = None, interpreted: bool = False) -> Trace:
         """Play the scene.

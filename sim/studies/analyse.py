@@ -13,7 +13,8 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import LawRefusedError, compile_law
 from nodes.stability.closed_loop import law_figures
 from nodes.stability.every_delay import every_delay
-from nodes.stability.k_max import Plant, edge_of, k_max, tolerance, without_spring
+from nodes.stability.k_max import edge_of, k_max, tolerance, without_spring
+from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
 from sim.results import fresh
 from sim.studies import arguments as shared
@@ -54,45 +55,43 @@ def run(arguments: argparse.Namespace) -> int:
             f"{law.kind}: has code of its own, so no transfer function and no poles to analyse; drop it: "
             "haptic study kmax --method simulation"
         )
-    figures = law_figures(compiled, period, device.mass, device.damping, device.delay, device.stiffness)
-    limits = tolerance(compiled, period, device)
-    boundary = k_max(derivative, period, device)
+    figures = law_figures(compiled, device)
+    limits = tolerance(compiled, device)
+    boundary = k_max(derivative, device)
     figures |= {"tolerance": None if limits is None else asdict(limits), **_boundary(asdict(boundary))}
-    edge = edge_of(derivative, period, device)
+    edge = edge_of(derivative, device)
     figures["edge"] = None if edge is None else asdict(edge)
-    figures["every_delay"] = _every_delay(arguments, compiled, device, period)
-    figures["rest"] = _rest(arguments, compiled, derivative, device, period)
+    figures["every_delay"] = _every_delay(arguments, compiled, device)
+    figures["rest"] = _rest(arguments, compiled, derivative, device)
     if arguments.resolution is not None:
         friction = arguments.friction or figures["rest"]["friction_bound_n"]
         nominal = compiled.taps[0] - derivative.taps[0]
         figures["rest"]["map"] = rest_map(
-            compiled, nominal, period, device, arguments.resolution, friction, arguments.out / "rest.png"
+            compiled, nominal, device, arguments.resolution, friction, arguments.out / "rest.png"
         )
-    figures["plot"] = str(_draw(arguments, compiled, device, period))
+    figures["plot"] = str(_draw(arguments, compiled, device))
     answer(arguments.json, figures, _text(figures))
     return 0
 
 
-def _every_delay(
-    arguments: argparse.Namespace, law: CompiledLaw, device: Plant, period: float
-) -> dict[str, Any] | None:
+def _every_delay(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> dict[str, Any] | None:
     if arguments.every_delay is None:
         return None
     try:
-        found = every_delay(law, period, device.mass, device.damping, arguments.every_delay, device.stiffness)
+        found = every_delay(law, device, arguments.every_delay)
     except ValueError as error:
         raise UsageError(f"--every-delay: {error}") from error
     return {"delay_ticks": list(arguments.every_delay), **asdict(found)}
 
 
 def _rest(
-    arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Plant, period: float
+    arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Plant
 ) -> dict[str, Any] | None:
     if arguments.resolution is None:
         if arguments.friction is not None:
             raise UsageError("--friction: rest takes the encoder too; give --resolution")
         return None
-    found: dict[str, Any] = asdict(rest(law, period, arguments.resolution, device.mass, device.damping, device.delay))
+    found: dict[str, Any] = asdict(rest(law, device, arguments.resolution))
     if arguments.friction is not None:
         stiffest = stiffest_at_rest(derivative, arguments.resolution, arguments.friction)
         found["k_rest_n_per_m"] = stiffest if stiffest > 0.0 else None
@@ -165,13 +164,13 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Plant, period: float) -> Path:
+def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> Path:
     import numpy as np
     from matplotlib.figure import Figure
 
     from nodes.stability.effective_damping import effective_damping
 
-    theta = np.linspace(0.0, np.pi, 801)
+    period, theta = device.period, np.linspace(0.0, np.pi, 801)
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.add_subplot(xlabel="ω/ω_N", ylabel="[N s/m]", title=f"f(ω) of {arguments.law}")
     spring = 0.5 * period * law.h1

@@ -12,7 +12,7 @@ from nodes.laws import Law, law_names, load_law
 from nodes.laws.parse import parse_law
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
-from nodes.stability.k_max import Plant
+from nodes.stability.plant import Plant
 from sim.device.presets import HANDS
 
 
@@ -91,7 +91,7 @@ def add_answer(parser: argparse.ArgumentParser) -> None:
 
 def device(arguments: argparse.Namespace) -> Plant:
     """Collect the device from parsed arguments."""
-    return Plant(arguments.mass, arguments.damping, arguments.delay, arguments.hand)
+    return Plant(1.0 / arguments.rate, arguments.mass, arguments.damping, arguments.delay, arguments.hand)
 
 
 def law(arguments: argparse.Namespace, name: str, gain: float | None = None) -> Law:

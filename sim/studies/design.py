@@ -14,7 +14,7 @@ from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
 from nodes.recording.writer import RecordError
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant
+from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.families import (
@@ -229,10 +229,10 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
 
 def _at_rest(arguments: argparse.Namespace, found: Robust, demand: Demand, figures: dict[str, Any]) -> list[str]:
     """Friction that the law asks for at the heaviest, least damped device, and the map of its K about this one."""
-    device = Plant(demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0])
-    needed = rest(found.law, demand.period, arguments.resolution, device.mass, device.damping, device.delay)
+    device = Plant(demand.period, demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0])
+    needed = rest(found.law, device, arguments.resolution)
     path = arguments.out / "design_rest.png"
-    drawn = rest_map(found.law, found.h1_n_per_m, demand.period, device, arguments.resolution, arguments.friction, path)
+    drawn = rest_map(found.law, found.h1_n_per_m, device, arguments.resolution, arguments.friction, path)
     figures["rest"] = asdict(needed) | {"map": drawn}
     stops = "stops" if needed.friction_bound_n <= arguments.friction else "need not stop"
     return [
@@ -249,7 +249,7 @@ def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dic
         compiled = law.found.law
         worst = max(
             replayed_radius(
-                compiled, demand.period, Plant(mass, demand.damping, 0.0, hand), measured.delays[:_REPLAYED]
+                compiled, Plant(demand.period, mass, demand.damping, 0.0, hand), measured.delays[:_REPLAYED]
             )
             for mass in demand.mass
             for hand in demand.stiffness
@@ -295,7 +295,7 @@ def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
 def _passive_row(passive: Passive, demand: Demand) -> dict[str, Any]:
     law = CompiledLaw(tuple(passive.taps.tolist()))
     radius = max(
-        pole_radius(law, demand.period, mass, demand.damping, delay, hand)
+        pole_radius(law, Plant(demand.period, mass, demand.damping, delay, hand))
         for mass, delay, hand in itertools.product(demand.mass, demand.delay, demand.stiffness)
     )
     return {
@@ -379,7 +379,7 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
     for name, taps in named:
         compiled = CompiledLaw(tuple(taps.tolist()))
         radii = [
-            pole_radius(compiled, demand.period, m, demand.damping, demand.delay[1], demand.stiffness[0])
+            pole_radius(compiled, Plant(demand.period, m, demand.damping, demand.delay[1], demand.stiffness[0]))
             for m in masses.tolist()
         ]
         label = f"{name}, H(1) = {compiled.h1:.0f} N/m"

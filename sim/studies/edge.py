@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     for name, law in LAWS.items():
         for gain in gains:
             derivative = without_spring(parse_law({**law, "damping": gain}), period)
-            limit, edge = k_max(derivative, period, device).k_max_n_per_m, edge_of(derivative, period, device)
+            limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
             if limit is not None and edge is not None:
                 rows.append({"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)})
     if not rows:

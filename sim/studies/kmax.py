@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
-from nodes.stability.k_max import KMax, Plant, k_max, with_spring, without_spring
+from nodes.stability.k_max import KMax, k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
 from sim.results import fresh
 from sim.studies import arguments as shared
@@ -52,15 +53,15 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Find K_max, or its boundary over a range of gains."""
-    device, period = shared.device(arguments), 1.0 / arguments.rate
+    device = shared.device(arguments)
     if arguments.gain is not None and arguments.gain[0] < arguments.gain[1]:
         if arguments.method == "lockstep":
             raise UsageError("--method lockstep: one --gain at a time, every stiffness takes a launch")
-        return _boundary(arguments, device, period)
+        return _boundary(arguments, device)
     gain = None if arguments.gain is None else arguments.gain[0]
     if arguments.method == "lockstep":
-        return _lockstep(arguments, gain, device, period)
-    found = _k_max(arguments, gain, device, period)
+        return _lockstep(arguments, gain, device)
+    found = _k_max(arguments, gain, device)
     stable = [[low, high if math.isfinite(high) else None] for low, high in found.stable]
     figures = _figures(found) | {"stable_n_per_m": stable}
     if found.k_max_n_per_m is None:
@@ -78,18 +79,18 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _k_max(arguments: argparse.Namespace, gain: float | None, device: Plant, period: float) -> KMax:
+def _k_max(arguments: argparse.Namespace, gain: float | None, device: Plant) -> KMax:
     law = shared.law(arguments, arguments.law, gain)
     try:
-        derivative = without_spring(law, period)
+        derivative = without_spring(law, device.period)
         if arguments.method == "simulation":
-            return _simulated(arguments, derivative, device, period)
-        return k_max(derivative, period, device, arguments.method)
+            return _simulated(arguments, derivative, device)
+        return k_max(derivative, device, arguments.method)
     except ValueError as error:
         raise UsageError(str(error)) from error
 
 
-def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant, period: float) -> int:
+def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) -> int:
     """Bisect one grid twice, by launches and in one process; around what the simulation found."""
     import numpy as np
 
@@ -102,14 +103,14 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant, 
         raise UsageError(f"--grid {arguments.grid}: expected at least 2")
     law = shared.law(arguments, arguments.law, gain)
     try:
-        guess = _simulated(arguments, without_spring(law, period), device, period).k_max_n_per_m
+        guess = _simulated(arguments, without_spring(law, device.period), device).k_max_n_per_m
         if guess is None or not math.isfinite(guess):
             raise UsageError("--method lockstep: the simulation found no K_max to look around")
         steps = np.geomspace(0.5, 2.0, arguments.grid)
         # Not at the guess itself: what is found must be decided by the runs.
         grid = (guess * steps * (steps[1] / steps[0]) ** (1 / 3)).tolist()
         bar = Progress(2 + math.ceil(math.log2(arguments.grid - 1)))
-        found = same_k_max(law, _scene(arguments, device, period), Criterion(ticks=arguments.horizon), grid, bar.step)
+        found = same_k_max(law, _scene(arguments, device), Criterion(ticks=arguments.horizon), grid, bar.step)
     except (ValueError, MeasurementError) as error:
         raise UsageError(str(error)) from error
     same = found.launched_n_per_m == found.one_process_n_per_m
@@ -134,7 +135,7 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant, 
     return 0 if same and found.launched_n_per_m is not None else 1
 
 
-def _scene(arguments: argparse.Namespace, device: Plant, period: float) -> Scene:
+def _scene(arguments: argparse.Namespace, device: Plant) -> Scene:
     """Set up the experiment; a grip is held where the floor is, and behind the wall to press."""
     from sim.experiments.drop import drop_scene, free_scene, press_scene
 
@@ -142,20 +143,20 @@ def _scene(arguments: argparse.Namespace, device: Plant, period: float) -> Scene
     if arguments.scene == "press":
         pressed = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay)
         grip = Hand(stiffness=device.stiffness, path=[(0.0, -0.01)]) if device.stiffness > 0.0 else None
-        return press_scene(pressed, period, raw=raw, clamp=True, hand=grip)
+        return press_scene(pressed, device.period, raw=raw, clamp=True, hand=grip)
     hand = Hand(stiffness=device.stiffness, path=[(0.0, 0.0)]) if device.stiffness > 0.0 else None
     model = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay, hand=hand)
     if arguments.scene == "free":
-        return free_scene(model, period)
-    return drop_scene(model, period, raw=raw, clamp=True)
+        return free_scene(model, device.period)
+    return drop_scene(model, device.period, raw=raw, clamp=True)
 
 
-def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Plant, period: float) -> KMax:
+def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Plant) -> KMax:
     """Raise K until the drop no longer settles."""
     from sim.experiments.drop import Criterion
     from sim.experiments.k_max_simulated import simulated_k_max
 
-    scene = _scene(arguments, device, period)
+    scene = _scene(arguments, device)
     found = simulated_k_max(lambda k: with_spring(derivative, k), scene, Criterion(ticks=arguments.horizon))
     top = found.k_max_n_per_m
     return KMax(top, found.h1_max_n_per_m, "simulation", ())
@@ -171,12 +172,12 @@ def _figures(found: KMax) -> dict[str, Any]:
     }
 
 
-def _boundary(arguments: argparse.Namespace, device: Plant, period: float) -> int:
+def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     low, high = arguments.gain
     if arguments.points < 2:
         raise UsageError(f"--points {arguments.points}: a range needs at least 2")
     gains = [low + (high - low) * i / (arguments.points - 1) for i in range(arguments.points)]
-    points = [{"gain": gain, **_figures(_k_max(arguments, gain, device, period))} for gain in gains]
+    points = [{"gain": gain, **_figures(_k_max(arguments, gain, device))} for gain in gains]
     stable = [point for point in points if point["k_max_n_per_m"] is not None]
     if not stable:
         answer(arguments.json, {"points": points, "plot": None}, "no stiffness is stable anywhere in this range")

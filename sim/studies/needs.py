@@ -71,13 +71,13 @@ def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
     law, device = scene.last_law, scene.plant
     if scene.scene.surface.kind == "free" or law.evaluate is not None:
         return None
-    body, period = scene.scene.device, scene.scene.period
+    body = scene.scene.device
     resolution, friction = body.resolution, body.friction
     declared = bool(resolution and friction)
     if not (resolution and friction):
         resolution, friction = RESOLUTION, FRICTION
-    found = rest(law, period, resolution, device.mass, device.damping, device.delay)
-    drawn = rest_map(law, law.h1, period, device, resolution, friction, path)
+    found = rest(law, device, resolution)
+    drawn = rest_map(law, law.h1, device, resolution, friction, path)
     return {"declared": declared, "resolution_m": resolution, "friction_n": friction, **asdict(found), "map": drawn}
 
 

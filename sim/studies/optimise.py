@@ -14,7 +14,8 @@ from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
 from nodes.laws.multi_term import MultiTerm, Term
 from nodes.laws.presets import PRESETS
-from nodes.stability.k_max import Plant, k_max, without_spring
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
 from sim.paper.descent import Descent, Targets, cost, damping_curve, paper_targets, survey
 from sim.paper.shaping import Shape, best_orders, free_taps, measured
 from sim.results import fresh
@@ -123,8 +124,8 @@ def _free_row(bound: float, taps: Any, ripple: float, arguments: argparse.Namesp
 
 
 def _stiffest(derivative: CompiledLaw, arguments: argparse.Namespace) -> float | None:
-    device = Plant(arguments.mass, arguments.damping, arguments.delay, arguments.hand)
-    return k_max(derivative, 1.0 / arguments.rate, device).h1_max_n_per_m
+    device = Plant(1.0 / arguments.rate, arguments.mass, arguments.damping, arguments.delay, arguments.hand)
+    return k_max(derivative, device).h1_max_n_per_m
 
 
 def _counts(runs: list[Descent]) -> dict[str, Any]:

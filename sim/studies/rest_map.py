@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from nodes.laws import CompiledLaw
-from nodes.stability.k_max import Plant, k_max, with_spring
+from nodes.stability.k_max import k_max, with_spring
+from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
 from sim.results import fresh
 
@@ -18,7 +19,7 @@ _SHOWN, _TOLD = 121, 13
 
 
 def rest_map(
-    law: CompiledLaw, stiffness: float, period: float, device: Plant, resolution: float, friction: float, path: Path
+    law: CompiledLaw, stiffness: float, device: Plant, resolution: float, friction: float, path: Path
 ) -> dict[str, Any]:
     """Work out the largest K without a limit cycle over friction and encoder step, and draw it.
 
@@ -29,7 +30,7 @@ def rest_map(
     import numpy as np
 
     derivative = with_spring(law, -stiffness)
-    limit = k_max(derivative, period, device).k_max_n_per_m
+    limit = k_max(derivative, device).k_max_n_per_m
     top = math.inf if limit is None else limit
 
     def over(count: int) -> tuple[Any, Any, Any]:
@@ -39,7 +40,7 @@ def rest_map(
         return frictions, steps, np.minimum(k, top)
 
     frictions, steps, k = over(_TOLD)
-    found = rest(law, period, resolution, device.mass, device.damping, device.delay)
+    found = rest(law, device, resolution)
     _draw(path, over(_SHOWN), (resolution, friction), (found.friction_bound_n, found.friction_estimated_n), stiffness)
     return {
         "friction_n": frictions.tolist(),

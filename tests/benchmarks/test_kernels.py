@@ -13,6 +13,7 @@ from nodes.kernels import fir, push, sections
 from nodes.laws.derivatives import realise
 from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, advance, coefficients
 from sim.scene.loop import Scene, Surface, run
 
@@ -78,4 +79,4 @@ def test_ten_thousand_ticks_compiled(benchmark: BenchmarkFixture) -> None:
 @pytest.mark.parametrize("taps", [4, 64, 500])
 def test_pole_radius(benchmark: BenchmarkFixture, taps: int) -> None:
     law = realise("gl", 0.5, taps, T)
-    assert benchmark(pole_radius, law, T, 0.1, 1.0, 1.0) > 0.0
+    assert benchmark(pole_radius, law, Plant(T, 0.1, 1.0, 1.0)) > 0.0

@@ -17,7 +17,7 @@ from nodes.coupling.parameters import CouplingParameters
 from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.store import ParameterError, convert
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant
+from nodes.stability.plant import Plant
 
 T = 0.002
 
@@ -66,12 +66,12 @@ def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
         judgement.at_start(at(0.999 * low, "refuse"), 3.0)
 
 
-DEVICE = Plant(0.1, 1.0, 1.0)
+DEVICE = Plant(T, 0.1, 1.0, 1.0)
 
 
 def stable(law: dict[str, Any]) -> bool:
     """By the closed loop itself, not by what is tested."""
-    return pole_radius(compile_law(parse_law(law), T), T, DEVICE.mass, DEVICE.damping, DEVICE.delay) < 1.0
+    return pole_radius(compile_law(parse_law(law), T), DEVICE) < 1.0
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from nodes.laws.derivatives import derivative_kinds, realise
 from nodes.laws.derivatives.gl import coefficients
 from nodes.laws.parse import compile_law, parse_law
 from nodes.stability.closed_loop import pole_radius, state_matrix
+from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import apply, largest_pole, lengths_taken
 from sim.device.model import DeviceModel
 from sim.scene.loop import Scene, Surface, run
@@ -238,11 +239,11 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
     compiled = compile_law(law, T)
     # b = 3 N s/m keeps a 300 N/m spring stable at no delay by a wide margin; what is tested is that the loop's own
     # kernels and the state matrix agree about the law.
-    assert pole_radius(compiled, T, 0.1, 3.0) < 1.0
+    assert pole_radius(compiled, Plant(T, 0.1, 3.0)) < 1.0
     device = DeviceModel(mass=0.1, damping=3.0, position=0.005)
     scene = Scene(device=device, surface=Surface("anchor"), period=T, raw=False, clamp=False)
     trace = run(scene, compiled, 600, interpreted=True)
-    state = state_matrix(compiled, T, 0.1, 3.0)
+    state = state_matrix(compiled, Plant(T, 0.1, 3.0))
     x = np.zeros(len(state))
     x[0] = 0.005
     for k in range(600):

@@ -14,7 +14,8 @@ from nodes.laws.pd_filtered import PDFiltered
 from nodes.laws.pd_windowed import PDWindowed, windowed_slope
 from nodes.recording.reader import Recording
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
+from nodes.stability.k_max import k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.scene.loop import run
@@ -39,14 +40,14 @@ def test_a_high_cutoff_is_pd_and_a_low_one_costs_stiffness() -> None:
 
     def limit(cutoff: float) -> float:
         derivative = without_spring(PDFiltered(stiffness=1.0, damping=3.0, cutoff=cutoff), T)
-        found = k_max(derivative, T, device).k_max_n_per_m
+        found = k_max(derivative, device).k_max_n_per_m
         assert found is not None
         # Just inside and just outside.
         for share, stable in ((0.999, True), (1.001, False)):
-            assert (pole_radius(with_spring(derivative, share * found), T, 0.1, 1.0, 1.0) < 1.0) == stable
+            assert (pole_radius(with_spring(derivative, share * found), Plant(T, 0.1, 1.0, 1.0)) < 1.0) == stable
         return found
 
-    plain = k_max(without_spring(PD(stiffness=1.0, damping=3.0), T), T, device).k_max_n_per_m
+    plain = k_max(without_spring(PD(stiffness=1.0, damping=3.0), T), device).k_max_n_per_m
     assert limit(1e4) == pytest.approx(plain, rel=1e-9)
     assert limit(100.0) > limit(30.0) > limit(10.0)
     # What it buys: less of the encoder's noise.

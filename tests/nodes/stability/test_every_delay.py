@@ -11,7 +11,8 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.every_delay import _Ticks, every_delay
-from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
+from nodes.stability.k_max import k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from sim.design.replay import replayed_radius
 
 T, M, B = 0.002, 0.1, 1.0
@@ -28,7 +29,7 @@ RANGES = [(0.05, 0.3), (0.0, 1.0), (0.6, 1.4), (1.0, 1.5)]
 def law(name: str, share: float, delays: tuple[float, float]) -> CompiledLaw:
     """At a share of the lower K_max of the two constant delays."""
     derivative = without_spring(parse_law(LAWS[name]), T)
-    limits = [k_max(derivative, T, Plant(M, B, d)).k_max_n_per_m for d in delays]
+    limits = [k_max(derivative, Plant(T, M, B, d)).k_max_n_per_m for d in delays]
     return with_spring(derivative, share * min(k for k in limits if k is not None))
 
 
@@ -37,15 +38,17 @@ def law(name: str, share: float, delays: tuple[float, float]) -> CompiledLaw:
 def test_a_constant_sequence_has_the_poles_of_its_delay(name: str, delay: float) -> None:
     some = law(name, 0.5, (0.5, 1.0))
     for around in ((delay, delay), (max(delay - 0.4, 0.0), delay + 0.4)):
-        matrix = _Ticks(some, T, (M, B, 0.0), around).matrix(delay, delay)
-        assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(pole_radius(some, T, M, B, delay), rel=1e-9)
+        matrix = _Ticks(some, Plant(T, M, B), around).matrix(delay, delay)
+        assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(
+            pole_radius(some, Plant(T, M, B, delay)), rel=1e-9
+        )
 
 
 @pytest.mark.parametrize("delays", RANGES)
 def test_hull_holds_the_matrices_of_all_delays(delays: tuple[float, float]) -> None:
     from scipy.optimize import linprog
 
-    ticks = _Ticks(law("paper_optimum", 0.5, delays), T, (M, B, 200.0), delays)
+    ticks = _Ticks(law("paper_optimum", 0.5, delays), Plant(T, M, B, 0.0, 200.0), delays)
     corners = ticks.hull().reshape(len(ticks.hull()), -1).T
     for older in np.linspace(*delays, 5).tolist():
         for newer in np.linspace(*delays, 5).tolist():
@@ -64,11 +67,11 @@ def test_hull_holds_the_matrices_of_all_delays(delays: tuple[float, float]) -> N
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("delays", RANGES)
 def test_just_inside_is_certified_and_just_outside_grows(name: str, delays: tuple[float, float]) -> None:
-    inside = every_delay(law(name, 0.97, delays), T, M, B, delays)
+    inside = every_delay(law(name, 0.97, delays), Plant(T, M, B), delays)
     assert inside.stable is True
     assert inside.rate is not None
     assert inside.growth <= inside.rate < 1.0
-    outside = every_delay(law(name, 1.01, delays), T, M, B, delays)
+    outside = every_delay(law(name, 1.01, delays), Plant(T, M, B), delays)
     assert outside.stable is False
     assert outside.growth > 1.0
     assert all(delays[0] <= d <= delays[1] for d in outside.growing)
@@ -81,24 +84,24 @@ def test_replays_agree_with_the_certificate_and_with_the_counterexample(delays: 
     inside = law("paper_optimum", 0.97, delays)
     for _ in range(3):
         sequence = [source.choice((delays[0], delays[1], source.uniform(*delays))) for _ in range(1500)]
-        assert replayed_radius(inside, T, Plant(M, B), sequence) < 1.0
+        assert replayed_radius(inside, Plant(T, M, B), sequence) < 1.0
     outside = law("paper_optimum", 1.02, delays)
-    found = every_delay(outside, T, M, B, delays)
+    found = every_delay(outside, Plant(T, M, B), delays)
     repeated = list(found.growing) * (1500 // len(found.growing))
     # The mean factor between first and last quarter is the growth but for the phase of the swing at either end.
-    assert replayed_radius(outside, T, Plant(M, B), repeated) == pytest.approx(found.growth, abs=2e-4)
+    assert replayed_radius(outside, Plant(T, M, B), repeated) == pytest.approx(found.growth, abs=2e-4)
     assert found.growth > 1.0
 
 
 def test_a_rate_can_be_demanded() -> None:
     some = law("pd", 0.5, (0.0, 0.5))
-    radius = max(pole_radius(some, T, M, B, d) for d in (0.0, 0.5))
-    assert every_delay(some, T, M, B, (0.0, 0.5), rate=0.5 * (1.0 + radius)).stable is True
-    assert every_delay(some, T, M, B, (0.0, 0.5), rate=radius - 1e-3).stable is False
+    radius = max(pole_radius(some, Plant(T, M, B, d)) for d in (0.0, 0.5))
+    assert every_delay(some, Plant(T, M, B), (0.0, 0.5), rate=0.5 * (1.0 + radius)).stable is True
+    assert every_delay(some, Plant(T, M, B), (0.0, 0.5), rate=radius - 1e-3).stable is False
 
 
 def test_what_cannot_be_certified_is_refused() -> None:
     with pytest.raises(ValueError, match=r"^delay 0\.5\.\.1\.6 ticks: expected low to high, at most one tick apart"):
-        every_delay(law("pd", 0.5, (0.5, 1.0)), T, M, B, (0.5, 1.6))
+        every_delay(law("pd", 0.5, (0.5, 1.0)), Plant(T, M, B), (0.5, 1.6))
     with pytest.raises(ValueError, match=r"^law: 1002 states, at most 40 are certified"):
-        every_delay(CompiledLaw((1000.0,) * 1000), T, M, B, (0.0, 0.5))
+        every_delay(CompiledLaw((1000.0,) * 1000), Plant(T, M, B), (0.0, 0.5))

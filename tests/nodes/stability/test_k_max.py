@@ -13,7 +13,8 @@ from nodes.cli.main import main
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant, boundaries, k_max, tolerance, with_spring, without_spring
+from nodes.stability.k_max import boundaries, k_max, tolerance, with_spring, without_spring
+from nodes.stability.plant import Plant
 
 T = 0.002
 
@@ -29,7 +30,7 @@ OPTIMUM = derivative("paper_optimum", damping=3.0)
 
 
 def radius(law: CompiledLaw, device: Plant) -> float:
-    return pole_radius(law, T, device.mass, device.damping, device.delay, device.stiffness)
+    return pole_radius(law, device)
 
 
 @pytest.mark.parametrize("beta", [0.05, 0.3, 2.0 * math.sqrt(2.0) - 2.0, 1.5, 1.9])
@@ -37,7 +38,7 @@ def test_closed_form_is_theorys_without_friction(beta: float) -> None:
     """κ_max = 2β(2−β)/(2+β) (THEORY.md §3)."""
     law = derivative("pd", damping=beta * 0.1 / T)
     expected = 2.0 * beta * (2.0 - beta) / (2.0 + beta) * 0.1 / T**2
-    found = k_max(law, T, Plant(0.1, 0.0))
+    found = k_max(law, Plant(T, 0.1, 0.0))
     assert found.method == "closed_form"
     # Differences of coefficients near 1 and 2, divided by T²/m·β: some hundred roundings at the ends.
     assert found.k_max_n_per_m == pytest.approx(expected, rel=1e-12)
@@ -47,8 +48,8 @@ def test_closed_form_is_theorys_without_friction(beta: float) -> None:
 @pytest.mark.parametrize(("mass", "damping"), [(0.1, 1.0), (0.02, 5.0), (3.0, 0.1), (0.1, 0.0)])
 @pytest.mark.parametrize("hand", [0.0, 400.0])
 def test_closed_form_and_pole_radius_agree(gain: float, mass: float, damping: float, hand: float) -> None:
-    law, device = derivative("pd", damping=gain), Plant(mass, damping, 0.0, hand)
-    exact, found = k_max(law, T, device, "closed_form"), k_max(law, T, device, "pole_radius")
+    law, device = derivative("pd", damping=gain), Plant(T, mass, damping, 0.0, hand)
+    exact, found = k_max(law, device, "closed_form"), k_max(law, device, "pole_radius")
     if exact.k_max_n_per_m is None or exact.k_max_n_per_m < 1e-6:
         assert found.k_max_n_per_m is None or found.k_max_n_per_m < 1e-6
     else:
@@ -60,8 +61,8 @@ def test_closed_form_and_pole_radius_agree(gain: float, mass: float, damping: fl
 @pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 2.0])
 @pytest.mark.parametrize("hand", [0.0, 400.0])
 def test_just_inside_and_just_outside(law: CompiledLaw, delay: float, hand: float) -> None:
-    device = Plant(0.08, 0.9, delay, hand)
-    limit = k_max(law, T, device).k_max_n_per_m
+    device = Plant(T, 0.08, 0.9, delay, hand)
+    limit = k_max(law, device).k_max_n_per_m
     assert limit is not None
     assert radius(with_spring(law, limit * (1.0 - 1e-6)), device) < 1.0
     assert radius(with_spring(law, limit * (1.0 + 1e-6)), device) > 1.0
@@ -69,8 +70,8 @@ def test_just_inside_and_just_outside(law: CompiledLaw, delay: float, hand: floa
 
 
 def test_nothing_below_the_boundary_is_unstable_and_h1_is_what_is_felt() -> None:
-    device = Plant(0.1, 1.0, 1.0)
-    found = k_max(OPTIMUM, T, device)
+    device = Plant(T, 0.1, 1.0, 1.0)
+    found = k_max(OPTIMUM, device)
     low, high = found.stable[0]
     for k in np.linspace(low + 1e-6, high - 1e-6, 60):
         assert radius(with_spring(OPTIMUM, float(k)), device) < 1.0
@@ -80,33 +81,33 @@ def test_nothing_below_the_boundary_is_unstable_and_h1_is_what_is_felt() -> None
 
 
 def test_every_boundary_has_a_pole_on_the_circle() -> None:
-    device = Plant(0.1, 1.0, 1.0)
-    for k in boundaries(HALF, T, device):
+    device = Plant(T, 0.1, 1.0, 1.0)
+    for k in boundaries(HALF, device):
         from nodes.stability.closed_loop import closed_loop
 
-        poles = np.roots(closed_loop(with_spring(HALF, k), T, device.mass, device.damping, device.delay))
+        poles = np.roots(closed_loop(with_spring(HALF, k), device))
         assert np.abs(np.abs(poles) - 1.0).min() < 1e-9
 
 
 def test_long_laws_have_a_boundary_too() -> None:
     law = derivative("pd_alpha", damping=3.0, order=0.5, taps=1500, gains="paper")
-    device = Plant(0.1, 1.0, 1.0)
-    limit = k_max(law, T, device).k_max_n_per_m
+    device = Plant(T, 0.1, 1.0, 1.0)
+    limit = k_max(law, device).k_max_n_per_m
     assert limit is not None
     assert radius(with_spring(law, limit * 0.999), device) < 1.0 < radius(with_spring(law, limit * 1.001), device)
 
 
 def test_too_much_damping_leaves_nothing_stable() -> None:
     """β = BT/m must stay below 2 for a device without friction."""
-    assert k_max(derivative("pd", damping=2.0001 * 0.1 / T), T, Plant(0.1, 0.0)).k_max_n_per_m is None
-    assert k_max(derivative("pd", damping=1.9999 * 0.1 / T), T, Plant(0.1, 0.0)).k_max_n_per_m is not None
+    assert k_max(derivative("pd", damping=2.0001 * 0.1 / T), Plant(T, 0.1, 0.0)).k_max_n_per_m is None
+    assert k_max(derivative("pd", damping=1.9999 * 0.1 / T), Plant(T, 0.1, 0.0)).k_max_n_per_m is not None
 
 
 def test_closed_form_is_not_claimed_where_there_is_none() -> None:
-    assert k_max(OPTIMUM, T, Plant(0.1, 1.0)).method == "pole_radius"
-    assert k_max(PD, T, Plant(0.1, 1.0, 1.0)).method == "pole_radius"
+    assert k_max(OPTIMUM, Plant(T, 0.1, 1.0)).method == "pole_radius"
+    assert k_max(PD, Plant(T, 0.1, 1.0, 1.0)).method == "pole_radius"
     with pytest.raises(ValueError, match="closed_form needs a spring or PD without delay"):
-        k_max(PD, T, Plant(0.1, 1.0, 1.0), "closed_form")
+        k_max(PD, Plant(T, 0.1, 1.0, 1.0), "closed_form")
 
 
 @pytest.mark.parametrize("steps", [2, 5, 10])
@@ -132,40 +133,40 @@ def test_semi_implicit_euler_overstates_k_max(steps: int) -> None:
     low, high = 1.0, 1e5
     for _ in range(60):
         low, high = (0.5 * (low + high), high) if stable(0.5 * (low + high)) else (low, 0.5 * (low + high))
-    exact = k_max(derivative("pd", damping=gain), T, Plant(mass, 0.0)).k_max_n_per_m
+    exact = k_max(derivative("pd", damping=gain), Plant(T, mass, 0.0)).k_max_n_per_m
     assert exact is not None
     # First order in β = BT/m = 0.01; the neglected term is a few β.
     assert low / exact == pytest.approx(1.0 / (1.0 - 1.0 / steps), rel=5 * gain * T / mass)
 
 
 def test_tolerances_are_edges() -> None:
-    device = Plant(0.1, 1.0, 1.0)
+    device = Plant(T, 0.1, 1.0, 1.0)
     law = with_spring(PD, 1000.0)
-    limits = tolerance(law, T, device)
+    limits = tolerance(law, device)
     assert limits is not None
     assert limits.mass_min_kg is not None
     assert limits.delay_max_ticks is not None
     assert limits.hand_stiffness_max_n_per_m is not None
     for inside, outside in (
-        (Plant(limits.mass_min_kg * 1.000001, 1.0, 1.0), Plant(limits.mass_min_kg * 0.999999, 1.0, 1.0)),
-        (Plant(0.1, 1.0, limits.delay_max_ticks - 1e-6), Plant(0.1, 1.0, limits.delay_max_ticks + 1e-6)),
+        (Plant(T, limits.mass_min_kg * 1.000001, 1.0, 1.0), Plant(T, limits.mass_min_kg * 0.999999, 1.0, 1.0)),
+        (Plant(T, 0.1, 1.0, limits.delay_max_ticks - 1e-6), Plant(T, 0.1, 1.0, limits.delay_max_ticks + 1e-6)),
         (
-            Plant(0.1, 1.0, 1.0, limits.hand_stiffness_max_n_per_m * 0.999999),
-            Plant(0.1, 1.0, 1.0, limits.hand_stiffness_max_n_per_m * 1.000001),
+            Plant(T, 0.1, 1.0, 1.0, limits.hand_stiffness_max_n_per_m * 0.999999),
+            Plant(T, 0.1, 1.0, 1.0, limits.hand_stiffness_max_n_per_m * 1.000001),
         ),
     ):
         assert radius(law, inside) < 1.0 < radius(law, outside)
 
 
 def test_an_unstable_loop_has_no_tolerance() -> None:
-    assert tolerance(with_spring(PD, 1e5), T, Plant(0.1, 1.0, 1.0)) is None
+    assert tolerance(with_spring(PD, 1e5), Plant(T, 0.1, 1.0, 1.0)) is None
 
 
 def test_kmax_answers_for_machines(capsys: pytest.CaptureFixture[str]) -> None:
     words = "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --delay 0 --rate 500 --json"
     assert main(words.split()) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
-    expected = k_max(PD, T, Plant(0.1, 1.0))
+    expected = k_max(PD, Plant(T, 0.1, 1.0))
     assert figures["k_max_n_per_m"] == figures["h1_max_n_per_m"] == expected.k_max_n_per_m
     assert figures["method"] == "closed_form"
     assert main([*words.split(), "--method", "pole_radius"]) == 0
@@ -207,8 +208,8 @@ def test_analyse_agrees_with_what_it_is_made_of(tmp_path: Path, capsys: pytest.C
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     law = parse_law("paper_optimum").compile(T)
     assert figures["taps_n_per_m"] == list(law.taps)
-    assert figures["pole_radius"] == radius(law, Plant(0.1, 1.0, 1.0))
-    assert figures["k_max_n_per_m"] == k_max(OPTIMUM, T, Plant(0.1, 1.0, 1.0)).k_max_n_per_m
+    assert figures["pole_radius"] == radius(law, Plant(T, 0.1, 1.0, 1.0))
+    assert figures["k_max_n_per_m"] == k_max(OPTIMUM, Plant(T, 0.1, 1.0, 1.0)).k_max_n_per_m
     assert figures["tolerance"]["delay_max_ticks"] > 1.0
     assert Path(figures["plot"]).is_file()
 
@@ -218,7 +219,7 @@ def test_simulated_drop_reads_below_the_linear_limit(capsys: pytest.CaptureFixtu
     words = "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --method simulation --json"
     assert main(words.split()) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
-    limit = k_max(PD, T, Plant(0.1, 1.0)).k_max_n_per_m
+    limit = k_max(PD, Plant(T, 0.1, 1.0)).k_max_n_per_m
     assert limit is not None
     assert figures["method"] == "simulation"
     assert 0.7 * limit < figures["k_max_n_per_m"] < 0.99 * limit

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant, edge_of, k_max, with_spring, without_spring
+from nodes.stability.k_max import edge_of, k_max, with_spring, without_spring
 from nodes.stability.occurring import damping_shown, edge_at
+from nodes.stability.plant import Plant
 
 T = 0.002
 
@@ -23,7 +24,7 @@ KINDS: dict[str, dict[str, object]] = {
     "three_halves": {"kind": "pd_alpha", "stiffness": 1.0, "order": 1.5, "taps": 4, "gains": "paper"},
     "paper_optimum": {"kind": "paper_optimum"},
 }
-DEVICES = (Plant(0.1, 1.0), Plant(0.045, 0.3), Plant(0.3, 2.0))
+DEVICES = (Plant(T, 0.1, 1.0), Plant(T, 0.045, 0.3), Plant(T, 0.3, 2.0))
 
 
 def derivative(name: str, gain: float) -> CompiledLaw:
@@ -35,10 +36,10 @@ def derivative(name: str, gain: float) -> CompiledLaw:
 @pytest.mark.parametrize("gain", [3.0, 8.0, 25.0])
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.0])
 def test_colgate_at_the_frequency_that_occurs_is_k_max(name: str, body: Plant, gain: float, delay: float) -> None:
-    device = Plant(body.mass, body.damping, delay)
+    device = Plant(T, body.mass, body.damping, delay)
     law = derivative(name, gain)
-    limit = k_max(law, T, device).k_max_n_per_m
-    edge = edge_of(law, T, device)
+    limit = k_max(law, device).k_max_n_per_m
+    edge = edge_of(law, device)
     if limit is None or edge is None:
         pytest.skip("no K is stable, or the loop does not ring at its limit")
     # The boundary is solved to 1e-15 in angle; K moves by its slope along it, some 1e3 of itself.
@@ -52,14 +53,14 @@ def test_colgate_at_the_frequency_that_occurs_is_k_max(name: str, body: Plant, g
         )
     if delay in (0.0, 1.0, 2.0):
         # Without the mass: R of a light device is wrong by (bT/m)² and less.
-        seen = edge_at(law, T, edge.omega_rad_per_s, device.damping, None, delay)
+        seen = edge_at(law, device, edge.omega_rad_per_s, light=True)
         assert seen.k_exact_n_per_m == pytest.approx(limit, rel=1e-5)
 
 
 def test_damping_shown_is_the_series_for_light_damping() -> None:
     for theta in np.linspace(0.05, 3.0, 40).tolist():
         mu = 1e-3
-        shown = damping_shown(theta, T, 0.1, mu * 0.1 / T) / (mu * 0.1 / T)
+        shown = damping_shown(Plant(T, 0.1, mu * 0.1 / T), theta) / (mu * 0.1 / T)
         # The next term is of order (bT/m)², times the square of the tangent's growth near ω_N.
         assert shown == pytest.approx(
             1.0 + math.tan(0.5 * theta) ** 2 / 3.0, rel=1e-5 * (1.0 + math.tan(0.5 * theta) ** 2)
@@ -74,22 +75,22 @@ def test_damping_shown_is_the_series_for_light_damping() -> None:
     delay=st.sampled_from([0.0, 0.25, 1.0, 1.5]),
 )
 def test_any_taps(taps: list[float], mass: float, damping: float, delay: float) -> None:
-    device, law = Plant(mass, damping, delay), CompiledLaw(tuple(taps))
-    limit, edge = k_max(law, T, device, "pole_radius").k_max_n_per_m, edge_of(law, T, device)
+    device, law = Plant(T, mass, damping, delay), CompiledLaw(tuple(taps))
+    limit, edge = k_max(law, device, "pole_radius").k_max_n_per_m, edge_of(law, device)
     if edge is not None and limit is not None and 1e-3 < edge.omega_rad_per_s * T < 3.1:
         assert edge.k_exact_n_per_m == pytest.approx(limit, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_just_inside_is_stable_and_just_outside_is_not(name: str) -> None:
-    law, device = derivative(name, 8.0), Plant(0.1, 1.0)
-    edge = edge_of(law, T, device)
+    law, device = derivative(name, 8.0), Plant(T, 0.1, 1.0)
+    edge = edge_of(law, device)
     assert edge is not None
     for share, stable in ((0.999, True), (1.001, False)):
-        radius = pole_radius(with_spring(law, share * edge.k_exact_n_per_m), T, device.mass, device.damping)
+        radius = pole_radius(with_spring(law, share * edge.k_exact_n_per_m), device)
         assert (radius < 1.0) == stable
 
 
 def test_frequency_must_be_below_nyquist() -> None:
     with pytest.raises(ValueError, match=r"^omega = 2000 rad/s: must be between 0 and 1570"):
-        edge_at(CompiledLaw((0.0,)), T, 2000.0, 1.0)
+        edge_at(CompiledLaw((0.0,)), Plant(T, 0.1, 1.0), 2000.0)

@@ -8,7 +8,8 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
-from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
+from nodes.stability.k_max import k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from nodes.stability.rest import absolute_sum, rest, stiffest_at_rest
 from sim.device.model import DeviceModel, quantise
 from sim.experiments.drop import drop_scene
@@ -55,11 +56,11 @@ def still(law: CompiledLaw, friction: float, delay: float) -> bool:
 @pytest.mark.parametrize(("name", "gain"), [("pd", 0.0), ("pd", 3.0), ("pd", 12.0), ("paper_optimum", 3.0)])
 def test_with_the_bounds_friction_every_drop_comes_to_a_stop(name: str, gain: float, delay: float) -> None:
     loop = derivative(name, gain)
-    limit = k_max(loop, T, Plant(0.1, 1.0, delay)).k_max_n_per_m
+    limit = k_max(loop, Plant(T, 0.1, 1.0, delay)).k_max_n_per_m
     assert limit is not None
     for share in (0.3, 0.7):
         law = with_spring(loop, share * limit)
-        found = rest(law, T, STEP, 0.1, 1.0, delay)
+        found = rest(law, Plant(T, 0.1, 1.0, delay), STEP)
         assert found.friction_estimated_n is not None
         assert found.friction_estimated_n <= found.friction_bound_n
         assert still(law, 1.001 * found.friction_bound_n, delay)
@@ -80,7 +81,7 @@ def test_spring_and_pd_are_abbott_and_okamuras() -> None:
         # Passive up to K < 2(b − B)/T, paper eq. (4): just inside it is a proof, just outside it is not.
         for share, certain in ((0.999, True), (1.001, False)):
             inside = PD(stiffness=share * 2.0 * 1.0 / T, damping=gain).compile(T)
-            assert rest(inside, T, STEP, damping=1.0 + gain).certain == certain
+            assert rest(inside, Plant(T, 0.1, 1.0 + gain), STEP).certain == certain
 
 
 def test_sections_are_summed_to_the_end() -> None:

@@ -18,7 +18,7 @@ from nodes.laws.parse import parse_law
 from nodes.stability import roots
 from nodes.stability.closed_loop import closed_loop, law_figures, pole_radius, rendered, state_matrix
 from nodes.stability.effective_damping import damping_needed, effective_damping, least
-from nodes.stability.held_plant import held_plant, held_step
+from nodes.stability.plant import Plant, held_plant, held_step
 from sim.device import model
 
 T = 0.002
@@ -57,10 +57,10 @@ def test_pd_boundary_of_a_device_without_friction(beta: float) -> None:
     mass = 0.1
     limit = 2.0 * beta * (2.0 - beta) / (2.0 + beta) * mass / T**2
     damping = beta * mass / T
-    assert pole_radius(pd(limit * (1.0 - 1e-7), damping), T, mass, 0.0) < 1.0
-    assert pole_radius(pd(limit * (1.0 + 1e-7), damping), T, mass, 0.0) > 1.0
+    assert pole_radius(pd(limit * (1.0 - 1e-7), damping), Plant(T, mass, 0.0)) < 1.0
+    assert pole_radius(pd(limit * (1.0 + 1e-7), damping), Plant(T, mass, 0.0)) > 1.0
     # At the limit itself, a pole is on the circle to the rounding of the companion matrix.
-    assert pole_radius(pd(limit, damping), T, mass, 0.0) == pytest.approx(1.0, abs=1e-12)
+    assert pole_radius(pd(limit, damping), Plant(T, mass, 0.0)) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_pd_boundary_peaks_where_theory_says() -> None:
@@ -87,7 +87,7 @@ def test_heavy_device(delay: float, taps: tuple[float, ...]) -> None:
             margin = 0.3 / math.sqrt(mass)
             law = derivative.copy()
             law[0] += limit * (1.0 + side * margin)
-            errors.append((pole_radius(CompiledLaw(tuple(law)), T, mass, damping, delay) - 1.0) * side)
+            errors.append((pole_radius(CompiledLaw(tuple(law)), Plant(T, mass, damping, delay)) - 1.0) * side)
     assert min(errors) > 0.0
 
 
@@ -144,7 +144,7 @@ def test_a_passive_law_is_stable_with_any_mass_and_any_hand(
     needed = damping_needed(law, T, delay)
     scaled = CompiledLaw(tuple(0.999 * tap / needed for tap in taps))
     # Marginal at z = 1 as H(1) T/b → 0: the slowest pole is known to the square root of rounding at worst.
-    assert pole_radius(scaled, T, 10.0**decade, 1.0, delay, hand) < 1.0 + 1e-9
+    assert pole_radius(scaled, Plant(T, 10.0**decade, 1.0, delay, hand)) < 1.0 + 1e-9
 
 
 @pytest.mark.parametrize("order", [0.3, 0.5, 1.5, 2.5])
@@ -201,8 +201,8 @@ def test_figures_of_the_papers_optimum() -> None:
 def test_three_ways_to_the_same_poles(delay: float, hand: float, taps: tuple[float, ...]) -> None:
     """Polynomial, state matrix, and the one-tick map of the simulator's own device and kernels."""
     law, mass, damping = CompiledLaw(taps), 0.08, 0.7
-    from_polynomial = pole_radius(law, T, mass, damping, delay, hand)
-    from_state = np.abs(np.linalg.eigvals(state_matrix(law, T, mass, damping, delay, hand))).max()
+    from_polynomial = pole_radius(law, Plant(T, mass, damping, delay, hand))
+    from_state = np.abs(np.linalg.eigvals(state_matrix(law, Plant(T, mass, damping, delay, hand)))).max()
     from_ticks = np.abs(np.linalg.eigvals(one_tick_map(law, T, mass, damping, delay, hand))).max()
     # Simple poles, a few roundings times the condition of the eigenvalues (below 1e3 here).
     assert from_polynomial == pytest.approx(from_state, rel=1e-11)
@@ -212,9 +212,9 @@ def test_three_ways_to_the_same_poles(delay: float, hand: float, taps: tuple[flo
 def test_fractional_delay_is_continuous_at_whole_ticks() -> None:
     law = pd(800.0, 3.0)
     for whole in (1.0, 2.0):
-        at = pole_radius(law, T, 0.1, 1.0, whole)
-        assert pole_radius(law, T, 0.1, 1.0, whole - 1e-9) == pytest.approx(at, abs=1e-8)
-        assert pole_radius(law, T, 0.1, 1.0, whole + 1e-9) == pytest.approx(at, abs=1e-8)
+        at = pole_radius(law, Plant(T, 0.1, 1.0, whole))
+        assert pole_radius(law, Plant(T, 0.1, 1.0, whole - 1e-9)) == pytest.approx(at, abs=1e-8)
+        assert pole_radius(law, Plant(T, 0.1, 1.0, whole + 1e-9)) == pytest.approx(at, abs=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -223,16 +223,16 @@ def test_fractional_delay_is_continuous_at_whole_ticks() -> None:
 )
 def test_held_step_against_the_virtual_device(mass: float, damping: float, stiffness: float, duration: float) -> None:
     """The series of the matrix exponential against the closed forms of sim/device/model.py."""
-    _, transition, newer, older = held_step(mass, damping, duration, 0.0, stiffness)
+    _, transition, newer, older = held_step(Plant(duration, mass, damping, 0.0, stiffness))
     # Squaring three times loses three bits of 53, and cancels a little in the oscillating case.
     assert (*transition, *newer) == pytest.approx(model.coefficients(mass, damping, stiffness, duration), rel=1e-12)
     assert older == (0.0, 0.0)
 
 
 def test_whole_and_nearly_whole_delay_give_the_same_plant() -> None:
-    assert held_plant(0.1, 1.0, T, 2.0).whole == 2
-    assert held_plant(0.1, 1.0, T, 2.0).numerator[2] == 0.0
-    assert held_plant(0.1, 1.0, T, 1.75).numerator[2] > 0.0
+    assert held_plant(Plant(T, 0.1, 1.0, 2.0)).whole == 2
+    assert held_plant(Plant(T, 0.1, 1.0, 2.0)).numerator[2] == 0.0
+    assert held_plant(Plant(T, 0.1, 1.0, 1.75)).numerator[2] > 0.0
 
 
 @pytest.mark.parametrize("name", ["mass", "damping", "period", "delay", "stiffness"])
@@ -240,7 +240,7 @@ def test_whole_and_nearly_whole_delay_give_the_same_plant() -> None:
 def test_impossible_devices_are_refused_by_name(name: str, value: float) -> None:
     device = {"mass": 0.1, "damping": 1.0, "period": T, "delay": 0.0, "stiffness": 0.0, name: value}
     with pytest.raises(ValueError, match=rf"^{name} = "):
-        held_plant(**device)
+        held_plant(Plant(**device))
 
 
 def long_law(order: float, taps: int, stiffness: float = 1500.0, damping: float = 2.0) -> CompiledLaw:
@@ -253,19 +253,19 @@ def long_law(order: float, taps: int, stiffness: float = 1500.0, damping: float 
 @pytest.mark.parametrize("stiffness", [300.0, 5000.0])
 def test_counted_radius_is_the_companions(order: float, stiffness: float, monkeypatch: pytest.MonkeyPatch) -> None:
     law = long_law(order, 250, stiffness)
-    coefficients = closed_loop(law, T, 0.1, 1.0, 0.5)
+    coefficients = closed_loop(law, Plant(T, 0.1, 1.0, 0.5))
     companion = float(roots.largest_roots(coefficients[None, :])[0])
     # The companion matrix of degree 253 is good to some thousand roundings.
-    assert pole_radius(law, T, 0.1, 1.0, 0.5) == pytest.approx(companion, rel=1e-11)
+    assert pole_radius(law, Plant(T, 0.1, 1.0, 0.5)) == pytest.approx(companion, rel=1e-11)
     monkeypatch.setattr(roots, "COMPANION_LIMIT", 1)
-    assert pole_radius(law, T, 0.1, 1.0, 0.5) == pytest.approx(companion, rel=1e-11)
+    assert pole_radius(law, Plant(T, 0.1, 1.0, 0.5)) == pytest.approx(companion, rel=1e-11)
 
 
 @pytest.mark.parametrize("taps", [2000, 4001])
 @pytest.mark.parametrize("order", [0.5, 1.5, 3.47])
 def test_thousands_of_taps(order: float, taps: int) -> None:
     """The radius is right when no root is outside a slightly larger circle and one is outside a slightly smaller one."""
-    coefficients = closed_loop(long_law(order, taps), T, 0.1, 1.0, 1.0)
+    coefficients = closed_loop(long_law(order, taps), Plant(T, 0.1, 1.0, 1.0))
     radius = roots.largest_root(coefficients)
     assert roots.roots_outside(coefficients, radius * (1.0 + 1e-9)) == 0
     assert (roots.roots_outside(coefficients, radius * (1.0 - 1e-9)) or 0) > 0
@@ -309,27 +309,29 @@ def test_sections_against_the_long_tap_vector_they_stand_for(delay: float) -> No
     for b0, b1, a1, a2 in sections:
         taps += signal.lfilter([b0, b1], [1.0, a1, a2], impulse)
     long = CompiledLaw(tuple(taps))
-    assert pole_radius(law, T, 0.05, 2.0, delay) == pytest.approx(pole_radius(long, T, 0.05, 2.0, delay), rel=1e-9)
+    assert pole_radius(law, Plant(T, 0.05, 2.0, delay)) == pytest.approx(
+        pole_radius(long, Plant(T, 0.05, 2.0, delay)), rel=1e-9
+    )
     assert damping_needed(law, T, delay) == pytest.approx(damping_needed(long, T, delay), rel=1e-9)
     assert least(law, T)[1] == pytest.approx(least(long, T)[1], rel=1e-9)
     with pytest.raises(ValueError, match="sections"):
-        closed_loop(law, T, 0.05, 2.0, delay)
+        closed_loop(law, Plant(T, 0.05, 2.0, delay))
 
 
 def test_figures_for_machines() -> None:
     law = pd(1000.0, 3.0)
-    figures = law_figures(law, T, 0.1, 1.0, 1.0)
+    figures = law_figures(law, Plant(T, 0.1, 1.0, 1.0))
     assert figures["taps_n_per_m"] == list(law.taps)
     assert figures["h1_n_per_m"] == pytest.approx(1000.0, rel=1e-12)
     assert figures["h_nyquist_n_per_m"] == pytest.approx(1000.0 + 2.0 * 3.0 / T, rel=1e-12)
     assert figures["f_min_n_s_per_m"] == pytest.approx(-3.0, rel=1e-9)
     assert figures["f_nyquist_n_s_per_m"] == pytest.approx(3.0, rel=1e-12)
     assert figures["passive_scale"] == pytest.approx(1.0 / figures["damping_needed_n_s_per_m"])
-    assert figures["pole_radius"] == pole_radius(law, T, 0.1, 1.0, 1.0)
+    assert figures["pole_radius"] == pole_radius(law, Plant(T, 0.1, 1.0, 1.0))
     assert law_figures(law, T)["pole_radius"] is None
 
 
 def test_what_a_hand_adds() -> None:
     """A hand's stiffness enters the exact map: without coupling, a damped oscillator decays by e^{−bT/2m} per tick."""
     weak = CompiledLaw((1e-9,))
-    assert pole_radius(weak, T, 0.1, 1.0, 0.0, 400.0) == pytest.approx(math.exp(-1.0 * T / 0.2), rel=1e-9)
+    assert pole_radius(weak, Plant(T, 0.1, 1.0, 0.0, 400.0)) == pytest.approx(math.exp(-1.0 * T / 0.2), rel=1e-9)

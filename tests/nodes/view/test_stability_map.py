@@ -10,6 +10,7 @@ import pytest
 from nodes.coupling.parameters import PlantParameters
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.plant import Plant
 from nodes.view.stability_map import drawn_map, plant_of, stability_map
 
 T = 0.002
@@ -23,7 +24,7 @@ LAWS: list[dict[str, Any]] = [
 
 def radius(described: dict[str, Any], delay: float, **changed: float) -> float:
     law = msgspec.structs.replace(parse_law(described), **changed)
-    return pole_radius(law.compile(T), T, PLANT.mass, PLANT.damping, delay, PLANT.stiffness)
+    return pole_radius(law.compile(T), Plant(T, PLANT.mass, PLANT.damping, delay, PLANT.stiffness))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0])

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from nodes.cli.main import main
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
-from nodes.stability.k_max import Plant, k_max, without_spring
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
 from sim.bench.tap_timing import TapTimings
 from sim.chart.derivatives import largest_stable, with_stiffness
 from sim.chart.equal_demand import NYQUIST, keeps, tuned
@@ -175,7 +176,7 @@ def test_rk4_is_of_fourth_order() -> None:
 
 def test_pole_radius_is_the_closed_form_where_there_is_one() -> None:
     law = without_spring(PD(stiffness=1.0, damping=3.0), 0.002)
-    closed = k_max(law, 0.002, Plant(0.1, 0.1), "closed_form").k_max_n_per_m
+    closed = k_max(law, Plant(0.002, 0.1, 0.1), "closed_form").k_max_n_per_m
     assert poles(0.0, 1e-9) == pytest.approx(closed, rel=1e-8)
     # The formula for an undamped device is off by the damping left out, b/B = 1/30 or so.
     assert light(0.0) == pytest.approx(closed, rel=0.1 / 3.0 * 1.5)

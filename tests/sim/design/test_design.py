@@ -25,7 +25,7 @@ from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.writer import RecordWriter
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
-from nodes.stability.k_max import Plant
+from nodes.stability.plant import Plant
 from sim.design.cases import Loop, cases_of
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.evolution import _within, evolved
@@ -67,7 +67,7 @@ def check(found: Robust | None, wanted: Demand) -> Robust:
         mass = math.exp(rng.uniform(*np.log(wanted.mass)))
         delay, hand = rng.uniform(*wanted.delay), rng.uniform(*wanted.stiffness)
         # Between 801 verified masses the radius can exceed the bound by its curvature only: far below 1e-5.
-        assert pole_radius(law, T, mass, wanted.damping, delay, hand) <= wanted.radius + 1e-5
+        assert pole_radius(law, Plant(T, mass, wanted.damping, delay, hand)) <= wanted.radius + 1e-5
     assert abs(law.h_nyquist) <= wanted.nyquist * (1.0 + 1e-9)
     assert law.h1 == pytest.approx(found.h1_n_per_m, rel=1e-9)
     return found
@@ -85,7 +85,7 @@ def test_best_pd_is_the_best_of_a_grid(delay: float) -> None:
             k = 0.5 * (low + high)
             law = CompiledLaw((k + gain / T, -gain / T))
             kept = law.h_nyquist <= 1e4 and all(
-                pole_radius(law, T, mass, 1.0, delay) <= 0.99 for mass in np.geomspace(0.05, 0.2, 7).tolist()
+                pole_radius(law, Plant(T, mass, 1.0, delay)) <= 0.99 for mass in np.geomspace(0.05, 0.2, 7).tolist()
             )
             low, high = (k, high) if kept else (low, k)
         best = max(best, low)
@@ -169,7 +169,7 @@ def test_passive_designs_are_stable_with_anything_passive() -> None:
     law = CompiledLaw(tuple(passive.taps.tolist()))
     for mass in (1e-3, 0.05, 1.0, 30.0):
         for hand in (0.0, 50.0, 5000.0):
-            assert pole_radius(law, T, mass, 1.0, 1.0, hand) < 1.0
+            assert pole_radius(law, Plant(T, mass, 1.0, 1.0, hand)) < 1.0
 
 
 def test_passive_over_a_range_of_delays_and_with_little_noise() -> None:
@@ -199,28 +199,28 @@ def test_nothing_is_passive_without_damping() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 1.7])
 def test_replay_of_a_constant_delay_is_its_pole_radius(delay: float) -> None:
-    law, device = CompiledLaw((2500.0, -1500.0)), Plant(0.1, 1.0)
+    law, device = CompiledLaw((2500.0, -1500.0)), Plant(T, 0.1, 1.0)
     # Two maxima of an oscillation 1500 ticks apart: known to a factor of about 2 in all, 5e-4 per tick.
-    assert replayed_radius(law, T, device, [delay] * 2000) == pytest.approx(
-        pole_radius(law, T, 0.1, 1.0, delay), abs=5e-4
+    assert replayed_radius(law, device, [delay] * 2000) == pytest.approx(
+        pole_radius(law, Plant(T, 0.1, 1.0, delay)), abs=5e-4
     )
 
 
 def test_a_force_that_a_younger_one_overtakes_never_acts() -> None:
     """Every other force 1.5 ticks late, the next one at once: the late ones might as well not exist."""
-    law, device = CompiledLaw((400.0,)), Plant(0.1, 1.0)
-    overtaken = replayed_radius(law, T, device, [0.0, 1.5] * 1000)
-    slower = replayed_radius(law, T, device, [0.0, math.inf] * 1000)
+    law, device = CompiledLaw((400.0,)), Plant(T, 0.1, 1.0)
+    overtaken = replayed_radius(law, device, [0.0, 1.5] * 1000)
+    slower = replayed_radius(law, device, [0.0, math.inf] * 1000)
     assert overtaken == slower
 
 
 def test_replay_tells_growth_from_decay() -> None:
-    device = Plant(0.1, 1.0)
-    assert replayed_radius(CompiledLaw((900.0,)), T, device, [0.0] * 2000) < 1.0
-    assert replayed_radius(CompiledLaw((1100.0,)), T, device, [0.0] * 2000) > 1.0
-    assert replayed_radius(CompiledLaw((1e7,)), T, device, [0.0] * 2000) == math.inf
+    device = Plant(T, 0.1, 1.0)
+    assert replayed_radius(CompiledLaw((900.0,)), device, [0.0] * 2000) < 1.0
+    assert replayed_radius(CompiledLaw((1100.0,)), device, [0.0] * 2000) > 1.0
+    assert replayed_radius(CompiledLaw((1e7,)), device, [0.0] * 2000) == math.inf
     with pytest.raises(ValueError, match="at least 40"):
-        replayed_radius(CompiledLaw((1.0,)), T, device, [0.0] * 39)
+        replayed_radius(CompiledLaw((1.0,)), device, [0.0] * 39)
 
 
 def recording(path: Path, delays: list[float], rate: str = "500.0") -> Path:
@@ -256,9 +256,9 @@ def test_ticks_without_an_answer_are_counted_and_replayed_as_such(tmp_path: Path
     run = measure(path)
     assert (run.unanswered, len(run.delays)) == (30, 299)
     assert run.delay == pytest.approx((0.2, 0.2))
-    law, device = CompiledLaw((400.0, -100.0)), Plant(0.1, 1.0)
-    assert replayed_radius(law, T, device, run.delays) < 1.0
-    assert replayed_radius(law, T, device, run.delays) != replayed_radius(law, T, device, [0.2] * 299)
+    law, device = CompiledLaw((400.0, -100.0)), Plant(T, 0.1, 1.0)
+    assert replayed_radius(law, device, run.delays) < 1.0
+    assert replayed_radius(law, device, run.delays) != replayed_radius(law, device, [0.2] * 299)
 
 
 @pytest.mark.parametrize(
@@ -393,7 +393,7 @@ def test_seven_taps_reach_what_another_search_found() -> None:
     assert law.h1 >= 6815.0
     for mass in np.geomspace(0.05, 0.2, 301).tolist():
         # As in `check`: between the masses of the search by its curvature more.
-        assert pole_radius(law, T, mass, 1.0, 1.0) <= wanted.radius + 1e-5
+        assert pole_radius(law, Plant(T, mass, 1.0, 1.0)) <= wanted.radius + 1e-5
 
 
 @given(st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=9), st.floats(0.3, 1.5))
@@ -413,7 +413,7 @@ def test_a_range_of_damping_is_kept_at_both_ends() -> None:
     law = designed(wanted, 2)
     assert law.found is not None
     compiled = CompiledLaw(tuple(law.found.taps.tolist()))
-    radii = [pole_radius(compiled, 0.002, 0.1, b, 1.0) for b in (0.5, 1.0, 2.0)]
+    radii = [pole_radius(compiled, Plant(0.002, 0.1, b, 1.0)) for b in (0.5, 1.0, 2.0)]
     assert max(radii) <= 0.98
     # It costs what the least damping lacks: known to be 2 N s/m, the device bears more.
     known = designed(replace(wanted, damping=2.0, damping_max=None), 2)

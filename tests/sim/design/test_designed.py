@@ -10,6 +10,7 @@ import pytest
 from nodes.launcher import launch_file
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.plant import Plant
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped, drops
 from sim.design.robust import stiffest
@@ -30,7 +31,7 @@ def test_preset_keeps_its_demand(name: str) -> None:
     # The preset's taps are rounded inwards: the radius that they claim is kept to the last digit.
     for mass in np.geomspace(*demand.mass, 21).tolist():
         for delay in demand.delay:
-            assert pole_radius(law, T, mass, demand.damping, delay) <= demand.radius
+            assert pole_radius(law, Plant(T, mass, demand.damping, delay)) <= demand.radius
     assert abs(law.h_nyquist) <= demand.nyquist + 0.02
     assert all(drops(law, demand).values())
 

@@ -16,7 +16,8 @@ from nodes.laws.parse import law_to_dict, parse_law
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from nodes.stability.every_delay import every_delay
-from nodes.stability.k_max import Plant, edge_of, k_max, with_spring, without_spring
+from nodes.stability.k_max import edge_of, k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.chart.derivatives import with_stiffness as with_gain
 from sim.chart.equal_demand import tuned
@@ -58,10 +59,10 @@ def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) ->
     """A launch at 97 % of the stiffness of the worse delay, certified, and one at 102 %, over the sequence that grows there."""
     delays = (0.6, 1.4)
     derivative = without_spring(parse_law({"kind": "paper_optimum", "damping": 3.0}), T)
-    limit = min(k_max(derivative, T, Plant(0.1, 1.0, d)).k_max_n_per_m or math.inf for d in delays)
+    limit = min(k_max(derivative, Plant(T, 0.1, 1.0, d)).k_max_n_per_m or math.inf for d in delays)
     inside, outside = with_spring(derivative, 0.97 * limit), with_spring(derivative, 1.02 * limit)
-    assert every_delay(inside, T, 0.1, 1.0, delays).stable is True
-    found = every_delay(outside, T, 0.1, 1.0, delays)
+    assert every_delay(inside, Plant(T, 0.1, 1.0), delays).stable is True
+    found = every_delay(outside, Plant(T, 0.1, 1.0), delays)
     assert found.stable is False
     ticks = 1200 // len(found.growing) * len(found.growing)
     repeated = list(found.growing) * (ticks // len(found.growing))
@@ -75,7 +76,7 @@ def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) ->
         # The launch swings as the replay of that sequence does, which other code plays; a history that begins empty and the
         # phase of the swing are left: a factor of 2 over all ticks.
         assert rate == pytest.approx(
-            replayed_radius(law, T, Plant(0.1, 1.0), repeated), abs=math.log(2.0) / (ticks - quarter)
+            replayed_radius(law, Plant(T, 0.1, 1.0), repeated), abs=math.log(2.0) / (ticks - quarter)
         )
 
 
@@ -89,7 +90,7 @@ def test_a_launch_stops_at_the_bounds_friction_and_buzzes_just_below_the_edge() 
     """PD through an encoder: a dead stop with the friction of the bound; the edge itself by simulation, then by launches."""
     law = PD(stiffness=2500.0, damping=12.0)
     compiled = law.compile(T)
-    bound = rest(compiled, T, STEP, 0.1, 1.0).friction_bound_n
+    bound = rest(compiled, Plant(T, 0.1, 1.0), STEP).friction_bound_n
     described = {"kind": "pd", "stiffness": law.stiffness, "damping": law.damping}
 
     def still(position: np.ndarray, force: np.ndarray) -> bool:
@@ -120,7 +121,7 @@ def rate(law: dict[str, Any], mass: float, delay: float, ticks: int = 1600) -> f
 
 def test_launches_decay_just_below_colgates_k_at_the_frequency_that_occurs_and_grow_just_above() -> None:
     described = {"kind": "pd_alpha", "order": 1.5, "taps": 4, "gains": "paper", "damping": 3.0}
-    edge = edge_of(without_spring(parse_law({**described, "stiffness": 1.0}), T), T, Plant(0.1, 1.0))
+    edge = edge_of(without_spring(parse_law({**described, "stiffness": 1.0}), T), Plant(T, 0.1, 1.0))
     assert edge is not None
     assert rate({**described, "stiffness": 0.995 * edge.k_exact_n_per_m}, 0.1, 0.0) < 1.0
     assert rate({**described, "stiffness": 1.005 * edge.k_exact_n_per_m}, 0.1, 0.0) > 1.0

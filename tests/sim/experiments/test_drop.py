@@ -18,7 +18,8 @@ from nodes.laws.multi_term import MultiTerm, Term
 from nodes.laws.pd import PD
 from nodes.laws.pd_alpha import PDAlpha
 from nodes.stability.closed_loop import closed_loop, pole_radius
-from nodes.stability.k_max import Plant, k_max, with_spring, without_spring
+from nodes.stability.k_max import k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
 from sim.experiments.drop import (
     Criterion,
@@ -43,7 +44,7 @@ def pd_alpha(damping: float) -> PDAlpha:
 
 
 def largest_pole_angle(law: CompiledLaw, model: DeviceModel) -> float:
-    roots = np.roots(closed_loop(law, PERIOD, model.mass, model.damping, model.delay)).tolist()
+    roots = np.roots(closed_loop(law, Plant(PERIOD, model.mass, model.damping, model.delay))).tolist()
     return abs(cmath.phase(max(roots, key=abs)))
 
 
@@ -64,14 +65,14 @@ def test_free_swing_ends_where_the_pole_radius_says(
     derivative = without_spring(law(gain), PERIOD)
     criterion = Criterion(ticks=12000)
     found = simulated_k_max(lambda K: with_spring(derivative, K), free_scene(model, PERIOD), criterion)
-    exact = k_max(derivative, PERIOD, Plant(mass, damping, delay))
+    exact = k_max(derivative, Plant(PERIOD, mass, damping, delay))
     assert found.k_max_n_per_m is not None
     assert exact.k_max_n_per_m is not None
     assert found.k_max_n_per_m < exact.k_max_n_per_m
     # At the simulated limit the swing of 2·10 mm has decayed to 0.1 mm when the last quarter begins: ρ^(9000) = 1/200
     # times the share of that mode in the start, which is between 1/4 and 4 for these laws.
     at_limit = with_spring(derivative, found.k_max_n_per_m)
-    decay = 9000.0 * math.log(pole_radius(at_limit, PERIOD, mass, damping, delay))
+    decay = 9000.0 * math.log(pole_radius(at_limit, Plant(PERIOD, mass, damping, delay)))
     assert decay == pytest.approx(math.log(1.0 / 200.0), abs=math.log(4.0))
     # And it swings with the angle of that pole; 20 crossings of a decaying sine are read to a part in a thousand.
     assert found.frequency_hz is not None
@@ -84,12 +85,14 @@ def test_free_swing_ends_where_the_pole_radius_says(
 def test_just_inside_and_just_outside(law: Law, delay: float) -> None:
     model = DeviceModel(mass=0.1, damping=1.0, delay=delay)
     derivative = without_spring(law, PERIOD)
-    exact = k_max(derivative, PERIOD, Plant(0.1, 1.0, delay)).k_max_n_per_m
+    exact = k_max(derivative, Plant(PERIOD, 0.1, 1.0, delay)).k_max_n_per_m
     assert exact is not None
     inside, outside = (with_spring(derivative, exact * share) for share in (0.999, 1.001))
     # A part in a thousand of K moves ln ρ by some 1e-5 here: 10⁶ ticks tell e^{−10} from e^{+10}.
     assert settles(free_scene(model, PERIOD), [inside, outside], Criterion(1_000_000)) == [True, False]
-    assert pole_radius(inside, PERIOD, 0.1, 1.0, delay) < 1.0 < pole_radius(outside, PERIOD, 0.1, 1.0, delay)
+    assert (
+        pole_radius(inside, Plant(PERIOD, 0.1, 1.0, delay)) < 1.0 < pole_radius(outside, Plant(PERIOD, 0.1, 1.0, delay))
+    )
 
 
 @pytest.mark.parametrize(("raw", "clamp"), [(False, True), (False, False), (True, True), (True, False)])
@@ -97,7 +100,7 @@ def test_drop_reads_most_of_the_linear_limit(raw: bool, clamp: bool) -> None:
     model = DeviceModel(mass=0.1, damping=1.0)
     for law in (PD(stiffness=1.0, damping=2.0), optimum(2.0)):
         derivative = without_spring(law, PERIOD)
-        exact = k_max(derivative, PERIOD, Plant(0.1, 1.0)).k_max_n_per_m
+        exact = k_max(derivative, Plant(PERIOD, 0.1, 1.0)).k_max_n_per_m
         scene = drop_scene(model, PERIOD, raw, clamp)
         found = simulated_k_max(lambda K, d=derivative: with_spring(d, K), scene)  # type: ignore[misc]
         assert exact is not None
@@ -112,7 +115,7 @@ def test_press_is_judged_with_the_hand_in_the_loop() -> None:
     derivative = without_spring(PD(stiffness=1.0, damping=2.0), PERIOD)
     alone = simulated_k_max(lambda K: with_spring(derivative, K), press_scene(model, PERIOD, False, True))
     held = simulated_k_max(lambda K: with_spring(derivative, K), press_scene(model, PERIOD, False, True, hand))
-    exact = k_max(derivative, PERIOD, Plant(0.125, 2.5, 0.0, 250.0)).k_max_n_per_m
+    exact = k_max(derivative, Plant(PERIOD, 0.125, 2.5, 0.0, 250.0)).k_max_n_per_m
     assert exact is not None
     assert held.k_max_n_per_m is not None
     assert alone.k_max_n_per_m is not None
@@ -220,7 +223,7 @@ def test_study_presses_with_the_grip_it_is_given(capsys: pytest.CaptureFixture[s
     for hand in (100.0, 4000.0):
         assert main([*words.split(), "--hand", str(hand)]) == 0
         found.append(json.loads(capsys.readouterr().out.splitlines()[-1])["k_max_n_per_m"])
-        exact = k_max(without_spring(PD(stiffness=1.0, damping=3.0), PERIOD), PERIOD, Plant(0.1, 1.0, 0.0, hand))
+        exact = k_max(without_spring(PD(stiffness=1.0, damping=3.0), PERIOD), Plant(PERIOD, 0.1, 1.0, 0.0, hand))
         assert exact.k_max_n_per_m is not None
         assert 0.7 < found[-1] / exact.k_max_n_per_m < 0.99
     # The hand's own spring is in the loop too: what it takes is not left for the wall.

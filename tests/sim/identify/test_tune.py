@@ -18,7 +18,8 @@ from nodes.laws.parse import compile_law, parse_law
 from nodes.laws.pd import PD
 from nodes.parameters.yaml_io import read_yaml
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant, k_max, without_spring
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
 from sim.identify.identify import identify
 from sim.identify.knock import STEP, factors, judge, predicted_edge
@@ -158,7 +159,7 @@ def test_knocking_finds_the_edge_that_the_poles_have(preset: str, delay: float) 
     low, high = 1.0, 10.0
     for _ in range(40):
         middle = 0.5 * (low + high)
-        stable = pole_radius(CompiledLaw(tuple(middle * tap for tap in law.taps)), T, 0.1, 1.0, delay) < 1.0
+        stable = pole_radius(CompiledLaw(tuple(middle * tap for tap in law.taps)), Plant(T, 0.1, 1.0, delay)) < 1.0
         low, high = (middle, high) if stable else (low, middle)
     bare = DeviceModel(mass=0.1, damping=1.0, delay=delay)
     found = predicted_edge(law, bare, T, 1e-3, factors(1.0, 1.2 * low), None, None)
@@ -196,6 +197,6 @@ def test_the_linear_edge_is_where_a_pole_reaches_the_circle() -> None:
     law = PD(stiffness=300.0, damping=2.0).compile(T)
     edge = linear_edge(law, found)
     scaled = PD(stiffness=300.0 * edge, damping=2.0 * edge)
-    known = Plant(found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
-    boundary = k_max(without_spring(scaled, T), T, known).k_max_n_per_m
+    known = Plant(T, found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
+    boundary = k_max(without_spring(scaled, T), known).k_max_n_per_m
     assert boundary == pytest.approx(300.0 * edge, rel=1e-6)

@@ -10,7 +10,8 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import realise
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import Plant, k_max, with_spring
+from nodes.stability.k_max import k_max, with_spring
+from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.paper import failures, traps
@@ -33,7 +34,7 @@ def test_euler_overstates_k_max(substeps: int) -> None:
 
 def test_one_euler_step_per_tick_hides_the_limit_of_a_spring() -> None:
     # n_sub = 1: the prediction is infinite; what limits it then is κ < 4 − O(β), sixteen times the damper's 2b/T here.
-    exact = k_max(CompiledLaw((0.0,)), traps.PERIOD, Plant(0.1, 1.0)).k_max_n_per_m
+    exact = k_max(CompiledLaw((0.0,)), Plant(traps.PERIOD, 0.1, 1.0)).k_max_n_per_m
     assert exact is not None
     assert traps.euler_k_max(1, 0.1, 1.0, traps.PERIOD) > 16.0 * exact
 
@@ -55,7 +56,9 @@ def test_leak_eats_the_stiffness() -> None:
     # K + B·D(1) is linear in B: 1 % to either side of its zero it is 1 % of K.
     assert inside.h1 == pytest.approx(10.0, rel=1e-9)
     assert outside.h1 == pytest.approx(-10.0, rel=1e-9)
-    assert pole_radius(inside, traps.PERIOD, 5.0, 1.0) < 1.0 < pole_radius(outside, traps.PERIOD, 5.0, 1.0)
+    assert (
+        pole_radius(inside, Plant(traps.PERIOD, 5.0, 1.0)) < 1.0 < pole_radius(outside, Plant(traps.PERIOD, 5.0, 1.0))
+    )
     # And the heavy device sinks through that floor.
     scene = drop_scene(DeviceModel(mass=5.0, damping=1.0), traps.PERIOD, False, True, height=1e-4)
     assert settles(scene, [outside], Criterion(20_000)) == [False]
@@ -67,8 +70,8 @@ def test_tustin_expanded_for_the_whole_order_runs_away_in_the_loop() -> None:
     assert split.stable_sections()
     scene = drop_scene(DeviceModel(mass=0.1, damping=1.0), traps.PERIOD, False, True)
     assert settles(scene, [whole, split], Criterion()) == [False, True]
-    assert pole_radius(whole, traps.PERIOD, 0.1, 1.0) > 1.1
-    assert pole_radius(split, traps.PERIOD, 0.1, 1.0) < 1.0
+    assert pole_radius(whole, Plant(traps.PERIOD, 0.1, 1.0)) > 1.1
+    assert pole_radius(split, Plant(traps.PERIOD, 0.1, 1.0)) < 1.0
 
 
 def test_whole_order_section_is_the_product_of_its_zeros_and_poles() -> None:

@@ -10,7 +10,8 @@ import pytest
 
 from nodes.cli.main import main
 from nodes.laws.parse import parse_law
-from nodes.stability.k_max import Plant, k_max, without_spring
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
 from sim.paper.swing import recorded_swing, ringing
 from tests.support.launching import launch_json
 
@@ -28,7 +29,7 @@ def test_a_launch_far_inside_tells_where_the_edge_is(
     path = tmp_path / launch_json(tmp_path, "floor_drop", *words)["recording"]
     kind = {"kind": "paper_optimum"} if law == "multi_term" else {"kind": "pd", "stiffness": 1.0}
     derivative = without_spring(parse_law({**kind, "damping": 3.0}), T)
-    limit = k_max(derivative, T, Plant(0.1, 1.0, 1.0 if apply == "next_tick" else 0.0)).k_max_n_per_m
+    limit = k_max(derivative, Plant(T, 0.1, 1.0, 1.0 if apply == "next_tick" else 0.0)).k_max_n_per_m
     assert limit is not None
     assert stiffness < 0.75 * limit
     found = recorded_swing(path)

@@ -9,6 +9,38 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+__all__ = [
+    "HeldPlant",
+    "Plant",
+    "held_plant",
+    "held_step",
+]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What a law is coupled to: the device, a hand's share included, sampled by a loop.
+
+    Attributes
+    ----------
+    period : float
+        Sampling period T [s].
+    mass : float
+        Moving mass m [kg].
+    damping : float
+        Viscous damping b [N s/m].
+    delay : float
+        Delay of the loop, whole or fractional [ticks].
+    stiffness : float
+        Stiffness of a hand [N/m].
+    """
+
+    period: float
+    mass: float
+    damping: float
+    delay: float = 0.0
+    stiffness: float = 0.0
+
 
 @dataclass(frozen=True)
 class HeldPlant:
@@ -32,34 +64,66 @@ class HeldPlant:
     denominator: tuple[float, float, float]
 
 
-def held_plant(mass: float, damping: float, period: float, delay: float = 0.0, stiffness: float = 0.0) -> HeldPlant:
-    """Discretise m x'' + b x' + k x = u exactly for a held force that arrives `delay` ticks after its sample."""
-    whole, transition, new, old = held_step(mass, damping, period, delay, stiffness)
+def held_plant(plant: Plant) -> HeldPlant:
+    """Discretise m x'' + b x' + k x = u exactly for a held force that arrives `delay` ticks after its sample.
+
+    Parameters
+    ----------
+    plant : Plant
+        The device and its loop.
+
+    Returns
+    -------
+    HeldPlant
+        Its response to the force.
+
+    Raises
+    ------
+    ValueError
+        When a field of the plant is out of its limits.
+    """
+    whole, transition, new, old = held_step(plant)
     a11, a12, _, a22 = transition
     # First row of adj(zI − A) times each input vector: (z − a22) g1 + a12 g2.
     new_1, new_0 = new[0], a12 * new[1] - a22 * new[0]
     old_1, old_0 = old[0], a12 * old[1] - a22 * old[0]
-    determinant = math.exp(-damping * period / mass)
+    determinant = math.exp(-plant.damping * plant.period / plant.mass)
     # tr A = 1 + det A − k·(...): written so that the pole of a free device at z = 1 stays at 1 to the last bit.
-    trace = 1.0 + determinant if stiffness == 0.0 else a11 + a22
+    trace = 1.0 + determinant if plant.stiffness == 0.0 else a11 + a22
     return HeldPlant(whole, (new_1, new_0 + old_1, old_0), (1.0, -trace, determinant))
 
 
 def held_step(
-    mass: float, damping: float, period: float, delay: float = 0.0, stiffness: float = 0.0
+    plant: Plant,
 ) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
-    """One tick of m x'' + b x' + k x = u in position and velocity."""
-    for name, value, positive in (
-        ("mass", mass, True),
-        ("period", period, True),
-        ("damping", damping, False),
-        ("delay", delay, False),
-        ("stiffness", stiffness, False),
-    ):
+    """Give one tick of m x'' + b x' + k x = u in position and velocity.
+
+    Parameters
+    ----------
+    plant : Plant
+        The device and its loop.
+
+    Returns
+    -------
+    whole : int
+        Whole ticks of the delay.
+    transition : tuple of float, shape (4,)
+        a11, a12, a21, a22 of the free motion [1], [s], [1/s], [1].
+    new, old : tuple of float, shape (2,)
+        Position and velocity per force: of the force that arrives within this tick, and of the one before it [m/N], [m/(N s)].
+
+    Raises
+    ------
+    ValueError
+        When a field of the plant is out of its limits.
+    """
+    for name in ("mass", "period", "damping", "delay", "stiffness"):
+        value, positive = getattr(plant, name), name in ("mass", "period")
         if not math.isfinite(value) or value < 0.0 or (positive and value == 0.0):
             raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if positive else 'at least 0'}")
-    whole = math.floor(delay)
-    fraction = delay - whole
+    mass, damping, stiffness, period = plant.mass, plant.damping, plant.stiffness, plant.period
+    whole = math.floor(plant.delay)
+    fraction = plant.delay - whole
     a11, a12, a21, a22, g1, g2 = _transition(mass, damping, stiffness, period)
     if fraction == 0.0:
         return whole, (a11, a12, a21, a22), (g1, g2), (0.0, 0.0)
