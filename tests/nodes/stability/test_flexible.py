@@ -12,7 +12,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
-from nodes.stability.held_plant import held_plant
+from nodes.stability.plant import Plant, held_plant
 
 T = 0.002
 PD = CompiledLaw((1500.0, -1000.0))
@@ -22,7 +22,7 @@ PD = CompiledLaw((1500.0, -1000.0))
 @pytest.mark.parametrize("hand", [0.0, 300.0])
 def test_without_joint_and_lag_it_is_the_rigid_device(delay: float, hand: float) -> None:
     plant = FlexiblePlant(0.1, 1.0, delay, hand)
-    rigid = held_plant(0.1, 1.0, T, delay, hand)
+    rigid = held_plant(Plant(T, 0.1, 1.0, delay, hand))
     whole, numerator, denominator = plant.rational(T)
     assert whole == rigid.whole
     # Rounding of a difference of determinants of size 4.
@@ -30,7 +30,9 @@ def test_without_joint_and_lag_it_is_the_rigid_device(delay: float, hand: float)
     assert numerator == pytest.approx(rigid.numerator, abs=1e-12 * T * T / 0.1)
     filtered = parse_law({"kind": "pd_filtered", "stiffness": 500.0, "damping": 2.0, "cutoff": 50.0}).compile(T)
     for law in (PD, filtered):
-        assert flexible_radius(law, T, plant) == pytest.approx(pole_radius(law, T, 0.1, 1.0, delay, hand), abs=1e-9)
+        assert flexible_radius(law, T, plant) == pytest.approx(
+            pole_radius(law, Plant(T, 0.1, 1.0, delay, hand)), abs=1e-9
+        )
 
 
 def test_a_stiff_joint_and_a_short_lag_tend_to_the_rigid_device() -> None:
