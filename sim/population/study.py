@@ -16,8 +16,8 @@ from sim.design.families import best_pd, designed
 from sim.device.model import DeviceModel
 from sim.identify.identified import Identified
 from sim.identify.identify import identify
-from sim.identify.tune import Wanted, demand
 from sim.population.virtual import draw, excite
+from sim.tune.design import Wanted, demand
 
 PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")
 """What is compared; the stiffness is a hand's."""

@@ -186,9 +186,9 @@ class _Tuning:
     def design(self) -> None:
         """Design for the identified ranges."""
         from sim.design.families import to_yaml
-        from sim.identify.knock import LAW
         from sim.identify.report import from_figures
-        from sim.identify.tune import Wanted, design
+        from sim.tune.design import Wanted, design
+        from sim.tune.knock import LAW
 
         chosen = self._arguments
         found = from_figures(self._need("identified"))
@@ -220,7 +220,7 @@ class _Tuning:
         from sim.design.demand import Robust
         from sim.design.families import Tuned
         from sim.identify.report import from_figures
-        from sim.identify.tune import Wanted, demand, predict
+        from sim.tune.design import Wanted, demand, predict
 
         designed = self._need("designed")
         found = from_figures(self._need("identified"))
@@ -242,7 +242,7 @@ class _Tuning:
 
     def apply(self) -> None:
         """Hold the device softly where it is, then fade to the tuned law in the running coupling."""
-        from sim.identify.knock import LAW
+        from sim.tune.knock import LAW
 
         loop = self._running()
         designed = self._need("designed")
@@ -267,8 +267,8 @@ class _Tuning:
 
     def verify(self) -> None:
         """Knock on the held device at rising stiffness."""
-        from sim.identify.knock import Verdict, measured_edge
-        from sim.identify.tune import edge_error
+        from sim.tune.design import edge_error
+        from sim.tune.knock import Verdict, measured_edge
 
         if not self._applied:
             self.apply()
@@ -297,7 +297,7 @@ class _Tuning:
         loop = self._loop
         if loop is None or self._surface is None:
             return
-        from sim.identify.knock import LAW
+        from sim.tune.knock import LAW
 
         try:
             self._soft()
@@ -309,7 +309,7 @@ class _Tuning:
 
     def write(self) -> None:
         """Write what is known."""
-        from sim.identify.tune_page import page
+        from sim.tune.page import page
 
         self._file.write_text(json.dumps(self.told, indent=1), encoding="utf-8")
         (self._arguments.out / "tune.html").write_text(page(self.told), encoding="utf-8")

@@ -22,10 +22,10 @@ from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
 from sim.identify.identify import identify
-from sim.identify.knock import STEP, factors, judge, predicted_edge
 from sim.identify.report import figures, from_figures
-from sim.identify.tune import Wanted, demand, linear_edge, model
 from sim.population.virtual import excite
+from sim.tune.design import Wanted, demand, linear_edge, model
+from sim.tune.knock import STEP, factors, judge, predicted_edge
 from tests.support.launching import HAPTIC, haptic, launch_json, running, wait_for
 
 pytestmark = pytest.mark.realtime

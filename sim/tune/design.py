@@ -22,7 +22,7 @@ from sim.design.families import Tuned, best_pd, designed, latest_delay
 from sim.design.landing import drops
 from sim.device.model import DeviceModel
 from sim.identify.identified import Identified
-from sim.identify.knock import Edge, factors, predicted_edge
+from sim.tune.knock import Edge, factors, predicted_edge
 
 __all__ = [
     "Wanted",
