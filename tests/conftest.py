@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,9 @@ from tests.support.machine import machine
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
+
+# Launches of tests that take the plain tick leave nothing behind that goes on.
+os.environ.setdefault("HAPTIC_COMPILE", "asked")
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

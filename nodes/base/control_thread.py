@@ -22,6 +22,7 @@ from messages.transport.endpoints import bind, remove_ipc
 from messages.transport.requests import Reply, Request, decode_request
 from nodes.base import realtime
 from nodes.base.kept import keep
+from nodes.base.report import tick_of
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import WatchedFile
 
@@ -119,7 +120,12 @@ class ControlServer(threading.Thread):
         if self._node.state in ("finished", "failed"):
             self._fetched.set()
         node = self._node
-        return {"status": msgspec.to_builtins(node.status()), "ticks_compiled": node.ticks_compiled, **node.report()}
+        return {
+            "status": msgspec.to_builtins(node.status()),
+            "tick": tick_of(node),
+            "ticks_compiled": node.ticks_compiled,
+            **node.report(),
+        }
 
     def watched_by(self, gate: Gate) -> None:
         """Let a gate watch who tries to connect."""

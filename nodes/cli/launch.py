@@ -16,6 +16,7 @@ import msgspec
 
 from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
+from nodes.base import realtime
 from nodes.base.words import instead_of_stderr, last_words
 from nodes.cli.colour import coloured
 from nodes.cli.main import UsageError, add_json, answer
@@ -26,8 +27,10 @@ from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.runs import RunError
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
+from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
 from nodes.recording.logger import LoggerParameters
+from nodes.tick.choose import compile_later
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -128,6 +131,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "overruns": driver.get("overruns", 0),
         "rate_hz": driver.get("rate_hz", 0.0),
         "tick": supervisor.tick,
+        "tick_by_node": {name: tick for name, report in supervisor.reports.items() if (tick := report.get("tick"))},
         "ticks_compiled": {name: report.get("ticks_compiled", 0) for name, report in supervisor.reports.items()},
         "response_us": driver.get("response_us", {}),
         "age_ticks_max": driver.get("age_ticks_max", 0),
@@ -185,6 +189,11 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
             f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
             f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs"
         )
+    by_node = figures["tick_by_node"]
+    if by_node:
+        ticks = sorted(set(by_node.values()))
+        shown = [f"{tick}: {', '.join(name for name in by_node if by_node[name] == tick)}" for tick in ticks]
+        lines.append(f"  tick      {'; '.join(shown) if len(ticks) > 1 else ticks[0]}")
     guard = figures["guard"]
     if guard:
         lines.append(
@@ -292,6 +301,10 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             say(str(error))
     status.clear()
     figures = summarise(launch, supervisor)
+    if launch.run.tick == "auto" and supervisor.tick == "plain" and figures["ticks"]:
+        processors = {cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus}
+        with realtime.off(processors):
+            compile_later(kernel_modules(launch), say)
     # One on another machine is drawn there: haptic bag plot.
     here = [path for place, path in _recordings(launch, supervisor) if not place]
     if here and not arguments.no_plot and figures["ticks"]:

@@ -130,12 +130,16 @@ class _Places:
         return self._tcp(address, self._ports[name] + offset, "", "run.host")
 
 
-def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
-    """Settle which tick the nodes take, and have it compiled."""
+def kernel_modules(launch: Launch) -> list[str]:
+    """Name the compiled ticks that the nodes of this machine could take."""
     factories = node_kinds()
-    modules = {load(factories[spec.kind]).kernel_module for spec in launch.nodes.values() if not spec.host} - {""}
+    return sorted({load(factories[spec.kind]).kernel_module for spec in launch.nodes.values() if not spec.host} - {""})
+
+
+def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
+    """Settle which tick the nodes take, and have it compiled where it is asked for."""
     scarce = launch.run.pace == "realtime" and launch.run.rate >= SCARCE
-    tick = choose(launch.run.tick, sorted(modules), say, scarce)
+    tick = choose(launch.run.tick, kernel_modules(launch), say, scarce)
     return msgspec.structs.replace(launch, run=msgspec.structs.replace(launch.run, tick=tick))
 
 

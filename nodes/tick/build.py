@@ -2,13 +2,14 @@
 
 numba makes a kernel from the functions that the plain tick calls, and LLVM writes it as an object file. Where the machine has
 a linker it becomes a shared library, which costs a node nothing; otherwise llvmlite loads the object file. In a process of its
-own, which compiles one kernel after the other::
+own, which compiles one kernel after the other, with ``--idle`` only what is missing and when nothing else has to be done::
 
     python -m nodes.tick.build [--idle] MODULE...
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import shutil
@@ -40,6 +41,18 @@ def find(module: str) -> cache.Entry | None:
         When it would not be this user's own.
     """
     return cache.read(f"{module}.tick")
+
+
+def reason(entry: cache.Entry | None) -> str:
+    """Say why a kernel cannot be compiled here, as it turned out in the background; empty for one that can."""
+    return entry.content.decode() if entry is not None and entry.kind == "failed" else ""
+
+
+def build_in_background(modules: Sequence[str]) -> None:
+    """Compile kernels when nobody else wants the processor, in a process that outlives this one."""
+    nothing = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)]
+    command = [sys.executable, "-m", "nodes.tick.build", "--idle", *modules]
+    os.posix_spawn(sys.executable, command, os.environ, file_actions=nothing, setsid=True)
 
 
 def build(modules: Sequence[str]) -> None:
@@ -117,18 +130,45 @@ def _linked(made: bytes) -> cache.Entry:
     return cache.Entry(kind="o", content=made)
 
 
-def _compile(module: str) -> None:
+def _compile(module: str, keep_failure: bool) -> None:
     # Before compiling: what is changed meanwhile was not compiled.
-    sources = {**cache.sources_of(module), **cache.sources_of(__spec__.name if __spec__ else __name__)}
-    cache.write(f"{module}.tick", _linked(_object_file(module)), sources)
+    sources = {**cache.sources_of(module), **cache.sources_of("nodes.tick.build")}
+    try:
+        entry = _linked(_object_file(module))
+    except Exception as error:
+        if not keep_failure:
+            raise
+        # It would fail at each launch.
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        entry = cache.Entry(kind="failed", content=f"{module}: {lines[-1]}".encode())
+    cache.write(f"{module}.tick", entry, sources)
+
+
+def _idle(modules: Sequence[str]) -> None:
+    """Compile what is missing, when nothing else wants a processor that this process may use."""
+    os.nice(19)
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    os.chdir("/")
+    if cache.alone() is not None:
+        for module in modules:
+            if find(module) is None:
+                _compile(module, keep_failure=True)
+
+
+def _main(words: Sequence[str]) -> None:
+    try:
+        if words[:1] == ["--idle"]:
+            _idle(words[1:])
+            return
+        # Of a loop's node it would inherit processor and priority.
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))
+        for module in words:
+            _compile(module, keep_failure=False)
+    except cache.CacheRefusedError as error:
+        sys.exit(f"not kept: {error}")
 
 
 if __name__ == "__main__":
-    # Of a loop's node it would inherit processor and priority.
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    os.sched_setaffinity(0, range(os.cpu_count() or 1))
-    for _module in sys.argv[1:]:
-        try:
-            _compile(_module)
-        except cache.CacheRefusedError as error:
-            sys.exit(f"not kept: {error}")
+    _main(sys.argv[1:])

@@ -57,7 +57,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     kind : str
-        What `content` is: ``so``, ``o`` or ``numba``.
+        What `content` is: ``so``, ``o``, ``numba``; or ``failed``, and why.
     content : bytes
         The code.
     """
@@ -258,6 +258,21 @@ def write(name: str, entry: Entry, sources: Mapping[str, str]) -> None:
         raise CacheRefusedError(f"{folder() / name}: {error.strerror}") from error
     finally:
         os.close(at)
+
+
+def alone() -> int | None:
+    """Be the only one that compiles in the background, until the process ends or the descriptor is closed; None for another."""
+    at = _enter("background.lock", make=True)
+    try:
+        descriptor = os.open("background.lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600, dir_fd=at)
+    finally:
+        os.close(at)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        return None
+    return descriptor
 
 
 _open: list[int] = []

@@ -1,11 +1,12 @@
-"""Which tick a launch takes, and having it compiled before its nodes start."""
+"""Which tick a launch takes, and having it compiled: before its nodes start when it is asked for, else after its end."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection
 from typing import Final, Literal, TypeAlias
 
-from nodes.tick.build import build, find
+from nodes.tick.build import build, build_in_background, find, reason
 from nodes.tick.cache import CacheRefusedError
 from nodes.tick.fields import NotCompilableError
 
@@ -21,20 +22,24 @@ def choose(
 ) -> Literal["compiled", "plain"]:
     """Settle which tick the nodes of a launch take.
 
-    ``auto`` takes the compiled one wherever it is there already, for it costs nothing then. It does not make a launch wait for
-    the compiler; where time is scarce it says what would.
+    ``auto`` takes the compiled one wherever it is there already. It does not make a launch wait for the compiler; where time is
+    scarce it says what would. What was missing is compiled after the launch: `compile_later`.
     """
     if wanted == "plain" or not modules:
         return "plain"
     try:
-        missing = [module for module in modules if find(module) is None]
+        found = {module: find(module) for module in modules}
     except CacheRefusedError as error:
         say(f"the plain tick runs, for compiled code is not taken from there: {error}")
         return "plain"
-    if missing and wanted == "auto":
-        if scarce:
+    failed = next(filter(None, map(reason, found.values())), "")
+    missing = [module for module, entry in found.items() if entry is None or (reason(entry) and wanted == "compiled")]
+    if wanted == "auto":
+        if scarce and failed:
+            say(f"the plain tick runs, for the compiled one cannot be had: {failed}")
+        elif scarce and missing:
             say("the plain tick runs, for the compiled one is not there yet; --tick compiled has it compiled, once")
-        return "plain"
+        return "plain" if failed or missing else "compiled"
     if missing:
         say(f"compiling the tick, once for this version: {len(missing)} kernels, some ten seconds")
         try:
@@ -43,3 +48,17 @@ def choose(
             say(f"the plain tick runs, for the compiled one cannot be had: {error}")
             return "plain"
     return "compiled"
+
+
+def compile_later(modules: Collection[str], say: Callable[[str], None]) -> None:
+    """Have what is missing compiled for the next launch, on this thread's processors; not with ``HAPTIC_COMPILE=asked``."""
+    if os.environ.get("HAPTIC_COMPILE", "background") == "asked":
+        return
+    try:
+        missing = sorted(module for module in modules if find(module) is None)
+    except CacheRefusedError:
+        # The launch has said so.
+        return
+    if missing:
+        build_in_background(missing)
+        say("the plain tick ran; the compiled one is being made in the background, for the next launch")

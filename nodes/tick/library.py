@@ -14,7 +14,7 @@ from typing import Any, Final, TypeAlias
 import zmq
 
 from nodes.tick import cache
-from nodes.tick.build import ENTRY, find
+from nodes.tick.build import ENTRY, find, reason
 from nodes.tick.fields import NotCompilableError
 
 _ZMQ: Final = ("zmq_recv", "zmq_send", "zmq_getsockopt")
@@ -72,6 +72,8 @@ def obtain(module: str) -> Kernel:
         entry = find(module)
     except cache.CacheRefusedError as error:
         raise NotCompilableError(f"{module}: {error}") from error
+    if failed := reason(entry):
+        raise NotCompilableError(failed)
     if entry is None:
         raise NotCompilableError(
             f"{module} is not compiled on this machine; `haptic launch floor_drop --tick compiled` has it compiled, once"

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 from pathlib import Path
 
 import pytest
 
-from nodes.tick.choose import choose
+from nodes.tick.build import find
+from nodes.tick.choose import choose, compile_later
 from nodes.tick.fields import NotCompilableError
 from nodes.tick.library import functions, library_of_pyzmq, obtain
+from tests.support.launching import running, wait_for
 
+TINY = "tests.support.tiny_kernel"
 KERNEL = "nodes.tick.kernels.environment"
 
 
@@ -47,3 +53,70 @@ def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
 def test_the_library_is_the_one_that_pyzmq_uses() -> None:
     assert "zmq" in Path(library_of_pyzmq()).name
     assert all(functions().values())
+
+
+def background(base: Path) -> dict[int, str]:
+    """List the processes that compile in the background into a folder."""
+    found = {}
+    for process in Path("/proc").iterdir():
+        with contextlib.suppress(OSError):
+            if process.name.isdigit() and str(base).encode() in (process / "environ").read_bytes():
+                line = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+                if "nodes.tick.build --idle" in line:
+                    found[int(process.name)] = line
+    return found
+
+
+def test_what_a_launch_lacked_is_compiled_in_the_background(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    compile_later([TINY], told.append)
+    assert not told
+    monkeypatch.setenv("HAPTIC_COMPILE", "background")
+    # As two launches that end together do.
+    compile_later([TINY], told.append)
+    compile_later([TINY], told.append)
+    assert told == ["the plain tick ran; the compiled one is being made in the background, for the next launch"] * 2
+    wait_for(lambda: find(TINY), "it is compiled")
+    assert obtain(TINY)(41) == 42
+    compile_later([TINY], told.append)
+    assert len(told) == 2
+    assert choose("auto", [TINY], told.append) == "compiled"
+
+
+def test_what_fails_in_the_background_is_not_tried_at_each_launch(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HAPTIC_COMPILE", "background")
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    told: list[str] = []
+    compile_later([TINY], told.append)
+    wait_for(lambda: find(TINY), "its failure is noted")
+    compile_later([TINY], told.append)
+    assert len(told) == 1
+    assert choose("auto", [TINY], told.append) == "plain"
+    assert "cannot be had: tests.support.tiny_kernel" in told[1]
+    with pytest.raises(NotCompilableError, match="tiny_kernel: "):
+        obtain(TINY)
+    # Who asks for it has it tried again.
+    monkeypatch.delenv("NUMBA_DISABLE_JIT")
+    assert choose("compiled", [TINY], told.append) == "compiled"
+
+
+def test_a_launch_says_which_tick_ran_and_has_the_other_made(empty_cache: Path, tmp_path: Path) -> None:
+    variables = {"HAPTIC_COMPILE": "background"}
+    with running(
+        tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.02", environment=variables, ready=False
+    ) as launch:
+        figures = launch.finish()
+        (process, line), *more = background(empty_cache).items()
+        try:
+            assert not more
+            assert "nodes.tick.kernels.coupling nodes.tick.kernels.environment sim.device.tick.kernel" in line
+            wait_for(lambda: os.sched_getscheduler(process) == os.SCHED_IDLE, "it steps aside")
+            assert os.getpriority(os.PRIO_PROCESS, process) == 19
+            assert os.getsid(process) == process
+        finally:
+            os.kill(process, signal.SIGKILL)
+    assert figures["tick"] == "plain"
+    assert figures["tick_by_node"] == {"driver": "plain", "environment": "plain", "coupling": "plain"}
+    assert (tmp_path / "stderr.txt").read_text(encoding="utf-8").count("for the next launch") == 1
