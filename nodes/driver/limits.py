@@ -38,7 +38,10 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     slew : float or None
         Fastest change of force [N/s].
     ramp : float
-        Time in which forces grow to their full size after a start or a recovery [s].
+        Time in which forces grow to their full size after a start [s].
+    recovery : float
+        The same after damping, zero force, a fault or a driver that was started again [s]; `ramp` where that is longer. A force
+        that was away for less than a fifth of it begins with a part: each tick away costs five ticks of ramp.
     workspace : tuple of tuple of float, shape (3, 2), or None
         Smallest and largest coordinate of each axis [m]; a position outside is a fault and no data, and there is no force.
     stop_after : int or None
@@ -59,6 +62,7 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     thermal_time: Positive = 1.0
     slew: Positive | None = None
     ramp: NonNegative = 0.0
+    recovery: NonNegative = 0.15
     workspace: Workspace | None = None
     stop_after: Annotated[int, msgspec.Meta(ge=2)] | None = 6
     hang: Positive | None = 1.0

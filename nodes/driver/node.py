@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -179,8 +181,12 @@ class Driver(Answers):
         self._unlistened = payload
         return published
 
-    def _guarded(self, guard: PassivityGuard, wanted: Vector, pending: Vector, share: float) -> Vector:
-        return guard.control(wanted, pending, share, ZERO if self._latency is None else self._latency.backlog())
+    def _guarded(self, pending: Vector, share: float) -> Callable[[Vector], Vector] | None:
+        """Give what the guard makes of a force, with what still acts before it; None without a guard."""
+        if self._guard is None:
+            return None
+        backlog = ZERO if self._latency is None else self._latency.backlog()
+        return partial(self._guard.control, pending=pending, share=share, backlog=backlog)
 
     def _tell_listeners(self) -> None:
         """Publish the tick's state to the listeners too, when nothing waits for it any more."""
@@ -231,7 +237,7 @@ class Driver(Answers):
         acting = ZERO
         sent: float | None
         while seq < end and not self.stopping:
-            guard, sent = self._guard, None
+            sent = None
             if self._ahead is not None:
                 seq, sent, _, _, done = self._ahead.run(seq, end, 0.0, None, None)
                 acting = self._handed
@@ -255,8 +261,9 @@ class Driver(Answers):
                 if force is not None and force.seq == seq and safety.admit(force, seq):
                     self._response = response = clock() - sent
                     note(response)
-                    wanted = force.force if guard is None else self._guarded(guard, force.force, acting, float(late))
-                    command = safety.command(wanted, seq, seq)
+                    command = safety.command(
+                        force.force, seq, seq, self._motion.velocity, self._guarded(acting, float(late))
+                    )
                     device.write_force(command, seq + late, 0.0)
                     self._handed = command
                     act(list(acting if late else command))
@@ -277,6 +284,7 @@ class Driver(Answers):
         """When tick 0 is or was: a respawned driver goes on counting where its predecessor was killed."""
         path = Path(self.setup.run_dir) / f"{self.setup.name}.epoch"
         if path.exists():
+            self._safety.resume()
             return float(path.read_text(encoding="ascii"))
         epoch = time.monotonic() + 0.002
         path.write_text(repr(epoch), encoding="ascii")
@@ -298,7 +306,7 @@ class Driver(Answers):
         # A virtual device waits for whoever debugs it; what exists does not.
         self._begin("a tick", self.store.current.safety.hang or math.inf)
         while seq < end and not self.stopping:
-            guard, sent = self._guard, None
+            sent = None
             if self._ahead is not None:
                 seq, sent, following_command, belated, done = self._ahead.run(
                     seq, end, epoch, following_command, belated
@@ -358,10 +366,8 @@ class Driver(Answers):
                     answered = force.seq == seq
                     self._age = seq - force.seq
                     offset = min(max((arrival - deadline) / period, 0.0), 1.0)
-                    wanted = force.force
-                    if guard is not None:
-                        wanted = self._guarded(guard, wanted, self._handed, 1.0 if next_tick else offset)
-                    command = safety.command(wanted, force.seq, seq)
+                    guarded = self._guarded(self._handed, 1.0 if next_tick else offset)
+                    command = safety.command(force.force, force.seq, seq, self._motion.velocity, guarded)
                     if next_tick:
                         following_command = command
                         self._delay = 1.0 + self._age
@@ -378,14 +384,15 @@ class Driver(Answers):
                 # In a fault there is no position that could have been answered.
                 self._missed += safety.state != "fault"
                 self._response = 0.0
-                held = None if guard is None else self._guarded(guard, safety.force, self._handed, 1.0)
+                guarded = self._guarded(self._handed, 1.0)
+                held = None if guarded is None else guarded(safety.force)
                 command_now = safety.missed(seq, self._motion.velocity(), held)
                 if command_now is not None:
                     following_command = None
                     write(command_now, seq + 1, 0.0)
                 elif following_command is None and seq + 1 - self._written >= self._bears:
                     self._handed = ZERO
-                    safety.hold(ZERO)
+                    safety.let_go(seq, self._written + self._bears)
             self._motion.act(split.mean())
             self.ticks += 1
             seq += 1
@@ -409,6 +416,7 @@ class Driver(Answers):
         if acted == lost or force == ZERO:
             return False
         self._handed = ZERO
+        self._safety.let_go(seq + lost, self._written + self._bears)
         self._tell_safety("device", f"no force from tick {self._written} to {seq + lost}; the device let go by itself")
         return True
 

@@ -9,6 +9,9 @@ A small machine of states, the same for the virtual device and for hardware::
                          stopped ◀──the force swings between its limits, and gives out energy── any of them
 
 ``stopped`` is for good: damping, then no force, until the driver is started again.
+While there is no force, a hand that keeps pushing sinks in, and the law then asks for far more than before. So every force
+that was away comes back by a ramp: each tick away takes `REGAIN` ticks of ramp, up to the whole one (`recovery`). A device that the
+ramp pushes faster than `RETURN_SPEED` takes as many of it back, so that whoever has sunk in is let out, not thrown.
 Limits come from the device and from the launch file, whichever is lower; a launch file that asks for more is told so.
 Whatever messages come in whatever order: on each axis the force stays within the peak, all changes made during one tick
 add up to no more than the slew, and the mean square of the force stays within the continuous limit.
@@ -32,6 +35,12 @@ REACH = 1e6
 
 STOP_WINDOW = 2.0
 """Within so long a loop that swings brings its force to the largest magnitude `stop_after` times, and gives out energy [s]."""
+
+REGAIN = 5
+"""Ticks of ramp that one tick without a force costs: after a fifth of `recovery` the whole ramp is due."""
+
+RETURN_SPEED = 0.25
+"""Faster than this a force that comes back must not push [m/s]: the reduced speed of ISO 10218-1."""
 
 REASONS = 8
 """Changes of state that the summary of a run tells; all of them are on the driver's event topic."""
@@ -95,8 +104,12 @@ class Safety:
         self._tell = tell
         self._axes = axes
         self._period = period
-        self._ramp_ticks = round(parameters.ramp / period)
-        self._ramp_from = 0
+        self._start_ticks = round(parameters.ramp / period)
+        self._recovery_ticks = round(max(parameters.recovery, parameters.ramp) / period)
+        # The ramp under way: its length, how much of it is done, and the tick that did so last.
+        self._ramp_ticks, self._regained, self._ramp_seq = self._start_ticks, 0, -1
+        # Since when there has been no force [ticks].
+        self._away_from = 0.0
         self._workspace = [
             (axis, low, high)
             for axis, (low, high) in enumerate(self.limits.workspace)
@@ -140,8 +153,18 @@ class Safety:
             "told": list(self.limits.told),
         }
 
+    def resume(self) -> None:
+        """Go on in the place of a predecessor that ended with a force on the device: the first force is a recovery."""
+        self._ramp_ticks = self._recovery_ticks
+
     def _enter(self, state: str, seq: int, reason: str) -> None:
         if state != self.state and self.state != "stopped":
+            if self.state in ("active", "ramp"):
+                if self.state == "active":
+                    self._regained = self._recovery_ticks
+                self._away_from = seq
+            if state == "fault":
+                self._regained = 0
             text = f"{self.state} → {state} at tick {seq}: {reason}"
             self.state = state
             self._entered[state] = self._entered.get(state, 0) + 1
@@ -167,11 +190,22 @@ class Safety:
         self._tell(f"refused_{why}", reason)
         return False
 
-    def command(self, wanted: Vector, answers: int, seq: int) -> Vector:
-        """Turn an admitted force into what the device gets."""
+    def command(
+        self,
+        wanted: Vector,
+        answers: int,
+        seq: int,
+        velocity: Callable[[], Vector],
+        guard: Callable[[Vector], Vector] | None = None,
+    ) -> Vector:
+        """Turn an admitted force into what the device gets; a guard judges what the ramp lets through."""
         self.force_seq = answers
         self.since = seq
-        return self._hand_over(wanted if self.state == "active" else self._become_active(wanted, seq), seq)
+        if self.state != "active":
+            wanted = self._become_active(wanted, seq, velocity)
+        if guard is not None and self.state in ("active", "ramp"):
+            wanted = guard(wanted)
+        return self._hand_over(wanted, seq)
 
     def watch_swings(self, energy: float, velocity: Callable[[], Vector], seq: int) -> None:
         """Stop for good when the force comes to its limit again and again and the loop gives out energy meanwhile [J].
@@ -201,22 +235,32 @@ class Safety:
             )
             self.watch_swings(energy, velocity, seq)
 
-    def _become_active(self, wanted: Vector, seq: int) -> Vector:
+    def _become_active(self, wanted: Vector, seq: int, velocity: Callable[[], Vector]) -> Vector:
         """Let forces in again: none in a fault, a brake when stopped, a growing share of them during the ramp."""
         if self.state == "fault":
             return ZERO
         if self.state == "stopped":
             return self._brake
         if self.state != "ramp":
-            self._ramp_from = seq
+            if self.state != "waiting":
+                self._ramp_ticks = self._recovery_ticks
+                self._regained = max(self._regained - REGAIN * math.ceil(seq - self._away_from), 0)
             reason = "the first force" if self.state == "waiting" else "fresh forces again"
             self._enter("ramp" if self._ramp_ticks else "active", seq, reason)
-        if self.state == "ramp":
-            done = seq - self._ramp_from + 1
-            if done < self._ramp_ticks:
-                share = done / self._ramp_ticks
-                return wanted[0] * share, wanted[1] * share, wanted[2] * share
-            self._enter("active", seq, f"ramp of {self._ramp_ticks} ticks done")
+        if self.state == "active":
+            return wanted
+        if (peak := self.limits.peak) is not None:
+            x, y, z = wanted
+            wanted = limit(x, 0.0, peak, None), limit(y, 0.0, peak, None), limit(z, 0.0, peak, None)
+        if seq != self._ramp_seq:
+            self._ramp_seq = seq
+            pushed = sum(f * v for f, v in zip(wanted, velocity(), strict=True))
+            is_thrown = pushed > RETURN_SPEED * math.sqrt(sum(f * f for f in wanted))
+            self._regained = max(self._regained - REGAIN, 0) if is_thrown else self._regained + 1
+        share = self._regained / self._ramp_ticks
+        if share < 1.0:
+            return wanted[0] * share, wanted[1] * share, wanted[2] * share
+        self._enter("active", seq, f"ramp of {self._ramp_ticks} ticks done")
         return wanted
 
     def answered(self, force: Vector, answers: int, since: int, seq: int, slewed: list[float]) -> None:
@@ -247,8 +291,15 @@ class Safety:
         return self._hand_over(ZERO, seq)
 
     def hold(self, force: Vector) -> None:
-        """Note what is on the device where that is not what was decided last: it let go by itself, or a tick was lost."""
+        """Note what is on the device where that is not what was decided last: a tick was lost."""
         self.force = force
+
+    def let_go(self, seq: int, since: float) -> None:
+        """Note that the device let go by itself at a tick: a force then comes back as after any other gap."""
+        self.force = ZERO
+        if self.state in ("active", "ramp"):
+            self._enter("zero", seq, "no force was written in time, and the device let go by itself")
+            self._away_from = since
 
     def watch_position(self, position: Vector, seq: int) -> bool:
         """Look whether a position is one, and inside the workspace; otherwise there is no force."""

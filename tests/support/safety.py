@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from messages.types import Force, Vector
+from messages.types import ZERO, Force, Vector
 from nodes.driver.device import DeviceLimits
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import Safety
@@ -24,6 +24,7 @@ class Port:
         self, device: DeviceLimits | None = None, axes: tuple[int, ...] = (0, 1, 2), **parameters: Any
     ) -> None:
         self.events: list[tuple[str, str]] = []
+        self.velocity: Vector = ZERO
         self.safety = Safety(
             SafetyParameters(**parameters),
             device or DeviceLimits(),
@@ -36,7 +37,7 @@ class Port:
         """Let a force arrive; tell whether it was admitted."""
         if not self.safety.admit(message, tick):
             return False
-        self.safety.command(message.force, message.seq, tick)
+        self.safety.command(message.force, message.seq, tick, lambda: self.velocity)
         return True
 
     def changes(self) -> list[str]:

@@ -16,6 +16,8 @@ from typing import Any
 import pytest
 
 from messages.transport.requests import ControlError
+from nodes.driver.limits import SafetyParameters
+from nodes.driver.safety import RETURN_SPEED
 from nodes.recording.reader import Recording
 from nodes.tick.choose import choose
 from sim.measure.rig import full_pipe
@@ -303,3 +305,60 @@ def test_hardware_that_declares_no_limits_does_not_start_unless_told_to(tmp_path
     )
     with running(tmp_path, told, environment=INSTALLED, ready=False) as launch:
         launch.finish()
+
+
+# -- what goes on pushing while nobody answers ------------------------------------------------------------------------------
+
+PUSHED = """
+summary: Something pushes against a floor
+run: {{duration: 0.0, cpu: any, fifo: 0, tick: {tick}}}
+nodes:
+  driver:
+    kind: sim_driver
+    parameters:
+      safety: {{peak_force: 40.0, slew: 20000.0, workspace: [[-0.2, 0.2], [-0.2, 0.2], [-0.2, 0.2]]}}
+      device: {{mass: 0.1, damping: 1.0, {pushes}}}
+  environment: {{kind: environment, respawn: true, respawn_delay: 0.2, parameters: {{surface: {{kind: plane, position: 0.0}}}}}}
+  coupling:
+    kind: coupling
+    respawn: true
+    respawn_delay: 0.2
+    parameters: {{law: pd, laws: {{pd: {{kind: pd, stiffness: 1000.0, damping: 3.0}}}}}}
+  logger: {{kind: logger, parameters: {{path: run.mcap}}}}
+"""
+HAND = "hand: {mass: 0.1, damping: 2.0, stiffness: 150.0, path: [[0.0, -0.06]]}"
+WEIGHT = "gravity: 9.81"
+
+
+@pytest.mark.parametrize(
+    ("tick", "pushes", "strength"),
+    [("plain", HAND, 150.0 * 0.06), ("compiled", HAND, 150.0 * 0.06), ("compiled", WEIGHT, 0.981)],
+)
+def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown(
+    tmp_path: Path, tick: str, pushes: str, strength: float
+) -> None:
+    """Without a ramp the whole force came back in one tick: 40 N on a hand of 9 N, and on a mass at the end of its workspace."""
+    kernels = [f"nodes.tick.kernels.{name}" for name in ("environment", "coupling")] + ["sim.device.tick.kernel"]
+    assert choose("compiled", kernels, print) == "compiled"
+    path = tmp_path / "pushed.yaml"
+    path.write_text(PUSHED.format(tick=tick, pushes=pushes))
+    with running(tmp_path, str(path)) as launch:
+        launch.wait_ticks(200)
+        for node in ("coupling", "environment"):
+            killed(launch, node)
+            launch.wait_ticks(500)
+        launch.finish(signal.SIGINT)
+    states = Recording(tmp_path / "run.mcap").messages("/device/state")
+    recovery = round(SafetyParameters().recovery / PERIOD)
+    silent = [a.seq for a, b in pairwise(states) if (a.safety, b.safety) == ("zero", "ramp")]
+    assert len(silent) >= 2
+    for last in silent:
+        after = [state for state in states if last <= state.seq <= last + 450]
+        depth = -min(state.position[2] for state in after)
+        assert depth > 0.03
+        for state in after:
+            assert abs(state.force[2]) <= 40.0 * max(state.seq - last, 0) / recovery
+        # What takes energy is who pushes, on the way out, and the speed of that way; a tick or two of acceleration beyond it.
+        speed = 1.5 * RETURN_SPEED
+        given = max(state.energy for state in after) - after[0].energy
+        assert given <= strength * depth + 0.5 * 0.2 * speed**2 + 1.0 * speed * depth

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from messages.types import ZERO, Force, Vector
 from nodes.driver.limits import STOP_TIME
+from nodes.driver.safety import REGAIN
 from tests.support.safety import UP, Port, T, force
 
 # -- watchdog --------------------------------------------------------------------------------------------------------
@@ -73,7 +74,7 @@ def test_silence_counts_ticks_that_the_driver_itself_left_out() -> None:
 
 
 def test_forces_resume_by_themselves_with_the_ramp() -> None:
-    port = Port(watchdog=1, damping_ticks=0, ramp=4 * T)
+    port = Port(watchdog=1, damping_ticks=0, ramp=4 * T, recovery=4 * T)
     got = []
     for tick in range(4):
         port.answer(force(tick), tick)
@@ -86,18 +87,101 @@ def test_forces_resume_by_themselves_with_the_ramp() -> None:
     assert port.changes() == ["waiting → ramp", "ramp → active", "active → damping", "damping → zero", "zero → ramp"]
 
 
+@pytest.mark.parametrize(("away", "first"), [(1, 0.85), (3, 0.65), (9, 0.05), (10, 0.05), (500, 0.05)])
+def test_a_force_that_was_away_comes_back_by_a_ramp_as_long_as_the_gap_asks_for(away: int, first: float) -> None:
+    """Of 20 ticks, five for each tick without force: what remains is the share it begins with, and each tick adds 1/20."""
+    port = Port(watchdog=2, damping_ticks=3, recovery=20 * T)
+    port.answer(force(0), 0)
+    assert port.safety.force == UP  # the first force has no ramp unless one is asked for
+    for silent in range(away + 1):
+        port.safety.missed(1 + silent, ZERO)
+    shares = []
+    for tick in range(2 + away, 2 + away + 25):
+        port.answer(force(tick), tick)
+        shares.append(port.safety.force[2])
+    expected = [min(max(1.0 - REGAIN * away / 20, 0.0) + (n + 1) / 20, 1.0) for n in range(25)]
+    assert shares == pytest.approx(expected, abs=1e-15)  # a sum of two quotients
+
+
+def test_a_ramp_that_is_interrupted_goes_on_from_less_not_from_the_whole_force() -> None:
+    port = Port(watchdog=1, damping_ticks=0, recovery=100 * T)
+    port.answer(force(0), 0)
+    for tick in range(1, 60):
+        port.safety.missed(tick, ZERO)
+    for tick in range(60, 70):
+        port.answer(force(tick), tick)
+    assert port.safety.force[2] == pytest.approx(0.1, abs=1e-15)
+    port.safety.missed(70, ZERO)
+    port.answer(force(71), 71)
+    # A tick away costs five of the ten.
+    assert port.safety.force[2] == pytest.approx(0.06, abs=1e-15)
+
+
+def test_after_a_fault_and_after_the_device_let_go_the_whole_ramp_is_due() -> None:
+    port = Port(watchdog=50, recovery=20 * T, workspace=((-1.0, 1.0),) * 3)
+    port.answer(force(0), 0)
+    port.safety.watch_position((0.0, 0.0, 2.0), 1)
+    port.safety.watch_position(ZERO, 2)
+    port.answer(force(2), 2)
+    assert port.safety.force[2] == 0.05
+    for tick in range(3, 30):
+        port.answer(force(tick), tick)
+    assert port.safety.force == UP
+    # Less than the watchdog, but the device has a deadline of its own: it held no force since tick 35.
+    port.safety.let_go(45, 35.0)
+    port.answer(force(45), 45)
+    assert port.safety.force[2] == 0.05
+    # A driver that was started again does not know for how long there was no force.
+    port = Port(recovery=20 * T)
+    port.safety.resume()
+    port.answer(force(0), 0)
+    assert port.safety.force[2] == 0.05
+
+
+def test_the_guard_judges_what_the_ramp_lets_through() -> None:
+    port = Port(watchdog=1, damping_ticks=0, recovery=10 * T)
+    port.answer(force(0), 0)
+    for tick in range(1, 9):
+        port.safety.missed(tick, ZERO)
+    seen: list[Vector] = []
+
+    def guard(wanted: Vector) -> Vector:
+        seen.append(wanted)
+        return wanted
+
+    port.safety.command((0.0, 0.0, 8.0), 9, 9, lambda: ZERO, guard)
+    assert seen == [(0.0, 0.0, 0.8)]
+
+
+def test_the_ramp_is_of_the_largest_force_not_of_what_is_cut_from_it() -> None:
+    port = Port(peak_force=2.0, ramp=10 * T)
+    port.answer(force(0, 200.0), 0)
+    assert port.safety.force[2] == 0.2
+
+
+def test_a_ramp_that_pushes_too_fast_goes_back_and_a_hand_that_pushes_in_does_not_hold_it_up() -> None:
+    port = Port(ramp=100 * T)
+    for tick in range(20):
+        port.answer(force(tick), tick)
+    assert port.safety.force[2] == 0.2
+    for tick, (speed, share) in enumerate([(0.25, 0.21), (0.26, 0.16), (0.26, 0.11), (-1.0, 0.12), (0.0, 0.13)], 20):
+        port.velocity = (0.0, 0.0, speed)
+        port.answer(force(tick), tick)
+        assert port.safety.force[2] == share
+
+
 def test_a_force_that_is_late_does_not_hurry_the_ramp() -> None:
     port = Port(ramp=4 * T)
     port.answer(force(10), 10)
-    # Three answers in one tick: one step of the ramp, not three.
+    # Three answers in one tick: one step of the ramp, not three, nor one for each tick that had no answer.
     for seq in (11, 12, 13):
         assert port.answer(force(seq), 13)
-    assert port.safety.force[2] == 1.0 * 4 / 4
+    assert port.safety.force[2] == 2 / 4
     port = Port(ramp=100 * T)
     port.answer(force(10), 10)
     for seq in (11, 12, 13):
         port.answer(force(seq), 13)
-    assert port.safety.force[2] == 0.04
+    assert port.safety.force[2] == 0.02
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
@@ -200,7 +284,7 @@ def test_continuous_force_also_counts_ticks_without_an_answer() -> None:
 
 
 def test_outside_the_workspace_there_is_no_force_and_back_inside_it_grows_again() -> None:
-    port = Port(workspace=((-1.0, 1.0), (-1.0, 1.0), (0.0, 0.1)), ramp=2 * T)
+    port = Port(workspace=((-1.0, 1.0), (-1.0, 1.0), (0.0, 0.1)), ramp=2 * T, recovery=0.0)
     for tick in range(3):
         port.safety.watch_position((0.0, 0.0, 0.1), tick)
         port.answer(force(tick), tick)
