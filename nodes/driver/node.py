@@ -32,7 +32,6 @@ from nodes.driver.limits import STOP_TIME, undeclared
 from nodes.driver.mean_force import Latency, Split
 from nodes.driver.motion import Motion, scaled
 from nodes.driver.parameters import DriverParameters, check
-from nodes.driver.passivity import PassivityGuard
 from nodes.driver.response_times import ResponseTimes
 from nodes.driver.safety import Safety
 from nodes.parameters.store import ParameterError, convert

@@ -337,7 +337,7 @@ WEIGHT = "gravity: 9.81"
 def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown(
     tmp_path: Path, tick: str, pushes: str, strength: float
 ) -> None:
-    """Without a ramp the whole force came back in one tick: 40 N on a hand of 9 N, and on a mass at the end of its workspace."""
+    """Without a ramp the whole force came back in one tick: 40 N on a hand of 9 N, or on a mass at its workspace's end."""
     kernels = [f"nodes.tick.kernels.{name}" for name in ("environment", "coupling")] + ["sim.device.tick.kernel"]
     assert choose("compiled", kernels, print) == "compiled"
     path = tmp_path / "pushed.yaml"
