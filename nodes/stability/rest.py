@@ -2,7 +2,7 @@
 
 The encoder's error, at most half a step Δ, goes through the law and comes out as a force that may drive the device for ever
 (a limit cycle, felt as buzz). Friction f_c takes more than that out when it exceeds the force (THEORY.md §5). Two bounds and an
-estimate:
+estimate, which is no bound: small swings below one step of the encoder live on at 1.5 times its friction.
 
 - any motion: f_c ≥ (Δ/2) Σ|h_m|. A proof where the law itself is passive on the device's damping;
 - alternation: f_c ≥ Δ |H(−1)|/2, the motion across one encoder edge and back every tick (Abbott & Okamura 2005 for a spring);
@@ -14,7 +14,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.plant import Plant
@@ -45,7 +45,8 @@ class Rest:
     friction_alternating_n : float
         No chatter across one encoder edge, tick by tick, with at least so much [N].
     friction_estimated_n : float or None
-        No swing of a known device across one edge, by describing function [N]; None without a mass.
+        No swing of a known device across one edge, by describing function [N]: an estimate, from either side. None without
+        a mass.
     buzz_hz : float or None
         Frequency of that swing [Hz]; None where there is none.
     """
@@ -55,6 +56,35 @@ class Rest:
     friction_alternating_n: float
     friction_estimated_n: float | None
     buzz_hz: float | None
+
+    def free(self, friction: float) -> Literal[True, False, "estimated"]:
+        """Tell whether the device is free of limit cycles.
+
+        Parameters
+        ----------
+        friction : float
+            Coulomb friction of the device; of a measured one the low end of its interval [N].
+
+        Returns
+        -------
+        bool or "estimated"
+            True from the bound on, ``"estimated"`` from the estimate on; False where neither says so.
+        """
+        if friction >= self.friction_bound_n:
+            return True
+        return "estimated" if self.friction_estimated_n is not None and friction >= self.friction_estimated_n else False
+
+    def text(self) -> str:
+        """Say the frictions in words.
+
+        Returns
+        -------
+        str
+            Part of a sentence.
+        """
+        kind = "proof" if self.certain else "held in every simulation; no proof, the law is not passive on this damping"
+        guess = "" if self.friction_estimated_n is None else f"; estimate, no bound: {self.friction_estimated_n:.4g} N"
+        return f"every motion stops with friction from {self.friction_bound_n:.4g} N ({kind}){guess} (THEORY.md §5)"
 
 
 def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:

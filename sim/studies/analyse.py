@@ -91,9 +91,11 @@ def _rest(
         if arguments.friction is not None:
             raise UsageError("--friction: rest takes the encoder too; give --resolution")
         return None
-    found: dict[str, Any] = asdict(rest(law, device, arguments.resolution))
+    needed = rest(law, device, arguments.resolution)
+    found: dict[str, Any] = {**asdict(needed), "text": needed.text()}
     if arguments.friction is not None:
         stiffest = stiffest_at_rest(derivative, arguments.resolution, arguments.friction)
+        found["limit_cycle_free"] = needed.free(arguments.friction)
         found["k_rest_n_per_m"] = stiffest if stiffest > 0.0 else None
     return found
 
@@ -150,11 +152,7 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
         }[jitter["stable"]]
         lines.append(f"every delay     of {low:g}..{high:g} ticks: {told} (THEORY.md §10)")
     if still is not None:
-        proof = "proof" if still["certain"] else "bound, no proof: not passive on this damping"
-        lines.append(
-            f"rest            with friction from {still['friction_bound_n']:.4g} N ({proof}); estimate for this device "
-            f"{still['friction_estimated_n']:.4g} N (THEORY.md §5)"
-        )
+        lines.append(f"rest            {still['text']}")
         if "k_rest_n_per_m" in still:
             stiffest = still["k_rest_n_per_m"]
             lines.append(

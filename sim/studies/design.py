@@ -234,10 +234,10 @@ def _at_rest(arguments: argparse.Namespace, found: Robust, demand: Demand, figur
     path = arguments.out / "design_rest.png"
     drawn = rest_map(found.law, found.h1_n_per_m, device, arguments.resolution, arguments.friction, path)
     figures["rest"] = asdict(needed) | {"map": drawn}
-    stops = "stops" if needed.friction_bound_n <= arguments.friction else "need not stop"
+    figures["rest"]["limit_cycle_free"] = needed.free(arguments.friction)
+    stops = "stops" if figures["rest"]["limit_cycle_free"] is True else "need not stop"
     return [
-        f"every motion {stops} with {arguments.friction:g} N: for certain from {needed.friction_bound_n:.4g} N, by estimate "
-        f"from {needed.friction_estimated_n:.4g} N (THEORY.md §5)",
+        f"with {arguments.friction:g} N a motion {stops}: {needed.text()}",
         str(path),
     ]
 

@@ -55,8 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     if (told := figures["rest"]) is not None:
         text += (
             f"\nrest: {1e6 * told['resolution_m']:.3g} µm of encoder and {told['friction_n']:.3g} N of friction"
-            f"{'' if told['declared'] else ' (a Touch X: the scene has none)'}; every motion stops for certain from "
-            f"{told['friction_bound_n']:.4g} N, by estimate from {told['friction_estimated_n']:.4g} N\n{told['map']['plot']}"
+            f"{'' if told['declared'] else ' (a Touch X: the scene has none)'}; {told['text']}\n{told['map']['plot']}"
         )
     answer(arguments.json, figures, text)
     return 1 if found.superfluous or found.missing else 0
@@ -78,7 +77,14 @@ def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
         resolution, friction = RESOLUTION, FRICTION
     found = rest(law, device, resolution)
     drawn = rest_map(law, law.h1, device, resolution, friction, path)
-    return {"declared": declared, "resolution_m": resolution, "friction_n": friction, **asdict(found), "map": drawn}
+    return {
+        "declared": declared,
+        "resolution_m": resolution,
+        "friction_n": friction,
+        **asdict(found),
+        "text": found.text(),
+        "map": drawn,
+    }
 
 
 def _text(name: str, model: Any, found: Needs) -> str:

@@ -288,13 +288,11 @@ def _at_rest(law: CompiledLaw, found: Identified) -> dict[str, Any]:
         return {"limit_cycle_free": None}
     plant = Plant(found.period, found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
     told = rest(law, plant, found.encoder.value)
-    needed = told.friction_estimated_n
     return {
         "friction_n": found.friction.value,
         "friction_for_rest_bound_n": told.friction_bound_n,
-        "friction_for_rest_estimated_n": needed,
-        "limit_cycle_free": bool(found.friction.value >= told.friction_bound_n)
-        or (None if needed is None else bool(found.friction.value >= needed)),
+        "friction_for_rest_estimated_n": told.friction_estimated_n,
+        "limit_cycle_free": told.free(found.friction.known()[1]),
         "buzz_hz": told.buzz_hz,
     }
 

@@ -13,7 +13,7 @@ from nodes.stability.plant import Plant
 from nodes.stability.rest import absolute_sum, rest, stiffest_at_rest
 from sim.device.model import DeviceModel, quantise
 from sim.experiments.drop import drop_scene
-from sim.scene.loop import run
+from sim.scene.loop import Scene, Surface, run
 
 T, STEP = 0.002, 2.3e-5
 
@@ -67,6 +67,42 @@ def test_with_the_bounds_friction_every_drop_comes_to_a_stop(name: str, gain: fl
         assert still(law, found.friction_estimated_n, delay)
         # And without enough of it the device buzzes: the bound is not about nothing.
         assert not still(law, 1e-3 * found.friction_bound_n, delay)
+
+
+def swings_on(law: CompiledLaw, plant: Plant, friction: float) -> bool:
+    """Tell whether one of many small starts on a two-sided spring still moves after eight seconds."""
+    random = np.random.default_rng(0)
+    for _ in range(60):
+        size = STEP * 10.0 ** random.uniform(-1.0, 1.0)
+        position, velocity = (float(v) for v in random.uniform(-size, size, 2) * (1.0, 1.0 / T))
+        body = DeviceModel(
+            mass=plant.mass,
+            damping=plant.damping,
+            friction=friction,
+            resolution=STEP,
+            position=position,
+            velocity=velocity,
+        )
+        anchor = Surface("anchor", position=float(random.uniform(-STEP, STEP)))
+        trace = run(Scene(device=body, surface=anchor, period=T, raw=False, clamp=False), law, 4000)
+        if float(np.ptp(trace.position[-600:])) > 0.0:
+            return True
+    return False
+
+
+def test_only_the_bound_says_that_no_limit_cycle_is_left() -> None:
+    # Passive on this device, so the bound is a proof; a swing of a hundredth of a step lives on above the estimate.
+    law, plant = CompiledLaw((704.179, 353.287)), Plant(T, 0.0578, 3.9782)
+    found = rest(law, plant, STEP)
+    assert found.certain
+    assert found.friction_estimated_n is not None
+    beyond = 1.4 * found.friction_estimated_n
+    assert swings_on(law, plant, beyond)
+    assert found.free(beyond) == "estimated"
+    assert not swings_on(law, plant, found.friction_bound_n)
+    assert found.free(found.friction_bound_n) is True
+    assert found.free(0.99 * found.friction_estimated_n) is False
+    assert "no bound" in found.text()
 
 
 def test_spring_and_pd_are_abbott_and_okamuras() -> None:
