@@ -125,7 +125,7 @@ class Coupling(Node):
         self._renderer.raw = parameters.history == "position"
         self._renderer.clamp = parameters.clamp
         self._renderer.fallback = fallback
-        self._budget = Budget(parameters.budget * self.setup.period if self._realtime else math.inf)
+        self._budget = self._budget_of(parameters)
 
     def _make_fallback(self, parameters: CouplingParameters) -> ActiveLaw:
         compiled = parameters.fallback.compile(self.setup.period)
@@ -158,15 +158,17 @@ class Coupling(Node):
             "why": "" if verdict else self._judgement.why_not(wanted),
         }
 
-    def _bring_up(self, law: ActiveLaw) -> None:
+    def _bring_up(self, law: ActiveLaw, parameters: CouplingParameters) -> None:
         """Replay the history into the law's sections, and try its own code, on copies."""
         snapshots = self._renderer.snapshots()
         law.warm_up(snapshots)
         if law.watched:
-            self._try_out(law, snapshots)
+            self._try_out(law, snapshots, self._budget_of(parameters))
 
-    def _try_out(self, law: ActiveLaw, snapshots: list[History]) -> None:
-        budget = Budget(self._budget.seconds)
+    def _budget_of(self, parameters: CouplingParameters) -> Budget:
+        return Budget(parameters.budget * self.setup.period if self._realtime else math.inf)
+
+    def _try_out(self, law: ActiveLaw, snapshots: list[History], budget: Budget) -> None:
         over = ""
         # This thread is not as urgent as the loop's: only a law that is never in time is too slow.
         for _ in range(ATTEMPTS):
@@ -205,7 +207,7 @@ class Coupling(Node):
         if action == "set" and law.text == self._failed_text:
             # What failed does not come back because something else was set; switching to it by name does that.
             law = fallback
-        self._bring_up(law)
+        self._bring_up(law, parameters)
         schedule = self._changed_schedule(now, parameters, force)
 
         def apply(seq: int) -> dict[str, Any]:

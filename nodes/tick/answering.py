@@ -162,7 +162,8 @@ class CompiledTicks:
         if not fits or not self.inside or not self._mailing.acquire(blocking=False):
             return False
         try:
-            if state.mail:
+            # What waits in the outbox was posted before it.
+            if state.mail or self._node.outbox:
                 return False
             for room, content in zip(self._mail, (topic, payload), strict=True):
                 ctypes.memmove(room, content, len(content))
@@ -193,11 +194,11 @@ class CompiledTicks:
         return done
 
     def take_mail(self) -> None:
-        """Put a message that the kernel was to send, and did not, into the outbox."""
+        """Put a message that the kernel was to send, and did not, into the outbox: before all that was posted after it."""
         state = self.state
         if state.mail:
             topic, payload = self._mail
-            self._node.outbox.append((topic.raw[: state.mail_topic_size], payload.raw[: state.mail_size]))
+            self._node.outbox.appendleft((topic.raw[: state.mail_topic_size], payload.raw[: state.mail_size]))
             state.mail = 0
             self._node.called = True
 

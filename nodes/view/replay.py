@@ -67,7 +67,9 @@ def _facts(recording: Recording) -> Facts:
         axes = manifest["axes"].split(",")
     except (KeyError, ValueError, ZeroDivisionError) as error:
         raise RecordError(f"{recording.path}: its manifest tells no rate_hz and axes: it cannot be replayed") from error
-    driver = next((topic.split("/")[1] for topic in recording.topics if topic == "/driver/status"), "")
+    published = msgspec.json.decode(manifest.get("publishes", "{}"), type=dict[str, list[str]])
+    # Of an older recording nobody knows it but by its usual name.
+    driver = next((name for name, topics in published.items() if DEVICE_STATE in topics), "driver")
     summary, run = manifest.get("summary", ""), manifest.get("run", recording.path.stem)
     return Facts(run, manifest.get("scenario", ""), summary, period, manifest.get("pace", ""), "", axes, driver)
 

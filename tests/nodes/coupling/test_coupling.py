@@ -7,7 +7,8 @@ import random
 import sys
 import threading
 import time
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import pytest
 from hypothesis import given, settings
@@ -16,10 +17,13 @@ from hypothesis import strategies as st
 from messages.types import Proxy
 from nodes import kernels
 from nodes.coupling.law_on_axis import MAX_LEAVING, UNROLLED_TAPS, Fade, History, LawOnAxis, sum_of_taps, weighted_taps
+from nodes.coupling.node import Coupling
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.coupling.time_budget import Budget
-from nodes.laws import CompiledLaw
+from nodes.laws import CompiledLaw, Law
+from nodes.laws.pd import PD
 from nodes.parameters.store import ParameterError
+from tests.support.setups import setup_of
 
 T = 0.002
 RECURSIVE = CompiledLaw((900.0, 50.0), ((300.0, -250.0, -1.2, 0.4), (-20.0, 10.0, 0.9, 0.1)))
@@ -344,3 +348,34 @@ def test_sleeping_and_computing_overrun_and_waiting_for_the_interpreter_is_excus
         pass
     assert "computed for" in budget.overrun()
     assert "budget 5000 µs" in budget.overrun(excused=True)
+
+
+class Slow(Law, frozen=True, kw_only=True):
+    """Takes 20 ms."""
+
+    kind: ClassVar[str] = "slow"
+
+    def compile(self, period: float) -> CompiledLaw:
+        """Taps are not enough."""
+        del period
+
+        def evaluate(history: Sequence[float], head: int) -> float:
+            time.sleep(0.02)
+            return history[head]
+
+        return CompiledLaw((0.0,), (), evaluate)
+
+
+def test_a_law_is_tried_with_the_budget_that_it_comes_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nodes.laws.parse.load_law", {"slow": Slow, "pd": PD}.get)
+    monkeypatch.setattr("nodes.laws.parse.law_names", lambda: ["pd", "slow"])
+    laws = {"slow": {"kind": "slow"}, "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}}
+    node = Coupling(setup_of(name="coupling", period=0.1, parameters={"law": "pd", "laws": laws, "stability": "off"}))
+    node.configure()
+    # 20 ms within 50 ms; not within 10 ms, and 100 ms are no reason to refuse it.
+    node.prepare(node.store.changed({"law": "slow"}))
+    with pytest.raises(ParameterError, match="budget 10000 µs"):
+        node.prepare(node.store.changed({"law": "slow", "budget": 0.1}))
+    node.store.accept(node.store.changed({"budget": 0.1}))
+    node._settle(node.store.current, node._renderer.fallback)
+    node.prepare(node.store.changed({"law": "slow", "budget": 1.0}))

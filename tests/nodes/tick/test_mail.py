@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import ctypes
 import statistics
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from messages.types import NodeStatus
+from messages import topics
+from messages.codec import Decoder
+from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.types import Event, NodeStatus
+from nodes.coupling.node import Coupling
 from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
+from nodes.tick.layout import CouplingState
 from tests.support.launching import launch_json
+from tests.support.setups import setup_of
 
 RATE = 1000.0
 TICKS = {"driver": "/device/state", "environment": "/environment/proxy", "coupling": "/coupling/force"}
@@ -46,3 +55,46 @@ def test_all_that_was_told_was_sent_and_counted(figures: tuple[dict[str, object]
     for node, account in accounts(recording).items():
         assert account.finished, node
         assert account.lost == 0, node
+
+
+def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) -> list[str]:
+    """Let a node tell things while its compiled ticks go on, which these are scripted to do; what leaves after them."""
+    context = new_context()
+    source = f"ipc://{place}/proxy"
+    parameters = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}}}
+    node = Coupling(setup_of(name="coupling", tick="compiled", sources={topics.PROXY: source}, parameters=parameters))
+
+    def ticks(address: int) -> int:
+        kernel(node, CouplingState.from_address(address))
+        return 0
+
+    node.kernel = ticks
+    node.configure()
+    proxies, node.publisher = Publisher(context, source), Publisher(context, f"ipc://{place}/force")
+    node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))
+    compiled = node.compiled()
+    assert compiled is not None
+    compiled.go()
+    told = [Decoder(Event).decode(payload).reason for _, payload in node.outbox]
+    for socket in (proxies, node.publisher, node.inbox):
+        assert socket is not None
+        socket.close()
+    context.term()
+    return told
+
+
+def test_what_is_told_leaves_in_its_order(tmp_path: Path) -> None:
+    def unsent(node: Coupling, _: CouplingState) -> None:
+        for number in range(5):
+            node.announce("test", f"{number}")
+
+    def sent_in_between(node: Coupling, state: CouplingState) -> None:
+        node.announce("test", "0")
+        node.announce("test", "1")
+        # As the kernel does when it has sent it: what is told now must not leave before what waits for the loop.
+        assert b"0" in ctypes.string_at(state.mail_payload, state.mail_size)
+        state.mail = 0
+        node.announce("test", "2")
+
+    assert told_during(tmp_path, unsent) == ["0", "1", "2", "3", "4"]
+    assert told_during(tmp_path, sent_in_between) == ["1", "2"]

@@ -20,7 +20,9 @@ from websockets.sync.client import ClientConnection, connect
 
 from messages.transport.endpoints import MAX_MESSAGE
 from nodes.view.live import SILENT_NODE
+from nodes.view.replay import ReplayPages
 from sim.drill.drill import scene as drill_scene
+from tests.support import ROOT
 from tests.support.browser import url_of
 from tests.support.launching import HAPTIC, Running, haptic, launch_json, running, wait_for
 
@@ -223,6 +225,14 @@ def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
         # At rest under the softer law: the recording's own last position.
         assert time == pytest.approx(6.0)
         assert z == pytest.approx(figures["final"]["position_m"], abs=1e-6)
+
+
+def test_a_replay_knows_its_driver_whatever_its_name(tmp_path: Path) -> None:
+    text = (ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8")
+    (tmp_path / "named.yaml").write_text(text.replace("  driver:", "  left_arm:"), encoding="utf-8")
+    figures = launch_json(tmp_path, "named.yaml", "pace:=lockstep", "duration:=0.1")
+    pages = ReplayPages(tmp_path / figures["recording"])
+    assert pages.live.ended == "done"
 
 
 def test_what_cannot_be_replayed_is_refused(tmp_path: Path) -> None:
