@@ -9,7 +9,7 @@ is the soft spring.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar
 
 import msgspec
@@ -31,6 +31,14 @@ def held_back(wanted: float, deflection: float, reach: float) -> float:
     if deflection < -reach:
         return -abs(wanted)
     return wanted
+
+
+def went_on(k: int, astray: int, deflection: float, reach: float, ticks: int) -> tuple[int, int]:
+    """Count the ticks pushed, and those in a row in which the device is astray; the last one when it is for too long."""
+    astray = astray + 1 if abs(deflection) > 2.0 * reach else 0
+    if astray < ASTRAY:
+        return k + 1, astray
+    return ticks, 0
 
 
 class Telegraph:
@@ -102,25 +110,52 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def compile(self, period: float) -> CompiledLaw:
         """Turn the spring and the damper into taps; the push is the law's own code."""
         damper = self.damping / period
-        return CompiledLaw((self.stiffness + damper, -damper), evaluate=self._push(period))
+        return CompiledLaw((self.stiffness + damper, -damper), evaluate=Push(self, period))
 
-    def _push(self, period: float) -> Callable[[Sequence[float], int], float]:
-        ticks, growing = max(1, round(self.duration / period)), self.start / period
-        reach, load = self.reach, self.load
-        axes: dict[int, list[Any]] = {}
 
-        def push(ring: Sequence[float], head: int) -> float:
-            # Every axis has its own ring, and so its own push.
-            axis = axes.get(id(ring))
-            if axis is None:
-                axis = axes[id(ring)] = [0, 0, Telegraph(self.amplitude, self.clocks, self.seed + len(axes))]
-            k, astray, signal = axis
-            if k >= ticks:
-                return load
-            deflection = ring[head]
-            astray = astray + 1 if abs(deflection) > 2.0 * reach else 0
-            axis[0], axis[1] = (k + 1, astray) if astray < ASTRAY else (ticks, 0)
-            share = (k + 1) / growing if k + 1 < growing else 1.0
-            return load + share * held_back(signal.next(), deflection, reach)
+class Push:
+    """The push, over the newest deflection of each axis.
 
-        return push
+    Parameters
+    ----------
+    law : Excitation
+        How it pushes.
+    period : float
+        Sampling period T [s].
+
+    Attributes
+    ----------
+    law : Excitation
+        The same.
+    ticks : int
+        How long it pushes.
+    growing : float
+        In which time it grows to its full size [ticks].
+    """
+
+    def __init__(self, law: Excitation, period: float) -> None:
+        self.law, self._period = law, period
+        self.ticks, self.growing = max(1, round(law.duration / period)), law.start / period
+        self._axes: dict[int, list[Any]] = {}
+
+    def fresh(self) -> Push:
+        """Give the same push before its first tick."""
+        return Push(self.law, self._period)
+
+    def signal(self, axis: int) -> Telegraph:
+        """Give the pseudo-random force of an axis, numbered in the order in which they are pushed."""
+        return Telegraph(self.law.amplitude, self.law.clocks, self.law.seed + axis)
+
+    def __call__(self, ring: Sequence[float], head: int) -> float:
+        """Push one axis for a tick [N]."""
+        # Every axis has its own ring, and so its own push.
+        axis = self._axes.get(id(ring))
+        if axis is None:
+            axis = self._axes[id(ring)] = [0, 0, self.signal(len(self._axes))]
+        k, astray, signal = axis
+        load, reach = self.law.load, self.law.reach
+        if k >= self.ticks:
+            return load
+        axis[0], axis[1] = went_on(k, astray, ring[head], reach, self.ticks)
+        share = (k + 1) / self.growing if k + 1 < self.growing else 1.0
+        return load + share * held_back(signal.next(), ring[head], reach)

@@ -7,12 +7,17 @@ radius tells; so a design for a recorded loop is replayed on that loop's own del
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
+
+import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.stability.plant import Plant
-from sim.device.model import advance, coefficients
+from sim.device.model import DeviceModel, Hand
+from sim.scene.loop import Given, Scene, Surface, run
+
+GIVEN_UP = 1e200
+"""Deflection from which on a loop is called unstable whatever comes [m]."""
 
 
 def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> float:
@@ -21,29 +26,22 @@ def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> 
         raise ValueError("law: only taps can be replayed")
     if len(delays) < 40:
         raise ValueError(f"delays: {len(delays)} ticks, at least 40 are needed for a first and a last quarter")
-    past: deque[float] = deque([0.0] * len(law.taps), maxlen=len(law.taps))
-    waiting: list[tuple[float, int, float]] = []
-    x, v, force, newest = 1.0, 0.0, 0.0, -1
-    trace = []
-
-    def move(ticks: float) -> tuple[float, float]:
-        return advance(x, v, force, coefficients(plant.mass, plant.damping, plant.stiffness, ticks * plant.period))
-
-    for k, delay in enumerate(delays):
-        past.appendleft(x)
-        trace.append(abs(x) + abs(v) * plant.period)
-        if not trace[-1] < 1e200:
-            return math.inf
-        waiting.append((k + delay, k, -sum(tap * value for tap, value in zip(law.taps, past, strict=True))))
-        due = sorted(arrival for arrival in waiting if arrival[0] < k + 1)
-        waiting = [arrival for arrival in waiting if arrival[0] >= k + 1]
-        now = float(k)
-        for at, seq, value in due:
-            # A force that a younger one has overtaken never acts.
-            if seq > newest:
-                x, v = move(max(at - now, 0.0))
-                now, force, newest = max(at, now), value, seq
-        x, v = move(k + 1 - now)
-    quarter = len(trace) // 4
-    first, last = max(trace[:quarter]), max(trace[-quarter:])
-    return math.exp((math.log(last) - math.log(first)) / (len(trace) - quarter)) if last > 0.0 else 0.0
+    hand = Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)]) if plant.stiffness else None
+    device = DeviceModel(mass=plant.mass, damping=plant.damping, position=1.0, hand=hand)
+    scene = Scene(device=device, surface=Surface("anchor"), period=plant.period, raw=False, clamp=False)
+    arrivals: list[tuple[float, int]] = []
+    for when, seq in sorted((k + delay, k) for k, delay in enumerate(delays)):
+        # A force that a younger one has overtaken never acts.
+        if not arrivals or seq > arrivals[-1][1]:
+            arrivals.append((when, seq))
+    when, answers = np.array([at for at, _ in arrivals]), np.array([seq for _, seq in arrivals], dtype=np.int64)
+    with np.errstate(all="ignore"):
+        trace = run(
+            scene, law, len(delays), interpreted=True, given=Given(arrivals=(when, answers, np.zeros(len(when))))
+        )
+        size = np.abs(trace.position) + np.abs(trace.velocity) * plant.period
+    if not np.all(size < GIVEN_UP):
+        return math.inf
+    quarter = len(size) // 4
+    first, last = float(np.max(size[:quarter])), float(np.max(size[-quarter:]))
+    return math.exp((math.log(last) - math.log(first)) / (len(size) - quarter)) if last > 0.0 else 0.0

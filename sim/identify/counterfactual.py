@@ -8,20 +8,16 @@ back to what was recorded; how far the model alone does not is the error of ever
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.driver.passivity import control, forget, observe
-from nodes.kernels import cross_fade, limit, one_sided, warm_up
 from nodes.laws import CompiledLaw
-from sim.device.friction import move
-from sim.device.model import DeviceModel, coefficients, quantise, saturate
+from sim.device.model import coefficients
 from sim.experiments.drop import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
-from sim.scene.loop import Swap, run
-from sim.scene.tick_loop import evaluate, respond
+from sim.scene.loop import Given, run
 
 __all__ = [
     "STILL",
@@ -36,8 +32,9 @@ Array = NDArray[np.float64]
 
 STILL = Criterion().tolerance
 """Largest motion over the last quarter of a run that counts as settled: that of the drop test [m]."""
-NUDGE = 0.1
-"""Part of a nudge that the velocity takes as an error of its own, made within a tick."""
+
+WORTH_COMPILING = 1_000_000
+"""From so many ticks on compiling the loop takes less time than interpreting it once."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +86,14 @@ def replay(
     Felt
         What comes of it.
     """
-    played = recorded.scene
+    played, ticks = recorded.scene, len(recorded.position)
     first = played.law if law is None else law
-    swaps = played.swaps if law is None else ()
-    ticks = len(recorded.position)
-    if recorded.lockstep and external is None and nudged is None:
-        trace = run(played.scene, first, ticks, [swap for swap in swaps if swap.tick < ticks], played.memory)
-        return _judged(recorded, first, trace.measured, trace.force)
-    return _judged(recorded, first, *_tick_by_tick(recorded, first, swaps, external, nudged)[:2])
+    swaps = [swap for swap in played.swaps if swap.tick < ticks] if law is None else []
+    # In lockstep the recorded delay is that of the rule.
+    arrivals = None if recorded.lockstep else (recorded.came, recorded.answers, recorded.given)
+    given = Given(force=external, target=recorded.target, arrivals=arrivals, nudged=nudged)
+    trace = run(played.scene, first, ticks, swaps, played.memory, ticks < WORTH_COMPILING, given)
+    return _judged(recorded, first, trace.measured, trace.force)
 
 
 def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
@@ -115,7 +112,18 @@ def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
         Jumps of position [m] and velocity [m/s] at each tick, zero wherever the model reads what was read; and how far the
         recorded reading lies off the model's grid [m].
     """
-    return _tick_by_tick(recorded, recorded.scene.law, (), external, None, track=True)[2]
+    ticks = len(recorded.position)
+    jumps = np.zeros((ticks, 3))
+    arrivals = recorded.came, np.full(len(recorded.came), -1, dtype=np.int64), recorded.given
+    given = Given(
+        force=external,
+        target=recorded.target,
+        arrivals=arrivals,
+        nudged=jumps,
+        read=recorded.position.astype(np.float64),
+    )
+    run(replace(recorded.scene.scene, passivity=None), CompiledLaw((0.0,)), ticks, interpreted=True, given=given)
+    return jumps
 
 
 def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: Array) -> Felt:
@@ -126,110 +134,6 @@ def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: A
     if scene.device.gravity is not None and scene.device.hand is None and scene.surface.kind == "plane":
         still = settled(scene, law, measured, force, Criterion(ticks=len(measured)))
     return Felt(measured, force, still, float(np.max(np.abs(force))), float(np.mean(last)))
-
-
-def _tick_by_tick(
-    recorded: RecordedScene,
-    law: CompiledLaw,
-    swaps: tuple[Swap, ...],
-    external: Array | None,
-    nudged: Array | None,
-    track: bool = False,
-) -> tuple[Array, Array, Array]:
-    """Play with every force arriving when the recorded one of its tick did: the loop of `sim.scene.loop`, interpreted.
-
-    Tracking, the recorded forces act instead of the law's, and the nudges are those that the recorded readings ask for.
-    """
-    scene, device, ticks = recorded.scene.scene, recorded.scene.scene.device, len(recorded.position)
-    period, plane = scene.period, scene.surface.kind == "plane"
-    normal = scene.surface.normal if plane else 0.0
-    mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
-    ring = max(2, recorded.scene.memory, len(law.taps), *(len(swap.law.taps) for swap in swaps))
-    history, head = [0.0] * (2 * ring), 0
-    now, old, ramp, done = _Rendered(law), _Rendered(law), 0, 0
-    waiting = list(swaps)
-    # In lockstep the recorded delay is that of the rule; the device's own comes on top of both.
-    arrivals = list(
-        zip((recorded.at + device.delay).tolist(), recorded.answers.tolist(), recorded.given.tolist(), strict=True)
-    )
-    next_arrival, acting = 0, 0.0
-    guard, energy, before, applied = scene.passivity, 0.0, 0.0, 0.0
-    x, v = device.position, device.velocity
-    measured, forces = np.empty(ticks), np.zeros(ticks)
-    jumps = np.zeros((ticks, 3)) if nudged is None else nudged
-    for k in range(ticks):
-        if track:
-            jumps[k] = _nudge(x, float(recorded.position[k]), device.resolution, period)
-        jump_x, jump_v, off_grid = jumps[k].tolist()
-        x, v = x + jump_x, v + jump_v
-        while waiting and waiting[0].tick <= k:
-            swap = waiting.pop(0)
-            old, now, ramp, done = now, _Rendered(swap.law), swap.ramp, 0
-            now.warm_up(history, head, ring)
-        reading = quantise(x, device.resolution) + off_grid
-        head, _, contact = respond(
-            reading, scene.surface.code, scene.surface.position, normal, scene.raw, history, head, ring
-        )
-        force = now.force(history, head)
-        if done < ramp:
-            force = cross_fade(old.force(history, head), force, done, ramp)
-            done += 1
-        force = one_sided(force, normal, contact, scene.raw, scene.clamp)
-        if guard is not None:
-            step = reading - before if k else 0.0
-            energy = forget(observe(energy, applied, step), force, guard.stiffness)
-            force = control(energy, force, step, guard.damping / period)
-            before = reading
-        measured[k] = reading
-        forces[k] = applied = limit(force, applied, scene.peak, scene.slew)
-        load = device.load(k, period) + (0.0 if external is None else float(external[k]))
-        at = 0.0
-        while next_arrival < len(arrivals) and arrivals[next_arrival][0] < k + 1:
-            when, answers, given = arrivals[next_arrival]
-            until = max(when - k, at)
-            x, v = _move(
-                x, v, saturate(acting, device.peak_force) + load, (until - at) * period, mass, damping, grip, device
-            )
-            acting, at = float(forces[answers]) if 0 <= answers <= k and not track else given, until
-            next_arrival += 1
-        x, v = _move(x, v, saturate(acting, device.peak_force) + load, (1.0 - at) * period, mass, damping, grip, device)
-    return measured, forces, jumps
-
-
-def _nudge(x: float, read: float, resolution: float | None, period: float) -> tuple[float, float, float]:
-    """Move a position the shortest way to where the encoder reads what it read, and the velocity with it."""
-    if quantise(x, resolution) == read:
-        return 0.0, 0.0, 0.0
-    # A millionth short of the step's edges: on them rounding decides.
-    room = 0.499999 * (resolution or 0.0)
-    off = min(max(x, read - room), read + room) - x
-    return off, NUDGE * off / period, read - quantise(x + off, resolution)
-
-
-def _move(
-    x: float, v: float, u: float, duration: float, mass: float, damping: float, grip: float, device: DeviceModel
-) -> tuple[float, float]:
-    if duration <= 0.0:
-        return x, v
-    return move(x, v, u, duration, coefficients(mass, damping, grip, duration), mass, damping, grip, device.friction)
-
-
-class _Rendered:
-    """A law with the state of its sections."""
-
-    def __init__(self, law: CompiledLaw) -> None:
-        self._taps = law.taps
-        self._sections = [c for section in law.sections for c in section] or None
-        self._state = [0.0] * (2 * len(law.sections))
-
-    def warm_up(self, history: list[float], head: int, length: int) -> None:
-        """Bring the sections up to date."""
-        if self._sections is not None:
-            warm_up(self._sections, self._state, history, head, length)
-
-    def force(self, history: list[float], head: int) -> float:
-        """Render the newest deflection."""
-        return evaluate(self._taps, self._sections, self._state, history, head)
 
 
 def missing_force(recorded: RecordedScene, noise: float) -> Array:
@@ -273,7 +177,7 @@ def _known(recorded: RecordedScene) -> Array:
     speed = np.gradient(smooth) / period
     slow = (device.resolution or 1e-7) / (9.0 * period)
     rubbing = -(device.friction or 0.0) * np.clip(speed / slow, -1.0, 1.0)
-    arrivals = list(zip((recorded.at + device.delay).tolist(), recorded.given.tolist(), strict=True))
+    arrivals = list(zip((recorded.took + device.delay).tolist(), recorded.given.tolist(), strict=True))
     added, j, acting = np.zeros((ticks, 2)), 0, 0.0
     for k in range(ticks):
         x = v = at = 0.0

@@ -26,9 +26,6 @@ from sim.scene.loop import Swap
 
 Array = NDArray[np.float64]
 
-UNPLAYED = {"ramp": 0.0, "workspace": None, "continuous_force": None}
-"""Limits of a driver that a replay leaves out, and tells that it does."""
-
 
 @dataclass(frozen=True)
 class RecordedScene:
@@ -45,17 +42,19 @@ class RecordedScene:
     lockstep : bool
         Whether every tick was answered and the delay is one number.
     left_out : tuple of str
-        What is not replayed.
+        What is not replayed: of a real-time run the driver's ramp and motor heat under another law.
     position : ndarray, shape (N,)
         Measured positions, one per recorded tick [m].
     force : ndarray, shape (N,)
         Force handed to the device until that tick [N].
-    at : ndarray, shape (M,)
-        When each force took over [ticks], rising.
+    took, came : ndarray, shape (M,)
+        When each force took over, rising, and when the driver got it [ticks].
     answers : ndarray of int, shape (M,)
         The tick it answers; −1 for the driver's own, whose value is `given`.
     given : ndarray, shape (M,)
         Its recorded value [N].
+    target : ndarray, shape (N,), or None
+        Where somebody dragged the device's hand [m]; None for a hand that kept to its path.
     declared : bool
         Whether the device is a virtual one whose parameters were recorded.
     recorded_ticks : int
@@ -69,9 +68,11 @@ class RecordedScene:
     left_out: tuple[str, ...]
     position: Array
     force: Array
-    at: Array
+    took: Array
+    came: Array
     answers: NDArray[np.int64]
     given: Array
+    target: Array | None
     declared: bool
     recorded_ticks: int
 
@@ -90,7 +91,7 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
     if len(whole):
         # What the driver slept through cannot be replayed; what came before can.
         states = states[: int(whole[0]) + 1]
-    launch, left_out = _playable(launch, device)
+    launch, left_out, dragged = _playable(launch, device)
     played = from_launch(launch)
     receipts = [one for one in recording.messages(RECEIPT) if one.action in ("switch", "set")]
     if receipts:
@@ -105,20 +106,28 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
     delay = np.array([state.delay for state in states])
     took = np.arange(len(states)) - 1.0 + np.where(fresh, delay - age, 1.0)
     used = fresh | changed
+    came = took - float(launch.run.apply == "next_tick")
+    lockstep = launch.run.pace == "lockstep"
     return RecordedScene(
         path=path,
         scene=played,
         launch=launch,
-        lockstep=launch.run.pace == "lockstep",
-        left_out=left_out,
+        lockstep=lockstep,
+        left_out=() if lockstep else left_out,
         position=np.array([state.position[axis] for state in states]),
         force=force,
-        at=np.maximum.accumulate(took[used]) if used.any() else took[used],
+        took=_rising(took[used]),
+        came=_rising(came[used]),
         answers=np.where(fresh, answers, -1)[used],
         given=force[used],
+        target=np.array([state.target[axis] for state in states]) if dragged and not lockstep else None,
         declared=device is None,
         recorded_ticks=len(seq),
     )
+
+
+def _rising(times: Array) -> Array:
+    return np.maximum.accumulate(times) if len(times) else times
 
 
 def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:
@@ -140,18 +149,14 @@ def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
-def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple[str, ...]]:
-    """Leave out what one process does not play, and put a device in the place of hardware."""
-    nodes, left_out, drivers = dict(launch.nodes), [], 0
+def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple[str, ...], bool]:
+    """Put a device in the place of hardware; what is judged anew in lockstep only, and whether somebody could drag its hand."""
+    nodes, left_out, dragged = dict(launch.nodes), [], False
     for name, spec in launch.nodes.items():
         if not spec.kind.endswith("driver"):
             continue
-        drivers += 1
-        safety = dict(spec.parameters.get("safety", {}))
-        for limit, nothing in UNPLAYED.items():
-            if safety.get(limit):
-                left_out.append(f"{name}.safety.{limit}")
-                safety[limit] = nothing
+        safety = spec.parameters.get("safety", {})
+        left_out += [f"{name}.safety.{limit}" for limit in ("ramp", "continuous_force") if safety.get(limit)]
         parameters: dict[str, Any] = {"safety": safety}
         for kept in ("passivity", *(() if device else ("preset",))):
             if kept in spec.parameters:
@@ -160,10 +165,11 @@ def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple
             parameters["device"] = {k: v for k, v in msgspec.to_builtins(device).items() if v is not None}
         elif "device" in spec.parameters:
             parameters["device"] = spec.parameters["device"]
+            dragged = spec.parameters.get("pointer") is not None
         else:
             raise ValueError(f"{name} is a {spec.kind}: its device is not declared; name a model by --model")
         nodes[name] = msgspec.structs.replace(spec, kind="sim_driver", parameters=parameters)
-    return msgspec.structs.replace(launch, nodes=nodes), tuple(left_out)
+    return msgspec.structs.replace(launch, nodes=nodes), tuple(left_out), dragged
 
 
 def _law_of(text: str, period: float) -> CompiledLaw:
@@ -182,6 +188,4 @@ def another_law(recorded: RecordedScene, given: Mapping[str, Any]) -> tuple[Comp
     described = {"kind": described} if isinstance(described, str) else dict(described)
     law = parse_law({**described, **changes}, "law")
     compiled = compile_law(law, recorded.scene.scene.period, "law")
-    if compiled.evaluate is not None:
-        raise ParameterError("law: has code of its own, which one process does not play")
     return compiled, law_to_dict(law)

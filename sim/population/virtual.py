@@ -5,79 +5,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from nodes.laws.excitation import Excitation, Telegraph, held_back
-from nodes.tick.kernels.sources import kernel
-from sim.device.friction import move
-from sim.device.model import DeviceModel, Hand, coefficients, quantise, split_delay
+from nodes.laws.excitation import Excitation
+from sim.device.model import DeviceModel, Hand, quantise
 from sim.identify.experiment import Experiment, lockstep
-from sim.scene.compiled import compiled
-
-Array = NDArray[np.float64]
-
-kernel(held_back)
+from sim.scene.loop import Scene, Surface, run
 
 PUSH = Excitation()
 """How they are pushed: as a launch pushes by default."""
 
 
-@compiled()
-def _push(
-    wanted: Array,
-    spring: float,
-    damper: float,
-    reach: float,
-    peak: float,
-    x: float,
-    v: float,
-    mass: float,
-    damping: float,
-    stiffness: float,
-    friction: float,
-    load: float,
-    resolution: float | None,
-    whole: int,
-    part: float,
-    period: float,
-    positions: Array,
-    forces: Array,
-) -> None:
-    """Push in closed loop over the centring spring, as driver and coupling do it."""
-    ticks = len(wanted)
-    early_map = coefficients(mass, damping, stiffness, part * period)
-    late_map = coefficients(mass, damping, stiffness, (1.0 - part) * period)
-    centre = quantise(x, resolution)
-    before = centre
-    for k in range(ticks):
-        measured = quantise(x, resolution)
-        force = held_back(wanted[k], centre - measured, reach)
-        force -= spring * (measured - centre) + damper * (measured - before) / period
-        before = measured
-        force = min(max(force, -peak), peak)
-        positions[k] = measured
-        forces[k] = force
-        if part > 0.0:
-            acting = forces[k - whole - 1] if k - whole - 1 >= 0 else 0.0
-            x, v = move(x, v, acting + load, part * period, early_map, mass, damping, stiffness, friction)
-        acting = forces[k - whole] if k - whole >= 0 else 0.0
-        x, v = move(x, v, acting + load, (1.0 - part) * period, late_map, mass, damping, stiffness, friction)
-
-
 def excite(model: DeviceModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:
     """Push a virtual device and note what its encoder reads."""
-    ticks = round(seconds / period)
-    positions, forces = np.zeros(ticks), np.zeros(ticks)
-    whole, part = split_delay(model.delay)
-    signal = Telegraph(PUSH.amplitude, PUSH.clocks, seed)
-    wanted: Array = np.array([signal.next() for _ in range(ticks)])
-    _push(
-        wanted, PUSH.stiffness, PUSH.damping, PUSH.reach, peak, model.position, model.velocity, model.moving_mass,
-        model.moving_damping, model.grip, model.friction or 0.0, model.load(0, period), model.resolution, whole, part,
-        period, positions, forces,
-    )  # fmt: skip
-    return lockstep(period, positions, forces)
+    anchor = Surface("anchor", quantise(model.position, model.resolution))
+    scene = Scene(device=model, surface=anchor, period=period, raw=False, clamp=False, peak=peak)
+    law = msgspec.structs.replace(PUSH, seed=seed, duration=min(seconds, 600.0)).compile(period)
+    trace = run(scene, law, round(seconds / period))
+    return lockstep(period, trace.measured, trace.force)
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ import hashlib
 import pickle
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core import serialize
 from numba.core.compiler import CompileResult
 from numba.extending import overload
@@ -23,6 +24,8 @@ import nodes.kernels
 import nodes.laws.pd_windowed
 import sim.device.friction
 import sim.device.model
+from nodes.laws.excitation import Push, held_back, went_on
+from nodes.laws.pd_windowed import WindowedDamper
 from nodes.tick import cache
 from nodes.tick.kernels.sources import kernel
 
@@ -60,17 +63,54 @@ for _kernel in KERNELS:
     kernel(_kernel)
 
 
+class Pushing(NamedTuple):
+    """The push of `nodes.laws.excitation` as numbers: its forces tick by tick [N], and how far it is."""
+
+    signal: Any
+    shares: Any
+    state: Any
+    reach: float
+    load: float
+
+
+def numbers_of(own: Callable[[Sequence[float], int], float], ticks: int) -> Any:
+    """Turn a law's code of its own into numbers that compiled code takes; None for code that only the interpreter runs."""
+    if isinstance(own, WindowedDamper):
+        return own.gain, own.error, float(own.window)
+    if isinstance(own, Push):
+        pushed = min(ticks, own.ticks)
+        signal = own.signal(0)
+        shares = [(k + 1) / own.growing if k + 1 < own.growing else 1.0 for k in range(pushed)]
+        drawn = np.array([signal.next() for _ in range(pushed)])
+        return Pushing(drawn, np.array(shares), np.zeros(2, dtype=np.int64), own.law.reach, own.law.load)
+    return None
+
+
 def own_force(own: Callable[[Sequence[float], int], float], history: Any, head: int) -> float:
     """Force of a law's code of its own."""
     return own(history, head)
 
 
+def _windowed(own: Any, history: Any, head: int) -> float:
+    damped: float = own[0] * _slope(history, head, own[1], int(own[2]))
+    return damped
+
+
+def _pushed(own: Any, history: Any, head: int) -> float:
+    load: float = own.load
+    ticks, k = len(own.signal), own.state[0]
+    if k >= ticks:
+        return load
+    own.state[0], own.state[1] = went_on(k, own.state[1], history[head], own.reach, ticks)
+    return load + own.shares[k] * held_back(own.signal[k], history[head], own.reach)
+
+
 _slope = nodes.laws.pd_windowed.windowed_slope
-# Compiled, the code of its own is the windowed damper's, handed over as its three numbers.
+kernel(held_back)
+kernel(went_on)
+# Compiled, the code of its own is handed over as its numbers.
 overload(own_force)(
-    lambda own, history, head: (  # noqa: ARG005
-        lambda own, history, head: own[0] * _slope(history, head, own[1], int(own[2]))
-    )
+    lambda own, history, head: _pushed if getattr(own, "instance_class", None) is Pushing else _windowed  # noqa: ARG005
 )
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
+
 from nodes.base.setup import AXIS_INDEX, Axis
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
@@ -20,8 +22,8 @@ from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
 from nodes.stability.plant import Plant
-from sim.device.driver import SimDriverParameters
-from sim.scene.loop import Scene, Surface, Swap, Trace, run
+from sim.device.driver import NO_END, SimDriverParameters
+from sim.scene.loop import Given, Scene, Surface, Swap, Trace, run
 
 __all__ = [
     "LaunchedScene",
@@ -85,7 +87,7 @@ class LaunchedScene:
             body.grip,
         )
 
-    def play(self, ticks: int | None = None, interpreted: bool = False) -> Trace:
+    def play(self, ticks: int | None = None, interpreted: bool = False, given: Given | None = None) -> Trace:
         """Play the scene.
 
         Parameters
@@ -94,13 +96,15 @@ class LaunchedScene:
             How many ticks; the launch file's own number when left out.
         interpreted : bool, optional
             Run the same function without numba.
+        given : Given, optional
+            What happens beside it: see `sim.scene.loop`.
 
         Returns
         -------
         Trace
             What happened.
         """
-        return run(self.scene, self.law, ticks or self.ticks, self.swaps, self.memory, interpreted)
+        return run(self.scene, self.law, ticks or self.ticks, self.swaps, self.memory, interpreted, given)
 
 
 def _parameters(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
@@ -139,30 +143,29 @@ def from_launch(launch: Launch) -> LaunchedScene:
     Raises
     ------
     ParameterError
-        When the launch file has something that one process does not play: several axes, a driver's start ramp or
-        thermal limit, a law with code of its own.
+        When the launch file has something that one process does not play: several axes, swaps to or from a law with code of its
+        own, a surface that is more than a plane or a point.
     """
     if len(launch.run.axes) != 1:
         raise ParameterError(f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis")
     axis = launch.run.axes[0]
     period = launch.run.period
-    driver_name, driver = _parameters(launch, "sim_driver", SimDriverParameters)
+    _, driver = _parameters(launch, "sim_driver", SimDriverParameters)
     environment_name, environment = _parameters(launch, "environment", EnvironmentParameters)
     coupling_name, coupling = _parameters(launch, "coupling", CouplingParameters)
     safety = driver.safety
     limits = lower(safety, DeviceLimits(), period)
-    if safety.continuous_force is not None:
-        raise ParameterError(f"{driver_name}.safety.continuous_force: not played in one process; leave it out")
-    if driver.passivity is not None and driver.passivity.allowance:
-        raise ParameterError(f"{driver_name}.passivity.allowance: not played in one process; set it to 0")
-    if safety.ramp:
-        raise ParameterError(f"{driver_name}.safety.ramp: {safety.ramp} s is not played in one process; set it to 0")
+    if safety.workspace is not None:
+        # Of one axis only the first counts.
+        safety = msgspec.structs.replace(safety, workspace=(safety.workspace[AXIS_INDEX[axis]], *NO_END[1:]))
     book = LawBook(coupling_name, period)
 
     def law(name: str) -> CompiledLaw:
         compiled = book.compile(coupling, name)
-        if compiled.evaluate is not None:
-            raise ParameterError(f"{coupling_name}.laws.{name}: has code of its own, which one process does not play")
+        if compiled.evaluate is not None and coupling.schedule:
+            raise ParameterError(
+                f"{coupling_name}.laws.{name}: has code of its own, which one process swaps for no other; launch it"
+            )
         return compiled
 
     swaps = sorted(coupling.schedule, key=lambda swap: swap.at)
@@ -175,9 +178,10 @@ def from_launch(launch: Launch) -> LaunchedScene:
             clamp=coupling.clamp,
             peak=limits.peak,
             slew=limits.slew,
-            workspace=None if safety.workspace is None else limits.workspace[AXIS_INDEX[axis]],
+            workspace=None if safety.workspace is None else safety.workspace[0],
             next_tick=launch.run.apply == "next_tick",
             passivity=driver.passivity,
+            safety=safety,
         ),
         law=law(coupling.law),
         swaps=tuple(Swap(round(swap.at / period), law(swap.law), swap.ramp) for swap in swaps),

@@ -14,13 +14,31 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nodes.driver.limits import SafetyParameters
 from nodes.driver.passivity import PassivityParameters, line_of
+from nodes.driver.safety import REACH
 from nodes.laws import CompiledLaw
+from nodes.laws.excitation import Push
 from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
-from sim.scene.tick_loop import ANCHOR, FREE, PLANE, Contact, Guard, Laws, Motion, Records, play, play_compiled
+from sim.scene.compiled import numbers_of
+from sim.scene.driver_rules import DriverRules
+from sim.scene.tick_loop import (
+    ANCHOR,
+    FREE,
+    PLANE,
+    Arrivals,
+    Contact,
+    Guard,
+    Laws,
+    Motion,
+    Records,
+    play,
+    play_compiled,
+)
 
 __all__ = [
     "Array",
+    "Given",
     "Scene",
     "Surface",
     "Swap",
@@ -91,6 +109,9 @@ class Scene:
         Whether forces take effect one tick later (``apply: next_tick``).
     passivity : PassivityParameters or None
         The driver's passivity guard; None for none.
+    safety : SafetyParameters or None
+        Its ramp, its stop and the heating of its motor beside these limits, of which those that are None are off here too;
+        None for the limits alone.
     """
 
     device: DeviceModel
@@ -103,6 +124,7 @@ class Scene:
     workspace: tuple[float, float] | None = None
     next_tick: bool = False
     passivity: PassivityParameters | None = None
+    safety: SafetyParameters | None = None
 
     def __post_init__(self) -> None:
         if not self.period > 0.0:
@@ -174,6 +196,32 @@ class Trace:
         return np.arange(len(self.position), dtype=np.float64) * np.float64(self.period)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What happens to a run beside its scene and law; None for what does not.
+
+    Attributes
+    ----------
+    force : ndarray, shape (ticks,), or None
+        Force on the device besides the law's, during each tick [N].
+    target : ndarray, shape (ticks,), or None
+        Where the device's hand pulls to during each tick instead of along its path [m].
+    arrivals : tuple of ndarray, or None
+        When the driver gets forces in real time, shape (n,), rising [ticks]; the tick that each answers, −1 for the driver's
+        own; and the latter's value [N]. None for lockstep: each tick's own, by the rule.
+    nudged : ndarray, shape (ticks, 3), or None
+        Jumps of position [m], velocity [m/s] and reading [m] at each tick.
+    read : ndarray, shape (ticks,), or None
+        What an encoder has read [m]: the least jumps that keep the device there are noted in `nudged`.
+    """
+
+    force: Array | None = None
+    target: Array | None = None
+    arrivals: tuple[Array, NDArray[np.int64], Array] | None = None
+    nudged: Array | None = None
+    read: Array | None = None
+
+
 def run(
     scene: Scene,
     law: CompiledLaw,
@@ -181,6 +229,7 @@ def run(
     swaps: Sequence[Swap] = (),
     memory: int = 0,
     interpreted: bool = False,
+    given: Given | None = None,
 ) -> Trace:
     """Play a scene from rest: no deflection and no force before tick 0.
 
@@ -198,7 +247,10 @@ def run(
         How many deflections the ring remembers; it is made long enough for all laws anyway. It only matters to
         recursive laws that are swapped in: they are warmed up over it.
     interpreted : bool, optional
-        Run the same function interpreted, thousands of times slower; a law with code of its own always is.
+        Run the same function interpreted, thousands of times slower; a law with code of its own always is, and so is a scene
+        whose driver does more than lower forces.
+    given : Given, optional
+        What happens beside it.
 
     Returns
     -------
@@ -210,24 +262,71 @@ def run(
     ValueError
         When ticks or swaps are out of range, a law is not finite, or one with code of its own is swapped.
     """
+    _check(law, ticks, swaps)
+    given = given or Given()
+    safety = scene.safety
+    if safety is None:
+        return _played(scene, law, ticks, swaps, memory, interpreted, given, None)[0]
+    if given.arrivals is None and not (safety.ramp or safety.continuous_force):
+        trace, asked = _played(scene, law, ticks, swaps, memory, interpreted, given, None)
+        if not _stops(safety, scene.peak, asked, trace.measured):
+            return trace
+    # Its ramp, its stop or its motor's heat had a say.
+    rules = (
+        None
+        if given.arrivals is not None
+        else DriverRules(scene.device, scene.period, scene.next_tick, safety, scene.passivity)
+    )
+    return _played(scene, law, ticks, swaps, memory, interpreted or rules is not None, given, rules)[0]
+
+
+def _check(law: CompiledLaw, ticks: int, swaps: Sequence[Swap]) -> None:
     if ticks < 1:
         raise ValueError(f"ticks is {ticks}, expected at least 1")
-    laws = [law, *(swap.law for swap in swaps)]
     for i, swap in enumerate(swaps):
         earliest = swaps[i - 1].tick if i else 0
         if swap.tick < earliest:
             raise ValueError(f"swaps[{i}].tick is {swap.tick}, expected at least {earliest}: swaps come in order")
         if swap.ramp < 0:
             raise ValueError(f"swaps[{i}].ramp is {swap.ramp}, expected 0 or more ticks")
-    for i, candidate in enumerate(laws):
+    for i, candidate in enumerate([law, *(swap.law for swap in swaps)]):
         if not candidate.finite:
             raise ValueError(f"law {i} of the run has a coefficient that is not finite: taps {candidate.taps}")
         if candidate.evaluate is not None and swaps:
             raise ValueError(
                 f"law {i} of the run has code of its own, which one process swaps for no other: use the nodes"
             )
-    # Code of its own is not compiled.
-    interpreted = interpreted or law.evaluate is not None
+
+
+def _stops(safety: SafetyParameters, peak: float | None, asked: Array, measured: Array) -> bool:
+    """Whether the driver might have stopped: the force came to its largest magnitude often, or the device went astray."""
+    if not np.all(np.abs(measured) <= REACH):
+        return True
+    if safety.stop_after is None or peak is None:
+        return False
+    sides = np.where(np.abs(asked) > peak, np.sign(asked), 0.0)
+    return int(np.count_nonzero((sides != 0.0) & (np.diff(sides, prepend=0.0) != 0.0))) >= safety.stop_after
+
+
+def _played(
+    scene: Scene,
+    law: CompiledLaw,
+    ticks: int,
+    swaps: Sequence[Swap],
+    memory: int,
+    interpreted: bool,
+    given: Given,
+    rules: DriverRules | None,
+) -> tuple[Trace, Array]:
+    """Play once; what happened, and the forces that the driver's limits were asked for."""
+    own = law.evaluate
+    if own is not None:
+        # One that keeps count begins anew.
+        own = own.fresh() if isinstance(own, Push) else own
+        numbered = None if interpreted else numbers_of(own, ticks)
+        interpreted = numbered is None
+        own = own if numbered is None else numbered
+    laws = [law, *(swap.law for swap in swaps)]
     recursive = any(candidate.sections for candidate in laws)
     ring = max(2, memory, *(len(candidate.taps) for candidate in laws))
     taps_from = [0]
@@ -236,14 +335,27 @@ def run(
         taps_from.append(taps_from[-1] + len(candidate.taps))
         states_from.append(states_from[-1] + 2 * len(candidate.sections))
 
-    def numbers(values: list[Any], kind: Any = np.float64) -> Any:
-        return values if interpreted else np.array(values, dtype=kind)
+    def numbers(values: Any, kind: Any = np.float64) -> Any:
+        return list(values) if interpreted else np.array(values, dtype=kind)
 
-    motion = motion_of(scene, ticks)
+    motion = motion_of(scene, ticks, given)
+    arrivals = None
+    if given.arrivals is not None:
+        when, answers, values = given.arrivals
+        late = 1.0 if scene.next_tick else 0.0
+        arrivals = Arrivals(
+            numbers(np.asarray(when, dtype=np.float64).tolist()),
+            numbers(np.asarray(answers).tolist(), np.int64),
+            numbers(np.asarray(values, dtype=np.float64).tolist()),
+            late + scene.device.delay,
+            numbers([0.0] * ticks),
+            numbers([0.0] * len(when)),
+        )
     records = Records(*(numbers([0.0] * ticks) for _ in Records._fields))
+    nudged = np.zeros((ticks, 3)) if given.nudged is None and given.read is not None else given.nudged
     final = (play if interpreted else play_compiled)(
         ticks,
-        motion if interpreted or motion.loads is None else motion._replace(loads=numbers(list(motion.loads))),
+        motion if interpreted or motion.loads is None else motion._replace(loads=numbers(motion.loads)),
         contact_of(scene),
         Laws(
             numbers([tap for candidate in laws for tap in candidate.taps]),
@@ -257,14 +369,18 @@ def run(
         numbers([0.0] * (2 * ring)),
         numbers([0.0] * motion.waiting),
         records,
-        _guard_of(scene, numbers),
-        law.evaluate,
+        None if rules is not None else _guard_of(scene, numbers),
+        own,
+        arrivals,
+        nudged,
+        given.read,
+        rules,
     )
-    position, velocity, measured, deflections, force = (np.asarray(row, dtype=np.float64) for row in records)
-    return Trace(scene.period, position, velocity, measured, deflections, force, final)
+    position, velocity, measured, deflections, force, asked = (np.asarray(row, dtype=np.float64) for row in records)
+    return Trace(scene.period, position, velocity, measured, deflections, force, final), asked
 
 
-def motion_of(scene: Scene, ticks: int) -> Motion:
+def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     """Prepare the device of a scene for the loop.
 
     Parameters
@@ -273,6 +389,8 @@ def motion_of(scene: Scene, ticks: int) -> Motion:
         The scene.
     ticks : int
         How many ticks will be played.
+    given : Given, optional
+        Force and hand's target beside those of the scene.
 
     Returns
     -------
@@ -284,6 +402,14 @@ def motion_of(scene: Scene, ticks: int) -> Motion:
     whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
     early = part * scene.period
     late = scene.period - early
+    given = given or Given()
+    loads = None
+    if given.target is not None:
+        loads = [device.load(k, scene.period, target) for k, target in enumerate(given.target.tolist())]
+    elif device.hand or given.force is not None:
+        loads = [device.load(k, scene.period) for k in range(ticks)]
+    if loads is not None and given.force is not None:
+        loads = [load + force for load, force in zip(loads, given.force.tolist(), strict=True)]
     return Motion(
         position=device.position,
         velocity=device.velocity,
@@ -299,8 +425,9 @@ def motion_of(scene: Scene, ticks: int) -> Motion:
         motor=device.peak_force,
         ends=None if scene.workspace is None else ends_of(scene.workspace, device.resolution),
         load=device.load(0, scene.period),
-        loads=[device.load(k, scene.period) for k in range(ticks)] if device.hand else None,
+        loads=loads,
         waiting=whole + 2,
+        period=scene.period,
     )
 
 
@@ -327,4 +454,5 @@ def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None
         return None
     line, part = line_of(scene.device.delay)
     late = 1.0 if scene.next_tick else 0.0
-    return Guard(scene.passivity.damping / scene.period, scene.passivity.stiffness, late, numbers(list(line)), part)
+    damping, allowance = scene.passivity.damping / scene.period, scene.passivity.allowance
+    return Guard(damping, scene.passivity.stiffness, late, numbers(list(line)), part, allowance)

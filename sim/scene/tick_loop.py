@@ -1,6 +1,7 @@
 """The loop of a scene, tick after tick: the kernels of the nodes in the order in which the nodes call them.
 
-It is written as a plain function and compiled as it stands. What it needs comes as a few tuples of numbers and arrays.
+It is written as a plain function and compiled as it stands. What it needs comes as a few tuples of numbers and arrays. In
+lockstep each tick's force takes effect by the rule; in real time forces come when `Arrivals` says, late, or not at all.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from nodes.driver.passivity import backlog, control, forget, observe, through
 from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_distance, push, sections, warm_up
 from nodes.tick.kernels.sources import kernel
 from sim.device.friction import move
-from sim.device.model import Coefficients, end_stop, quantise, saturate
+from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate
 from sim.scene.compiled import compiled, own_force
 
 Numbers: TypeAlias = Any
@@ -82,6 +83,7 @@ class Motion(NamedTuple):
     load: float
     loads: Numbers | None
     waiting: int
+    period: float
 
 
 class Contact(NamedTuple):
@@ -115,6 +117,23 @@ class Guard(NamedTuple):
     late: float
     line: Numbers
     part: float
+    allowance: float = 0.0
+
+
+class Arrivals(NamedTuple):
+    """When the driver gets its forces in real time, in the order in which it gets them.
+
+    The n-th comes at `when` [ticks] and is the force for tick `answers`; where that is −1 it is the driver's own, `given` [N].
+    It acts `effect` ticks later, and ticks without an answer hold the force before. `asked` and `acts` are notes of the loop:
+    the law's force of each tick, and the n-th force after guard and limits [N].
+    """
+
+    when: Numbers
+    answers: Numbers
+    given: Numbers
+    effect: float
+    asked: Numbers
+    acts: Numbers
 
 
 class Records(NamedTuple):
@@ -125,6 +144,22 @@ class Records(NamedTuple):
     measureds: Numbers | None
     deflections: Numbers | None
     forces: Numbers | None
+    asked: Numbers | None = None
+
+
+NUDGE = 0.1
+"""Part of a nudge that the velocity takes as an error of its own, made within a tick."""
+
+
+@kernel
+def nudge(x: float, read: float, resolution: float | None, period: float) -> tuple[float, float, float]:
+    """Move a position the shortest way to where the encoder reads what it read, and the velocity with it."""
+    if quantise(x, resolution) == read:
+        return 0.0, 0.0, 0.0
+    # A millionth short of the step's edges: on them rounding decides.
+    room = 0.0 if resolution is None else 0.499999 * resolution
+    off = min(max(x, read - room), read + room) - x
+    return off, NUDGE * off / period, read - quantise(x + off, resolution)
 
 
 # numba leaves a branch out when an *argument* is None, not when a field is: hence these small functions.
@@ -147,6 +182,14 @@ def _load_at(loads: Numbers | None, load: float, k: int) -> float:
         return load
     value: float = loads[k]
     return value
+
+
+@kernel
+def _left(slew: float | None, slewed: float) -> float | None:
+    """Give what is left of a tick's largest change of force."""
+    if slew is None:
+        return None
+    return max(slew - slewed, 0.0)
 
 
 @kernel
@@ -179,6 +222,27 @@ def _move_early(
     return move(x, v, force, early, early_map, mass, damping, grip, friction)
 
 
+@kernel
+def _guarded(
+    guard: Guard, energy: float, force: float, step: float, pending: float, share: float
+) -> tuple[float, float]:
+    """Let the guard choose a force, `share` of a tick with the pending one before it: its account, and the force."""
+    energy = forget(energy, force, guard.stiffness)
+    expected = energy - guard.allowance + (share * pending + backlog(guard.line, guard.part)) * step
+    return energy, control(expected, force, step, guard.damping)
+
+
+@kernel
+def _move_part(x: float, v: float, u: float, ticks: float, motion: Motion) -> tuple[float, float]:
+    """Move the device for part of a tick."""
+    duration = ticks * motion.period
+    if duration <= 0.0:
+        return x, v
+    step = coefficients(motion.mass, motion.damping, motion.grip, duration)
+    x, v = move(x, v, u, duration, step, motion.mass, motion.damping, motion.grip, motion.friction)
+    return _stopped(x, v, motion.ends)
+
+
 def play(
     ticks: int,
     motion: Motion,
@@ -190,8 +254,16 @@ def play(
     records: Records,
     guard: Guard | None = None,
     own: Callable[[Sequence[float], int], float] | None = None,
+    arrivals: Arrivals | None = None,
+    nudged: Numbers | None = None,
+    read: Numbers | None = None,
+    rules: Any = None,
 ) -> tuple[float, float]:
-    """Play a scene from rest; `sim.scene.loop.run` prepares it and reads what was written down."""
+    """Play a scene from rest; `sim.scene.loop.run` prepares it and reads what was written down.
+
+    `nudged` are jumps of position, velocity and reading at each tick; with `read`, the readings that a recording holds, they
+    are found here. `rules` are the driver's rules beyond guard, peak and slew (sim/scene/driver_rules.py), interpreted only.
+    """
     x, v = motion.position, motion.velocity
     length = len(history) // 2
     waiting = motion.waiting
@@ -204,6 +276,11 @@ def play(
     acting = 0.0
     before = 0.0
     step = 0.0
+    came = 0
+    gone = 0
+    handed = 0.0
+    following = 0.0
+    moving = 0.0
     now_taps = laws.taps[laws.taps_from[0] : laws.taps_from[1]]
     now_state = states[laws.states_from[0] : laws.states_from[1]]
     old_taps = now_taps
@@ -227,7 +304,16 @@ def play(
         if law < len(laws.swap_at) and laws.swap_at[law] < ticks:
             end = laws.swap_at[law]
         for k in range(start, end):
+            if read is not None:
+                nudged[k, 0], nudged[k, 1], nudged[k, 2] = nudge(x, float(read[k]), motion.resolution, motion.period)
+            if nudged is not None:
+                x += float(nudged[k, 0])
+                v += float(nudged[k, 1])
             measured = quantise(x, motion.resolution)
+            if nudged is not None:
+                measured += float(nudged[k, 2])
+            if rules is not None:
+                measured = rules.sample(k, measured)
             head, newest, touches = respond(
                 measured, contact.kind, contact.surface, contact.normal, contact.raw, history, head, length
             )
@@ -242,37 +328,81 @@ def play(
                 if k > 0:
                     step = measured - before
                     energy = observe(energy, acting, step)
-                energy = forget(energy, force, guard.stiffness)
-                on_its_way = guard.late * applied + backlog(guard.line, guard.part)
-                force = control(energy + on_its_way * step, force, step, guard.damping)
                 before = measured
-                acting = applied
-            applied = limit(force, applied, contact.peak, contact.slew)
-            if guard is not None:
-                if guard.late == 0.0:
-                    acting = applied
-                acting = through(guard.line, acting, guard.part)
             records.positions[k] = x
             _note(records.velocities, k, v)
             _note(records.measureds, k, measured)
             _note(records.deflections, k, newest)
-            _note(records.forces, k, applied)
-            # A ring of the last i + 2 commands; of those still under way, tick k−i−1's acts first, then tick k−i's.
-            commands[slot] = applied
-            older = slot + 1 if slot + 1 < waiting else 0
-            newer = older + 1 if older + 1 < waiting else 0
-            slot = older
             load = _load_at(motion.loads, motion.load, k)
-            u = saturate(commands[older], motion.motor) + load
-            x, v = _move_early(
-                x, v, u, motion.early, motion.early_map, motion.mass, motion.damping, motion.grip, motion.friction
-            )
-            x, v = _stopped(x, v, motion.ends)
-            u = saturate(applied if waiting == 2 else commands[newer], motion.motor) + load
-            x, v = move(
-                x, v, u, motion.late, motion.late_map, motion.mass, motion.damping, motion.grip, motion.friction
-            )
-            x, v = _stopped(x, v, motion.ends)
+            if arrivals is None:
+                if rules is not None:
+                    applied = rules.command(k, force)
+                else:
+                    pending = applied
+                    if guard is not None:
+                        energy, force = _guarded(guard, energy, force, step, pending, guard.late)
+                    _note(records.asked, k, force)
+                    applied = limit(force, applied, contact.peak, contact.slew)
+                    if guard is not None:
+                        acting = through(guard.line, applied if guard.late == 0.0 else pending, guard.part)
+                # A ring of the last i + 2 commands; of those still under way, tick k−i−1's acts first, then tick k−i's.
+                commands[slot] = applied
+                older = slot + 1 if slot + 1 < waiting else 0
+                newer = older + 1 if older + 1 < waiting else 0
+                slot = older
+                u = saturate(commands[older], motion.motor) + load
+                x, v = _move_early(
+                    x, v, u, motion.early, motion.early_map, motion.mass, motion.damping, motion.grip, motion.friction
+                )
+                x, v = _stopped(x, v, motion.ends)
+                u = saturate(applied if waiting == 2 else commands[newer], motion.motor) + load
+                x, v = move(
+                    x, v, u, motion.late, motion.late_map, motion.mass, motion.damping, motion.grip, motion.friction
+                )
+                x, v = _stopped(x, v, motion.ends)
+            else:
+                arrivals.asked[k] = force
+                late = 0.0 if guard is None else guard.late
+                if late > 0.0:
+                    handed = following
+                since = 0.0
+                mean = 0.0
+                slewed = 0.0
+                answered = False
+                pending = handed
+                while came < len(arrivals.when) and arrivals.when[came] < k + 1:
+                    offset = max(arrivals.when[came] - k, 0.0)
+                    answers = arrivals.answers[came]
+                    if 0 <= answers <= k:
+                        answered = answered or answers == k
+                        force = arrivals.asked[answers]
+                        if guard is not None:
+                            energy, force = _guarded(guard, energy, force, step, handed, late if late > 0.0 else offset)
+                        last = applied
+                        applied = limit(force, last, contact.peak, _left(contact.slew, slewed))
+                        slewed += abs(applied - last)
+                    else:
+                        applied = arrivals.given[came]
+                    arrivals.acts[came] = applied
+                    following = applied
+                    if late == 0.0:
+                        mean += (offset - since) * handed
+                        since = offset
+                        handed = applied
+                    came += 1
+                if guard is not None:
+                    if not answered:
+                        energy = forget(energy, applied, guard.stiffness)
+                    acting = through(guard.line, pending if late > 0.0 else mean + (1.0 - since) * handed, guard.part)
+                now = 0.0
+                while gone < came and arrivals.when[gone] + arrivals.effect < k + 1:
+                    until = max(arrivals.when[gone] + arrivals.effect - k, now)
+                    x, v = _move_part(x, v, saturate(moving, motion.motor) + load, until - now, motion)
+                    moving = arrivals.acts[gone]
+                    now = until
+                    gone += 1
+                x, v = _move_part(x, v, saturate(moving, motion.motor) + load, 1.0 - now, motion)
+            _note(records.forces, k, applied)
         start = end
     return x, v
 

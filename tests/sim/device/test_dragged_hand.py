@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 from messages.topics import DEVICE_STATE
-from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.tick.choose import Wanted, choose
@@ -27,8 +26,6 @@ from sim.bench.loop import KERNELS
 from sim.device.driver import DraggedHand, SimDriver
 from sim.device.model import Hand
 from sim.device.tick.layout import DriverState
-from sim.scene.from_launch import from_launch
-from sim.scene.hand_path import target_path
 from tests.support.launching import running, wait_for
 from tests.support.setups import setup_of
 
@@ -108,47 +105,42 @@ def test_a_kernel_moves_the_target_as_the_plain_tick_does(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
 def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(tick: Wanted, tmp_path: Path) -> None:
-    """In real time, under next_tick, with no tick missed: the one-process scene with the recorded targets has the same bits."""
+    """In real time, under next_tick: one process with the recorded targets has the same bits where no tick was missed."""
     assert choose(tick, KERNELS, print) == tick
-    for attempt in range(3):
-        folder = tmp_path / str(attempt)
-        folder.mkdir()
-        with running(folder, "touch_wall", "apply:=next_tick", "duration:=2", "--tick", tick) as launch:
-            writer = PointerWriter(pointer_file(launch.run_dir, "driver"))
-            ended = threading.Event()
+    with running(tmp_path, "touch_wall", "apply:=next_tick", "duration:=2", "--tick", tick) as launch:
+        writer = PointerWriter(pointer_file(launch.run_dir, "driver"))
+        ended = threading.Event()
 
-            def drag(writer: PointerWriter = writer, ended: threading.Event = ended) -> None:
-                while not ended.is_set():
-                    writer.write((0.018 + 0.006 * math.sin(4.0 * time.monotonic()), 0.0, 0.0))
-                    time.sleep(0.005)
+        def drag() -> None:
+            while not ended.is_set():
+                writer.write((0.018 + 0.006 * math.sin(4.0 * time.monotonic()), 0.0, 0.0))
+                time.sleep(0.005)
 
-            thread = threading.Thread(target=drag)
-            thread.start()
-            try:
-                figures = launch.finish()
-            finally:
-                ended.set()
-                thread.join()
-                writer.close()
-        recording = Recording(folder / figures["recording"])
-        states = recording.messages(DEVICE_STATE)
-        targets = [state.target[0] for state in states]
-        assert max(targets) > 0.02, "the hand was dragged into the wall"
+        thread = threading.Thread(target=drag)
+        thread.start()
+        try:
+            figures = launch.finish()
+        finally:
+            ended.set()
+            thread.join()
+            writer.close()
+    states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
+    targets = [state.target[0] for state in states]
+    assert max(targets) > 0.02, "the hand was dragged into the wall"
+    if figures["overruns"] == 0:
         # Recorded with the state: 0.5 m/s is 1 mm a tick, to rounding.
         assert max(abs(b - a) for a, b in itertools.pairwise(targets)) <= 0.001 * (1.0 + 1e-9)
-        # A dragged hand is no reason to leave the compiled tick.
-        assert figures["tick"] == tick
-        if tick == "compiled" and figures["missed"] == 0:
-            assert figures["ticks_compiled"]["driver"] > 0.9 * figures["ticks"]
-        if figures["missed"] == figures["overruns"] == 0:
-            break
-    else:
-        pytest.skip("this machine missed ticks in three runs: what it did then cannot be played tick by tick")
-    launch_again = launch_file.read("touch_wall", {"apply": "next_tick", "duration": 2.0, "pace": "lockstep"})
-    device = launch_again.nodes["driver"].parameters["device"]
-    device["hand"]["path"] = target_path(recording, "x")
-    trace = from_launch(launch_again).play()
-    assert [state.position[0] for state in states[: len(trace.measured)]] == list(trace.measured)
+    # A dragged hand is no reason to leave the compiled tick.
+    assert figures["tick"] == tick
+    if tick == "compiled" and figures["missed"] == 0:
+        assert figures["ticks_compiled"]["driver"] > 0.9 * figures["ticks"]
+    # Up to the first tick that the driver slept through.
+    recorded = rebuild(tmp_path / figures["recording"])
+    same = replay(recorded)
+    if figures["missed"] == 0:
+        assert same.measured.tolist() == recorded.position.tolist()
+    # A tick that the coupling lost is bridged there, and rendered here.
+    assert np.max(np.abs(same.measured - recorded.position)) < 1e-3
 
 
 def test_a_hand_whose_page_falls_silent_goes_back_to_its_path(tmp_path: Path) -> None:
