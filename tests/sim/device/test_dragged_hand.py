@@ -26,6 +26,8 @@ from sim.bench.loop import KERNELS
 from sim.device.driver import DraggedHand, SimDriver
 from sim.device.model import Hand
 from sim.device.tick.layout import DriverState
+from sim.identify.counterfactual import replay
+from sim.identify.recorded_scene import rebuild
 from tests.support.launching import running, wait_for
 from tests.support.setups import setup_of
 
