@@ -30,11 +30,14 @@ def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> 
     device = DeviceModel(mass=plant.mass, damping=plant.damping, position=1.0, hand=hand)
     scene = Scene(device=device, surface=Surface("anchor"), period=plant.period, raw=False, clamp=False)
     arrivals: list[tuple[float, int]] = []
-    for when, seq in sorted((k + delay, k) for k, delay in enumerate(delays)):
+    for at, seq in sorted((k + delay, k) for k, delay in enumerate(delays)):
         # A force that a younger one has overtaken never acts.
         if not arrivals or seq > arrivals[-1][1]:
-            arrivals.append((when, seq))
-    when, answers = np.array([at for at, _ in arrivals]), np.array([seq for _, seq in arrivals], dtype=np.int64)
+            arrivals.append((at, seq))
+    when, answers = (
+        np.array([at for at, _ in arrivals], dtype=np.float64),
+        np.array([seq for _, seq in arrivals], dtype=np.int64),
+    )
     with np.errstate(all="ignore"):
         trace = run(
             scene, law, len(delays), interpreted=True, given=Given(arrivals=(when, answers, np.zeros(len(when))))

@@ -102,7 +102,8 @@ def _pushed(own: Any, history: Any, head: int) -> float:
     if k >= ticks:
         return load
     own.state[0], own.state[1] = went_on(k, own.state[1], history[head], own.reach, ticks)
-    return load + own.shares[k] * held_back(own.signal[k], history[head], own.reach)
+    force: float = load + own.shares[k] * held_back(own.signal[k], history[head], own.reach)
+    return force
 
 
 _slope = nodes.laws.pd_windowed.windowed_slope

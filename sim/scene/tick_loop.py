@@ -255,7 +255,7 @@ def play(
     guard: Guard | None = None,
     own: Callable[[Sequence[float], int], float] | None = None,
     arrivals: Arrivals | None = None,
-    nudged: Numbers | None = None,
+    nudged: Numbers = None,
     read: Numbers | None = None,
     rules: Any = None,
 ) -> tuple[float, float]:
