@@ -21,12 +21,18 @@ KIND = "view"
 
 
 def with_view(launch: Launch) -> Launch:
-    """Add a view node to a launch that has none."""
+    """Add a view node to a launch that has none; a driver that its page may drive to a stop is started again after it."""
     if any(spec.kind == KIND for spec in launch.nodes.values()):
         return launch
     name = next(name for name in (KIND, *(f"{KIND}_{i}" for i in range(2, 100))) if name not in launch.nodes)
-    spec = NodeSpec(kind=KIND, required=False, respawn=True)
-    return msgspec.structs.replace(launch, nodes={**launch.nodes, name: spec})
+    realtime = launch.run.pace == "realtime"
+    again = {
+        driver: msgspec.structs.replace(spec, respawn=True, respawn_delay=0.0, respawn_max=-1)
+        for driver, spec in launch.nodes.items()
+        if realtime and (spec.parameters.get("pointer") or {}).get("beyond")
+    }
+    view = NodeSpec(kind=KIND, required=False, respawn=True, parameters={"again": True} if again else {})
+    return msgspec.structs.replace(launch, nodes={**launch.nodes, **again, name: view})
 
 
 def announce(url: str, as_json: bool, out: IO[str] | Words | None = None) -> None:
@@ -61,7 +67,7 @@ class PageAnnouncer:
     def __call__(self, supervisor: Supervisor) -> None:
         """Look for pages that are served by now."""
         for name, child in supervisor.children.items():
-            if child.setup.kind == KIND and name not in self._told:
+            if child.setup.kind == KIND and name not in self._told and child.running and not supervisor.ending:
                 # Read as it stands: the view's own modules are none of the launcher's business.
                 path = Path(supervisor.run_dir) / f"{name}.page.json"
                 if path.exists():

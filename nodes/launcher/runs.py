@@ -196,6 +196,17 @@ def write_run(path: Path, info: RunInfo) -> None:
     draft.replace(path / "run.json")
 
 
+def write_end(path: Path, reason: str) -> None:
+    """Say why a run ends, before its nodes are told to: they only know that they were."""
+    (path / "end.txt").write_text(reason, encoding="utf-8")
+
+
+def ended_why(run_dir: str) -> str:
+    """Read why a run ends; empty while it goes on."""
+    path = Path(run_dir) / "end.txt"
+    return path.read_text(encoding="utf-8") if run_dir and path.exists() else ""
+
+
 def runs() -> dict[str, RunInfo]:
     """List the live runs of this user on this machine."""
     found = []

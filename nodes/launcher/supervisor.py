@@ -70,6 +70,11 @@ class Supervisor:
         self._hurry = bool(self._stop_asked)
         self._stop_asked = self._stop_asked or reason
 
+    @property
+    def ending(self) -> bool:
+        """Whether the end was asked for, by a signal or by a node that is gone."""
+        return bool(self._stop_asked)
+
     def supervise(self, progress: Callable[[Supervisor], None] | None = None) -> None:
         """Run the launch from start to end."""
         with contextlib.ExitStack() as held:
@@ -264,6 +269,7 @@ class Supervisor:
     # -- the end -----------------------------------------------------------------------------------------------------
 
     def _end_all(self) -> None:
+        runs.write_end(self.run_dir, self.exit_reason or self._stop_asked)
         groups = (
             [child for child in self.children.values() if child.drives],
             [child for child in self.children.values() if not child.drives and not child.listens],

@@ -1,5 +1,8 @@
 """What a page may ask for: what ``haptic param`` and ``haptic law`` can, the end of the run, a recording, and undo.
 
+On a virtual device whose launch file allows it (``pointer: {beyond: true}``) a page may also go past the edge of stability, and
+start the driver again when that has stopped the loop. The permission is read here from what the launch consists of.
+
 Each request becomes one control request to a node, which validates it as it does everybody's; its receipt or its refusal goes
 back to the page as it came. The page cannot name an operation, a file or a program.
 """
@@ -7,6 +10,7 @@ back to the page as it came. The page cannot name an operation, a file or a prog
 from __future__ import annotations
 
 import inspect
+import os
 import signal
 import subprocess
 import time
@@ -21,6 +25,7 @@ from messages.topics import DEVICE_STATE, FORCE
 from messages.transport.requests import Line, call
 from messages.transport.sockets import new_context
 from nodes.base.kinds import load
+from nodes.base.setup import Setup
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
 
@@ -42,6 +47,12 @@ def _publisher(run: RunInfo, topic: str) -> str:
     return next((name for name, setup in run.nodes.items() if topic in load(setup.factory).publishes), "")
 
 
+def _may_go_beyond(driver: Setup) -> bool:
+    """Whether the driver is virtual, and its launch file lets a page drive it to its stop."""
+    pointer = driver.parameters.get("pointer") or {}
+    return bool(getattr(load(driver.factory), "virtual", False) and pointer.get("beyond"))
+
+
 class Commander:
     """Asks the nodes of a run on behalf of its pages. One thread uses it, but for `stop` and `end`.
 
@@ -54,9 +65,13 @@ class Commander:
     ----------
     driver, coupling : str
         Names of the nodes that publish position and force; empty for a run without.
+    beyond : bool
+        Whether pages may go past the edge of stability.
+    again : bool
+        Whether they may have the driver started again.
     """
 
-    def __init__(self, run: RunInfo) -> None:
+    def __init__(self, run: RunInfo, again: bool = False) -> None:
         self._run = run
         self._context = new_context()
         self._lines: dict[str, Line] = {}
@@ -65,6 +80,8 @@ class Commander:
         self._recordings = 0
         self.driver = _publisher(run, DEVICE_STATE)
         self.coupling = _publisher(run, FORCE)
+        self.beyond = bool(self.driver) and _may_go_beyond(run.nodes[self.driver])
+        self.again = again and self.beyond
 
     def _endpoint(self, node: str) -> str:
         if node not in self._run.nodes:
@@ -91,6 +108,7 @@ class Commander:
             "law": self._set_law,
             "switch": self._switch,
             "undo": self._undo_last,
+            "again": self._start_again,
             "stop": self.stop,
             "record": self._record,
         }
@@ -108,6 +126,9 @@ class Commander:
         return known[op](**arguments)
 
     def _set(self, node: str, values: dict[str, Any]) -> dict[str, Any]:
+        return self._change(node, values)
+
+    def _change(self, node: str, values: dict[str, Any], **args: object) -> dict[str, Any]:
         before = {}
         for name in values:
             try:
@@ -116,17 +137,34 @@ class Commander:
                 # Not stated so far: its branch is what undo puts back.
                 upper = name.rpartition(".")[0]
                 before[upper] = self.ask(node, "param.get", name=upper)
-        receipt: dict[str, Any] = self.ask(node, "param.set", values=values)
+        receipt: dict[str, Any] = self.ask(node, "param.set", values=values, **args)
         self._remember(node, before, values)
         return {"node": node, "values": values, "receipt": receipt}
 
-    def _set_law(self, field: str, value: Any) -> dict[str, Any]:
+    def _set_law(self, field: str, value: Any, beyond: bool = False) -> dict[str, Any]:
         """Change one parameter of the active law; a preset that is used as it stands becomes a law of that name."""
+        if beyond and not self.beyond:
+            raise CommandError(
+                f"view: beyond: {self.driver} may not be driven past the edge of stability; only a virtual device may, and "
+                "only where its launch file says pointer: {beyond: true}"
+            )
+        force = {"force": True} if beyond else {}
         name = self.ask(self.coupling, "law.list")["active"]
         laws = self.ask(self.coupling, "param.get", name="laws")
         if isinstance(laws.get(name), dict):
-            return self._set(self.coupling, {f"laws.{name}.{field}": value})
-        return self._set(self.coupling, {f"laws.{name}": {"kind": name, field: value}})
+            return self._change(self.coupling, {f"laws.{name}.{field}": value}, **force)
+        return self._change(self.coupling, {f"laws.{name}": {"kind": name, field: value}}, **force)
+
+    def _start_again(self, stiffness: float) -> dict[str, Any]:
+        """Have a virtual driver that has stopped the loop started again, with a wall that is stable."""
+        if not self.again:
+            raise CommandError("view: again: this run's launcher does not start the driver again; launch again")
+        if self.ask(self.driver, "progress")["safety"] != "stopped":
+            raise CommandError(f"view: again: {self.driver} has not stopped the loop")
+        changed = self._set_law("stiffness", stiffness)
+        # A stopped driver hands over no force, and the device is made up: nothing is lost with the process.
+        os.kill(int(self.ask(self.driver, "status")["pid"]), signal.SIGKILL)
+        return changed
 
     def _switch(self, law: str, ramp: int | None = None) -> dict[str, Any]:
         before = self.ask(self.coupling, "law.list")["active"]

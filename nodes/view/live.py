@@ -10,11 +10,15 @@ import msgspec
 from messages.codec import Decoder, MessageRefusedError
 from messages.topics import message_type
 from messages.types import DeviceState, Event, Message, NodeStatus, Receipt
-from nodes.launcher.runs import RunInfo
+from nodes.base.kinds import load
+from nodes.base.setup import AXIS_INDEX
+from nodes.launcher.runs import RunInfo, ended_why
+from nodes.parameters.store import convert
 from nodes.recording.summary import quantile
 from nodes.view.board import Board
 from nodes.view.feed import BINS_PER_SECOND, Feed
-from nodes.view.words import explain
+from nodes.view.ringing import Ringing
+from nodes.view.words import explain, told_stop
 
 STATUS_PERIOD = 0.2
 """How often the status is told [s]."""
@@ -24,6 +28,9 @@ RECENT = 5.0
 
 SILENT_NODE = 1.5
 """A node that has said nothing for so long is told as silent: it sends its status twice a second [s]."""
+
+LATELY = 10.0
+"""Ticks missed within so long are a present trouble; older ones are history [s]."""
 
 HISTORY = 30.0
 """How much a page that opens sees of what was before [s]."""
@@ -55,6 +62,10 @@ class Facts(NamedTuple):
         Axes that the scene computes.
     driver : str
         Name of the driver node.
+    run_dir : str
+        Where the launcher says why it ends; empty for a recording.
+    peak : float or None
+        Largest force that the driver hands over, where the launch says it [N].
     """
 
     run: str
@@ -65,6 +76,8 @@ class Facts(NamedTuple):
     apply: str
     axes: list[str]
     driver: str
+    run_dir: str = ""
+    peak: float | None = None
 
     def hello(self) -> dict[str, Any]:
         """Tell a page what run this is."""
@@ -76,6 +89,7 @@ class Facts(NamedTuple):
             "pace": self.pace,
             "axes": self.axes,
             "kept_s": HISTORY,
+            "peak_n": self.peak,
         }
 
 
@@ -83,7 +97,14 @@ def facts_of(run: RunInfo, driver: str) -> Facts:
     """Tell what does not change about a launch."""
     setup = next(iter(run.nodes.values()))
     summary = run.manifest.get("summary", "")
-    return Facts(run.run, run.scenario, summary, setup.period, setup.pace, setup.apply, list(setup.axes), driver)
+    axes: list[str] = list(setup.axes)
+    peak = None
+    if driver:
+        parameters = convert(run.nodes[driver].parameters, load(run.nodes[driver].factory).Parameters, driver)
+        peak = parameters.safety.peak_force
+    return Facts(
+        run.run, run.scenario, summary, setup.period, setup.pace, setup.apply, axes, driver, setup.run_dir, peak
+    )
 
 
 class LiveRun:
@@ -116,6 +137,7 @@ class LiveRun:
 
     def __init__(self, facts: Facts, kept: float = KEPT, bins_per_second: float = BINS_PER_SECOND) -> None:
         self._period = facts.period
+        self._run_dir = facts.run_dir
         self._driver_status = f"/{facts.driver}/status"
         self.feed = Feed(facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND))
         self.board = Board()
@@ -128,6 +150,10 @@ class LiveRun:
         self._heard: dict[str, tuple[NodeStatus, float]] = {}
         self._state_at = -1.0
         self._told = ""
+        self._missed: deque[tuple[float, int]] = deque()
+        self._axis = AXIS_INDEX[facts.axes[0]]
+        self._ringing = Ringing()
+        self._stop: dict[str, float] = {}
         self._status_at = -1.0
         self._rate: tuple[float, int] = (0.0, 0)
         self._rate_hz = 0.0
@@ -157,18 +183,20 @@ class LiveRun:
             if message.response > 0.0:
                 self._responses.append(message.response)
             self.delay += (message.delay - self.delay) / 64.0
+            self._ringing.take(message.seq * self._period, message.force[self._axis])
         elif isinstance(message, NodeStatus):
             self._heard[message.node] = (message, now)
             if topic == self._driver_status and message.state in ("finished", "failed"):
-                self.ended = message.reason or message.state
+                self.end(message.reason or message.state)
             return
         elif isinstance(message, Receipt):
             self.changed = True
             self.board.log({"kind": "receipt", "t": message.seq * self._period, **_told_receipt(message)})
             return
         elif isinstance(message, Event):
-            if message.kind == "safety":
-                self._told = message.reason.partition(": ")[2] or message.reason
+            if message.kind in ("safety", "stopped"):
+                self._told, span = told_stop(message.reason.partition(": ")[2] or message.reason)
+                self._stop = {"t": message.seq * self._period, "span_s": span}
             self.board.log(
                 {
                     "kind": "event",
@@ -180,6 +208,21 @@ class LiveRun:
             )
             return
         self.feed.take(topic, message)
+
+    def end(self, reason: str) -> None:
+        """Note that the run is over, and why: the launcher knows better than a driver that was told to end."""
+        self.ended = ended_why(self._run_dir) or reason
+
+    def _missed_lately(self, now: float, missed: int) -> int:
+        """Count the ticks missed of late."""
+        kept = self._missed
+        if kept and missed < kept[-1][1]:
+            # The driver was started again, and counts anew.
+            kept.clear()
+        kept.append((now, missed))
+        while now - kept[0][0] > LATELY:
+            kept.popleft()
+        return missed - kept[0][1]
 
     def tick(self, now: float) -> None:
         """File bins and tell the status when it is time."""
@@ -204,10 +247,14 @@ class LiveRun:
         gone = [name for name, found in nodes.items() if found["silent_s"]]
         if gone:
             told = f"{' and '.join(gone)} silent"
-        level, text = explain(state, self.feed.proxy, force, silent, told)
+        level, text = explain(state, self.feed.proxy, force, silent, told, self._ringing.ring())
         if self.ended:
-            level, text = "rest", f"The run has ended: {self.ended}."
+            level, text = "rest", f"The run has ended: {self.ended.rstrip('.')}."
+            for name, found in nodes.items():
+                # Who is named was the reason; the others were ended with it.
+                found |= {"silent_s": 0.0, "state": "failed" if self.ended.startswith(f"{name}: ") else "ended"}
         ticks = state.seq if state else 0
+        missed = state.missed if state else 0
         began, count = self._rate
         if now - began >= 1.0:
             self._rate_hz = (ticks - count) / (now - began) if began and ticks >= count else 0.0
@@ -216,10 +263,12 @@ class LiveRun:
             "level": level,
             "words": text,
             "safety": state.safety if state else "",
+            "stop": self._stop if state is not None and state.safety == "stopped" else None,
             "tick": ticks,
             "t": ticks * self._period,
-            "rate_hz": round(self._rate_hz, 1),
-            "missed": state.missed if state else 0,
+            "rate_hz": 0.0 if self.ended else round(self._rate_hz, 1),
+            "missed": missed,
+            "missed_lately": self._missed_lately(now, missed),
             "overruns": state.overruns if state else 0,
             "delay_ticks": round(self.delay, 3),
             "response_us": quantiles_us(self._responses),

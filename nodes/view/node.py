@@ -34,11 +34,15 @@ class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         Port; 0 takes a free one.
     foxglove : int or None
         Port on which Foxglove and Lichtblick find the run live (nodes/view/foxglove.py); None for no such port.
+    again : bool
+        Whether a page may have a virtual driver that has stopped the loop started again, because the launcher respawns it;
+        ``launch --view`` says so.
     """
 
     address: str = ADDRESS
     port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0
     foxglove: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
+    again: bool = False
 
 
 class Place(msgspec.Struct, frozen=True, kw_only=True):
@@ -104,7 +108,8 @@ class View(Node):
     def loop(self) -> None:
         """Serve until stopped."""
         self.state = "running"
-        asyncio.run(self._serve(RunPages(self._run_info(), self._listening, self._token())))
+        again = self.store.current.again
+        asyncio.run(self._serve(RunPages(self._run_info(), self._listening, self._token(), again)))
 
     def _token(self) -> str:
         place = read_place(self.setup.run_dir, self.setup.name)

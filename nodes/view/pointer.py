@@ -13,7 +13,6 @@ import mmap
 import os
 import struct
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -31,8 +30,8 @@ _COUNT = struct.Struct("<Q")
 _TARGET = struct.Struct("<dddd")
 
 
-SILENCE = 0.5
-"""After so long without a new value a pointer counts as let go: a busy browser sends every 0.2 s [s]."""
+SILENCE = 2.0
+"""After so long without a new value a pointer counts as let go: its view has ended, or stands still [s]."""
 
 
 class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -44,10 +43,14 @@ class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         Fastest movement of the hand's target [m/s].
     silence : float
         Without a new value for so long the hand lets go: its target goes back to its path [s].
+    beyond : bool
+        Whether a page may make the loop unstable on purpose, and start the driver again when it has stopped. Only a virtual
+        driver has a pointer: nothing breaks, and nobody is pushed.
     """
 
     speed: Annotated[float, msgspec.Meta(gt=0.0)] = 0.5
     silence: Annotated[float, msgspec.Meta(gt=0.0)] = SILENCE
+    beyond: bool = False
 
 
 def pointer_file(run_dir: str | Path, driver: str) -> Path:
@@ -149,55 +152,3 @@ class PointerWriter:
     def close(self) -> None:
         """Let go of the file."""
         self._map.close()
-
-
-class SharedHand:
-    """The hand's target among several pages: whoever takes it first has it until it lets go or falls silent.
-
-    Parameters
-    ----------
-    path : Path
-        The driver's pointer file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        try:
-            self._writer: PointerWriter | None = PointerWriter(path)
-        except FileNotFoundError:
-            self._writer = None
-        self._owner = 0
-        self._moved = -math.inf
-
-    @property
-    def there(self) -> bool:
-        """Whether there is a hand that can be dragged."""
-        return self._writer is not None
-
-    def move(self, owner: int, target: Sequence[float] | None) -> str:
-        """Move the target."""
-        if self._writer is None:
-            return (
-                ""
-                if target is None
-                else "hand: nothing can be dragged here; haptic launch touch_wall --view has a hand"
-            )
-        now = time.monotonic()
-        held = now - self._moved < SILENCE
-        if target is None:
-            if self._owner == owner and held:
-                self._writer.let_go()
-                self._moved = -math.inf
-            return ""
-        if held and self._owner != owner:
-            return "hand: another page holds it"
-        try:
-            self._writer.write((float(target[0]), float(target[1]), float(target[2])))
-        except (ValueError, OverflowError) as error:
-            return f"hand: {error}"
-        self._owner, self._moved = owner, now
-        return ""
-
-    def close(self) -> None:
-        """Let go of the file."""
-        if self._writer is not None:
-            self._writer.close()

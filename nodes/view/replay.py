@@ -180,7 +180,8 @@ class ReplayPages:
             # Recorded with a law that is not installed here: it is shown by what its receipts tell.
             return
         self._plant = parameters.get("plant")
-        self.laws.add(self.begin, {"node": name, "active": coupling.law, "laws": laws, "ramp": coupling.ramp})
+        told = {"node": name, "active": coupling.law, "laws": laws, "named": list(coupling.laws), "ramp": coupling.ramp}
+        self.laws.add(self.begin, told)
 
     def _read_receipt(self, receipt: Receipt) -> None:
         try:

@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from messages.transport.sockets import Subscription
 from messages.types import Message
+from nodes.base.setup import AXIS_INDEX
 from nodes.launcher.runs import RunInfo
 from nodes.view.commands import Commander, CommandError
+from nodes.view.comparison import Comparison
 from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, LiveRun, facts_of
-from nodes.view.pointer import SharedHand, pointer_file
+from nodes.view.pointer import pointer_file
 from nodes.view.server import PageServer
+from nodes.view.shared_hand import SharedHand
 from nodes.view.stability_map import drawn_map
 
 if TYPE_CHECKING:
@@ -87,6 +90,8 @@ class RunPages:
         Connected to all its publishers.
     token : str
         What the URL must hold; empty for a new one.
+    again : bool
+        Whether the launcher starts a virtual driver again that has stopped the loop.
 
     Attributes
     ----------
@@ -100,17 +105,19 @@ class RunPages:
         Each is called with topic and message of all that comes in.
     """
 
-    def __init__(self, run: RunInfo, inbox: Subscription, token: str = "") -> None:
+    def __init__(self, run: RunInfo, inbox: Subscription, token: str = "", again: bool = False) -> None:
         self._run = run
         self._inbox = inbox
-        self._commander = Commander(run)
+        self._commander = Commander(run, again)
         facts = facts_of(run, self._commander.driver)
         self._period = facts.period
+        self._axis = AXIS_INDEX[facts.axes[0]]
         self.live = LiveRun(facts)
         run_dir = next(iter(run.nodes.values())).run_dir
         self.hand = SharedHand(pointer_file(run_dir, self._commander.driver))
         self.server = PageServer(self._open_page, token)
-        self.listeners: list[Callable[[str, Message], None]] = []
+        self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
+        self.listeners: list[Callable[[str, Message], None]] = [self._comparison.take]
         # One thread asks the nodes, one computes maps: neither holds up the pages.
         self._asking = ThreadPoolExecutor(1, "ask")
         self._mapping = ThreadPoolExecutor(1, "map")
@@ -121,7 +128,15 @@ class RunPages:
         self._mapped: tuple[str, float] = ("", -1.0)
         self._mapped_at = 0.0
         feed = self.live.feed
-        told = {"series": feed.names, "bin_s": feed.per_bin * facts.period, "replay": False, "hand": self.hand.there}
+        told = {
+            "series": feed.names,
+            "bin_s": feed.per_bin * facts.period,
+            "replay": False,
+            "hand": self.hand.there,
+            "beyond": self._commander.beyond,
+            "again": self._commander.again,
+            "compares": self._comparison.there,
+        }
         self.live.board.put("hello", {**facts.hello(), **told, "fields": all_law_fields()})
 
     def _open_page(self) -> RunPage:
@@ -131,6 +146,8 @@ class RunPages:
         """Do what a page asks, off the pages' thread."""
         if self.live.ended:
             raise CommandError(f"view: the run has ended: {self.live.ended}")
+        if request.get("op") == "compare":
+            return self._compare(request.get("law"))
         # Who stops the run does not stand in line behind a node that does not answer.
         thread = None if request.get("op") == "stop" else self._asking
         result = await asyncio.get_running_loop().run_in_executor(thread, self._commander.do, request)
@@ -138,6 +155,18 @@ class RunPages:
             self.live.board.put("record", result)
         self.live.changed = True
         return result
+
+    def _compare(self, law: Any) -> dict[str, Any]:
+        """Choose the law that is played beside the launch; an empty name for none."""
+        laws = self._laws.get("laws", {})
+        if not self._comparison.there:
+            raise CommandError(
+                "view: compare: only a launch of a virtual device on one axis can be played beside itself"
+            )
+        if law != "" and (not isinstance(law, str) or law not in laws):
+            raise CommandError(f"view: compare: no law is named {str(law)[:100]!r}; there is: {', '.join(laws)}")
+        self._comparison.choose(law, laws.get(law, {}))
+        return {"law": law}
 
     def bridge(self, port: int) -> int:
         """Let Foxglove and Lichtblick connect too."""
@@ -157,6 +186,7 @@ class RunPages:
             while not stopping():
                 await self._drain()
                 self._refresh()
+                self._move_hand()
                 between()
                 await asyncio.sleep(DRAIN_PERIOD)
             await self._finish()
@@ -164,6 +194,7 @@ class RunPages:
             loop = asyncio.get_running_loop()
             ended = loop.run_in_executor(None, self._commander.end)
             await self.server.stop()
+            await self._comparison.close()
             if self._bridge is not None:
                 await loop.run_in_executor(None, self._bridge.close)
             for job in self._jobs:
@@ -174,6 +205,17 @@ class RunPages:
             self._asking.shutdown()
             self._mapping.shutdown(cancel_futures=True)
             self.hand.close()
+
+    def _move_hand(self) -> None:
+        state, proxy, axis = self.live.feed.state, self.live.feed.proxy, self._axis
+        if state is None or self.live.ended:
+            return
+        self.hand.step(state.target)
+        self._comparison.step(time.monotonic(), self.live.delay)
+        if self.server.pages:
+            side = proxy.normal[axis] if proxy is not None else 0.0
+            surface = proxy.position[axis] - side * proxy.distance if proxy is not None and side else None
+            self.hand.tap(axis, surface, side)
 
     async def _drain(self) -> int:
         taken = 0
@@ -194,7 +236,8 @@ class RunPages:
         deadline = time.monotonic() + FINAL
         while await self._drain() and time.monotonic() < deadline:
             await asyncio.sleep(DRAIN_PERIOD)
-        self.live.ended = self.live.ended or "the view was stopped"
+        if not self.live.ended:
+            self.live.end("the view was stopped")
         self.live.tick(time.monotonic())
         if self.server.pages:
             await asyncio.sleep(FINAL)
@@ -242,7 +285,8 @@ class RunPages:
             node = self._commander.coupling
             parameters = self._commander.ask(node, "param.dump")
             chosen = {name: parameters.get(name) for name in ("ramp", "plant", "stability")}
-            return {"node": node, **self._commander.ask(node, "law.list"), **chosen}
+            named = list(parameters.get("laws", {}))
+            return {"node": node, **self._commander.ask(node, "law.list"), "named": named, **chosen}
 
         # A coupling that is being started again does not answer; its next receipt or status asks again.
         with contextlib.suppress(CommandError):

@@ -273,6 +273,13 @@ async def _do(connection: ServerConnection, page: Page, request: dict[str, Any])
 
 
 async def _answer(connection: ServerConnection, request: dict[str, Any], result: Any = None, error: str = "") -> None:
-    answer = {"type": "answer", "id": request.get("id"), "ok": not error, "result": result, "error": error}
+    answer = {
+        "type": "answer",
+        "id": request.get("id"),
+        "op": request.get("op"),
+        "ok": not error,
+        "result": result,
+        "error": error,
+    }
     with contextlib.suppress(ConnectionClosed):
         await connection.send(msgspec.json.encode(answer).decode())

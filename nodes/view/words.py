@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 
 from messages.types import DeviceState, Force, Proxy
+from nodes.view.ringing import Ring
 
 SILENT = 0.5
 """Without a state for so long the driver counts as silent [s]."""
@@ -16,9 +18,20 @@ _STATES = {
     "waiting": "the driver waits for the first force of the coupling",
     "damping": "the coupling is late; the driver damps the device meanwhile",
     "zero": "the coupling is silent; the watchdog has let go until a fresh force comes",
-    "stopped": "the loop was unstable, and the driver has stopped it for good; end this launch and start another",
     "fault": "the device is outside its workspace; bring it back inside",
 }
+
+
+_STROKES = re.compile(r"limit of (\S+) N (\d+) times within (\S+) s and gave out (\S+) mJ")
+
+
+def told_stop(reason: str) -> tuple[str, float]:
+    """Shorten the reason of a stop, and tell in how long a time it came about [s]; one put otherwise stays as it is."""
+    found = _STROKES.search(reason)
+    if found is None:
+        return reason, 0.0
+    limit, strokes, span, energy = found.groups()
+    return f"{strokes} strokes to the limit of {limit} N within {span} s, {energy} mJ given out", float(span)
 
 
 def size(vector: tuple[float, float, float]) -> float:
@@ -27,7 +40,12 @@ def size(vector: tuple[float, float, float]) -> float:
 
 
 def explain(
-    state: DeviceState | None, proxy: Proxy | None, force: Force | None, silent: float, told: str = ""
+    state: DeviceState | None,
+    proxy: Proxy | None,
+    force: Force | None,
+    silent: float,
+    told: str = "",
+    ring: Ring | None = None,
 ) -> tuple[str, str]:
     """Say why there is a force or none."""
     if state is None:
@@ -36,7 +54,9 @@ def explain(
         return "stop", f"No force: nothing has come from the driver for {silent:.1f} s."
     because = f" ({told})" if told else ""
     given = size(state.force)
-    if state.safety in ("waiting", "zero", "fault", "stopped") and given <= LITTLE:
+    if state.safety == "stopped":
+        return "stop", f"Too hard: it swung, and the driver stopped it{f': {told}' if told else ''}."
+    if state.safety in ("waiting", "zero", "fault") and given <= LITTLE:
         return "stop", f"No force: {_STATES[state.safety]}{because}."
     if state.safety in _STATES:
         return "warn", f"{given:.2f} N: {_STATES[state.safety]}{because}."
@@ -48,6 +68,9 @@ def explain(
         return "warn", f"{given:.2f} N: the driver lets the force in slowly after a start."
     if proxy is None:
         return "warn", "No force: the environment has not answered yet."
+    if ring is not None:
+        how = f"It rings, {ring.frequency:.0f} times a second and up to {ring.force:.1f} N"
+        return "warn", f"{how}: this wall is harder than the loop can render."
     if not proxy.contact:
         if any(proxy.normal):
             return "rest", f"No force: nothing is touched; the surface is {abs(proxy.distance) * 1e3:.1f} mm away."

@@ -6,7 +6,7 @@ import contextlib
 import json
 import shutil
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -102,3 +102,34 @@ def bins(page: Page) -> int:
         0 before the first one.
     """
     return int(page.evaluate("Number(document.body.dataset.bins || 0)"))
+
+
+class OpenPage:
+    """A page for the length of a with block, which must not have thrown anything by its end.
+
+    Parameters
+    ----------
+    browser : Browser
+        Playwright's.
+    url : str
+        Token included.
+    **context : object
+        Settings of its context; the size is 1366 × 768 unless given.
+    """
+
+    def __init__(self, browser: Browser, url: str, **context: Any) -> None:
+        self._context = browser.new_context(**{"viewport": {"width": 1366, "height": 768}, **context})
+        self._page = self._context.new_page()
+        self._errors: list[str] = []
+        self._page.on("pageerror", lambda error: self._errors.append(str(error)))
+        self._page.goto(url)
+
+    def __enter__(self) -> Page:
+        """Wait for its first picture."""
+        wait_for(lambda: bins(self._page) > 10, "the first picture")
+        return self._page
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self._context.close()
+        assert self._errors == []

@@ -1,5 +1,8 @@
 // The law: which one renders, and a control for each of its parameters, made from the law's own types and limits.
+import { figure } from "./format.js";
+
 const WAIT = 60;
+const READ = 12000;
 
 export class Laws {
   constructor(places, ask) {
@@ -29,21 +32,38 @@ export class Laws {
 
   async send(request) {
     const answer = await this.ask(request);
-    this.refusal.hidden = answer.ok;
-    if (answer.ok) for (const { row } of this.controls.values()) row.classList.remove("refused");
-    else {
-      this.refusal.textContent = answer.error;
-      this.fill();
-    }
+    if (answer.ok) this.settle();
+    else this.refuse(answer.error);
     return answer;
+  }
+
+  // Controls go back to what renders, so nothing stays marked but the reason, until it is read or something else is taken.
+  refuse(error) {
+    const most = /the (largest|smallest) \S+?\.?(\w+) that would be taken is ([\d.e+-]+)/i.exec(error);
+    const short = document.createElement("summary"), whole = document.createElement("details");
+    short.textContent = most ? `Refused: the loop would be unstable. The ${most[1].toLowerCase()} ${most[2]} that would be taken is ${figure(Number(most[3].replace(/\.$/, "")))}.` : error;
+    whole.append(short);
+    if (most) whole.append(error);
+    this.refusal.replaceChildren(whole);
+    this.refusal.hidden = false;
+    clearTimeout(this.reading);
+    this.reading = setTimeout(() => this.settle(), READ);
+    for (const { row } of this.controls.values()) delete row.dataset.moving;
+    this.fill();
+  }
+
+  settle() {
+    clearTimeout(this.reading);
+    this.refusal.hidden = true;
+    for (const { row } of this.controls.values()) row.classList.remove("refused");
   }
 
   // A new state of the coupling: rebuild what changed in kind, refill what changed in value.
   show(state) {
     const before = this.state;
     this.state = state;
-    const names = Object.keys(state.laws);
-    if (!before || Object.keys(before.laws).join() !== names.join()) this.build(names);
+    const listed = ({ laws, named, active }) => [Object.keys(laws), named, (named ?? []).includes(active) || active].join();
+    if (!before || listed(before) !== listed(state)) this.build(Object.keys(state.laws));
     for (const input of this.picker.querySelectorAll("input")) input.checked = input.value === state.active;
     const law = state.laws[state.active];
     const shape = law && JSON.stringify([state.active, law.kind, Object.entries(law).map(([key, value]) => [key, Array.isArray(value) ? value.length : 0])]);
@@ -57,15 +77,28 @@ export class Laws {
     this.fill();
   }
 
+  // The launch's own laws as buttons, all others that are installed in a list. What only moves a device to measure it is none.
   build(names) {
-    this.picker.replaceChildren(...names.map((name) => {
+    const { named = names, active, laws } = this.state;
+    const offered = names.filter((name) => laws[name].kind !== "excitation" || name === active);
+    const first = offered.filter((name) => named.includes(name) || name === active);
+    const more = document.createElement("select");
+    more.setAttribute("aria-label", "More laws");
+    more.append(new Option("more…", ""), ...offered.filter((name) => !first.includes(name)).map((name) => new Option(name)));
+    more.addEventListener("change", () => { if (more.value) this.choose(more.value); more.value = ""; });
+    this.picker.replaceChildren(...first.map((name) => {
       const label = document.createElement("label"), input = document.createElement("input");
       Object.assign(input, { type: "radio", name: "law", value: name });
-      input.addEventListener("change", () => this.send({ op: "switch", law: name }).then((answer) => { if (!answer.ok) this.show(this.state); }));
-      label.title = this.state.laws[name].kind;
+      input.addEventListener("change", () => this.choose(name));
+      label.title = laws[name].kind;
       label.append(input, name);
       return label;
-    }));
+    }), ...(more.length > 1 ? [more] : []));
+  }
+
+  async choose(law) {
+    const answer = await this.send({ op: "switch", law });
+    if (!answer.ok) this.show(this.state);
   }
 
   // -- controls ---------------------------------------------------------------------------------------------------
@@ -76,7 +109,7 @@ export class Laws {
         for (const inner of field.fields) {
           this.control(inner, item[inner.name], `${path}[${k}].${inner.name}`, (now) => {
             const law = this.state.laws[this.state.active];
-            const pending = this.wanted.get(field.name) ?? law[field.name];
+            const pending = this.wanted.get(field.name)?.value ?? law[field.name];
             change(pending.map((old, i) => i === k ? { ...old, [inner.name]: now } : old));
           });
         }
@@ -86,7 +119,7 @@ export class Laws {
     const row = document.createElement("label"), name = document.createElement("span");
     row.className = "slider";
     row.title = field.told;
-    name.append(path, Object.assign(document.createElement("small"), { textContent: field.unit ? `  ${field.unit}` : "" }));
+    name.append(words(path), Object.assign(document.createElement("small"), { textContent: field.unit ? `  ${field.unit}` : "" }));
     row.append(name);
     const made = (field.type === "choice" ? choice : field.type === "numbers" ? numbers : slider)(field, row, change);
     this.sliders.append(row);
@@ -103,24 +136,34 @@ export class Laws {
     }
   }
 
-  // Of a slider that is drawn only the newest value is sent, one at a time.
-  change(name, value) {
-    this.wanted.set(name, value);
+  // Of a slider that is drawn only the newest value is sent, one at a time; past the edge where that was asked for.
+  change(name, value, beyond = false) {
+    this.wanted.set(name, { value, beyond });
     if (!this.busy) this.flush();
   }
 
   async flush() {
     this.busy = true;
     while (this.wanted.size) {
-      const [[name, value]] = this.wanted;
+      const [[name, wanted]] = this.wanted;
       this.wanted.delete(name);
-      const answer = await this.send({ op: "law", field: name, value });
-      if (!answer.ok) this.controls.get(name)?.row.classList.add("refused");
+      const answer = await this.send({ op: "law", field: name, ...wanted });
+      if (!answer.ok && !this.wanted.has(name)) this.flash(name);
       await new Promise((done) => setTimeout(done, WAIT));
     }
     this.busy = false;
+    this.fill();
+  }
+
+  flash(name) {
+    const row = this.controls.get(name)?.row;
+    row?.classList.add("refused");
+    setTimeout(() => row?.classList.remove("refused"), 1500);
   }
 }
+
+// "terms[0].gain" is the gain of the first term.
+function words(path) { return path.replace(/(\w+?)s?\[(\d+)\]\./g, (_, list, k) => `${list} ${Number(k) + 1}: `).replaceAll("_", " "); }
 
 // -- one parameter ------------------------------------------------------------------------------------------------
 

@@ -1,30 +1,48 @@
-// Wires the page: one connection, and what it brings to scene, plots, law, map and log.
+// Wires the page: one connection, and what it brings to dial, scene, force, plots, law, map and log.
+import { Beside } from "./beside.js";
+import { Dial } from "./dial.js";
 import { Laws } from "./laws.js";
 import { Link } from "./link.js";
+import { linkOf, readState } from "./link_state.js";
 import { Log } from "./log.js";
 import { StabilityMap } from "./map.js";
 import { Plots } from "./plots.js";
 import { Replay } from "./replay.js";
 import { Scene } from "./scene.js";
+import { SlowMotion } from "./slow_motion.js";
+import { Sound } from "./sound.js";
 import { Status } from "./status.js";
 import { Store } from "./store.js";
+import { Strip } from "./strip.js";
 import { startTheme } from "./theme.js";
+import { Tour } from "./tour.js";
 
 const $ = (id) => document.getElementById(id);
 startTheme($("theme"));
 
 let store = null;
 let hello = null;
+let stoppedAt = null;
 const log = new Log($("log"));
 const status = new Status({ words: $("words"), dot: $("dot"), figures: $("figures"), nodes: $("nodes"), notice: $("notice") });
-const scene = new Scene($("scene"), $("reading"), (target) => link.hand(target));
+const scene = new Scene($("scene"), $("lens"), $("reading"), (target) => { $("hint").textContent = ""; link.hand(target); });
+const strip = new Strip($("strip"));
+const slow = new SlowMotion();
 const plots = new Plots($("plots"), $("legend"), (live) => {
   $("live").hidden = live;
   $("pause").setAttribute("aria-pressed", !live);
   $("pause").textContent = live ? "Pause" : "Paused";
 });
-const map = new StabilityMap($("map"), $("margin"), $("far"));
+const map = new StabilityMap($("map"), $("margin"), $("far"), (stiffness, damping, beyond) => {
+  laws.change("stiffness", Number(stiffness.toPrecision(3)), beyond);
+  laws.change("damping", Number(damping.toPrecision(3)), beyond);
+});
 const laws = new Laws({ picker: $("laws"), sliders: $("sliders"), ramp: $("ramp"), undo: $("undo"), refusal: $("refusal") }, ask);
+const dial = new Dial({ dial: $("dial"), hardness: $("hardness"), edge: $("edge"), beyond: $("beyond"), allowed: $("beyond-switch") },
+  (stiffness, beyond) => laws.change("stiffness", stiffness, beyond));
+
+const beside = scene.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
+const sound = new Sound($("sound"));
 
 function refused(text) { log.refused(text, store?.end ?? 0); }
 
@@ -46,28 +64,47 @@ const link = new Link({
     document.title = found.scenario;
     $("scenario").textContent = found.scenario;
     $("scenario").title = `${found.summary} (${found.run})`;
-    scene.start(found.axes, found.hand);
+    scene.start(found);
+    strip.start(store, found);
+    $("axis").addEventListener("change", () => strip.look($("axis").value));
     plots.start(store, found.axes, found.hand || found.has_hand);
     laws.start(found.fields, found.replay);
-    $("hint").textContent = found.hand ? "Drag anywhere here: the hand follows." : "";
+    dial.start(found);
+    map.movable = !found.replay;
+    map.beyond = () => found.beyond && $("beyond").checked;
+    beside.start(found);
+    sound.start(store, found.axes[0]);
+    $("hint").textContent = found.hand ? "Pull the handle, or drag anywhere here." : "";
     $("record").hidden = $("stop").hidden = found.replay;
     $("replay").hidden = !found.replay;
     replay.start(found);
+    document.body.dataset.ready = found.run;
   },
   reset() { log.clear(); plots.marks.length = 0; },
   frame(frame) {
     if (!store) return;
     store.add(frame);
-    scene.show(frame.now);
+    sound.hear();
+    if (!slow.on) scene.show(frame.now);
     replay.at(frame.now.t);
     document.body.dataset.bins = store.head;
   },
   status(found) {
     status.show(found);
-    if (found.ended && !hello?.replay) { link.over = true; scene.draggable = false; scene.letGo(); $("hint").textContent = ""; $("record").hidden = $("stop").hidden = true; }
+    const stopped = found.safety === "stopped";
+    map.stop(stopped);
+    if (stopped && found.stop && stoppedAt !== found.stop.t && !hello?.replay) watchSlowly(found.stop);
+    else if (!stopped && stoppedAt !== null) goOn();
+    if (found.ended && !hello?.replay) { link.over = true; scene.draggable = false; scene.letGo(); $("hint").textContent = ""; $("record").hidden = $("stop").hidden = $("again").hidden = true; }
   },
-  laws(found) { laws.show(found); },
-  map(found) { map.show(found); if (found.k_max_n_per_m) { laws.edge = found.k_max_n_per_m; laws.fill(); } },
+  laws(found) {
+    laws.show(found);
+    beside.laws(Object.keys(found.laws).filter((name) => found.laws[name].kind !== "excitation"));
+    turn();
+    if (!hello?.replay) open();
+  },
+  beside(found) { beside.show(found); },
+  map(found) { map.show(found); laws.edge = found.k_max_n_per_m ?? null; laws.fill(); turn(); },
   log(entry) {
     log.add(entry);
     if (entry.kind === "receipt") plots.mark(entry.t, entry.switched ? entry.law : "");
@@ -77,13 +114,82 @@ const link = new Link({
     $("record").textContent = found.recording ? "Recording" : "Record";
     if (found.path) log.add({ kind: "event", t: store?.end ?? 0, node: "view", event: "recording", text: `${found.recording ? "recording to" : "recorded"} ${found.path}` });
   },
-  answer(found) { if (!found.ok) refused(found.error); },
+  answer(found) {
+    if (found.ok) return;
+    // One refusal is enough: whoever may not have the hand does not go on asking for it.
+    if (found.op === "hand") { scene.letGo(); $("hint").textContent = "Another page holds the hand."; }
+    refused(found.error);
+  },
 });
 const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, ask);
 
+function turn() {
+  const law = laws.state?.laws[laws.state.active];
+  dial.show(law?.stiffness ?? null, laws.edge);
+}
+
+// -- what a link carries, and the tour ----------------------------------------------------------------------------
+
+let wanted = readState();
+$("lab").open = wanted.lab;
+
+// Once the laws are known: what the link says, one after the other.
+async function open() {
+  const { law, stiffness, beside: other } = wanted;
+  wanted = {};
+  if (law && law !== laws.state.active) await laws.choose(law);
+  if (stiffness) laws.change("stiffness", stiffness);
+  if (other && hello.compares) await beside.choose(other);
+}
+
+$("share").addEventListener("click", async () => {
+  const link = linkOf({ law: laws.state?.active, stiffness: dial.stiffness, beside: beside.law, lab: $("lab").open });
+  history.replaceState(null, "", link);
+  await navigator.clipboard?.writeText(link).catch(() => {});
+  $("share").textContent = "Copied";
+  setTimeout(() => { $("share").textContent = "Link"; }, 1500);
+});
+
+const tour = new Tour({ tour: $("tour"), sentence: $("sentence"), act: $("tour-act"), leave: $("tour-leave"), begin: $("tour-begin") }, {
+  dial,
+  touched: () => scene.grip.used && scene.now?.contact === 1,
+  stopped: () => stoppedAt !== null,
+  rings: () => $("words").textContent.includes("rings"),
+  calm: () => (stoppedAt === null ? dial.set(dial.edge * 0.25) : $("again").click()),
+  compare: () => beside.choose([...$("other").options].map(({ value }) => value).find((name) => name && name !== laws.state.active)),
+  compared: () => beside.law !== "" && beside.law !== laws.state.active,
+});
+
+// -- a stop, and again --------------------------------------------------------------------------------------------
+
+function watchSlowly(stop) {
+  stoppedAt = stop.t;
+  scene.letGo();
+  scene.trace.length = 0;
+  slow.start(store, scene.axis, stop, scene.surface);
+  $("once-more").hidden = false;
+  $("again").hidden = !hello.again;
+}
+
+function goOn() {
+  stoppedAt = null;
+  slow.end();
+  dial.turning = 0;
+  turn();
+  $("once-more").hidden = $("again").hidden = true;
+}
+
+$("once-more").addEventListener("click", () => { scene.trace.length = 0; slow.again(); });
+$("again").addEventListener("click", async () => {
+  $("again").disabled = true;
+  // Back to where it is stable, or it would swing at once.
+  await ask({ op: "again", stiffness: Number(((laws.edge ?? laws.state.laws[laws.state.active].stiffness) * 0.25).toPrecision(2)) });
+  $("again").disabled = false;
+});
+
 // -- buttons and keys ---------------------------------------------------------------------------------------------
 
-$("magnify").addEventListener("change", (event) => { scene.magnify = Number(event.target.value); scene.fit(true); });
+$("lab").addEventListener("toggle", () => { plots.resize(); });
 $("span").addEventListener("change", (event) => { plots.span = Number(event.target.value); plots.follow(); });
 $("pause").addEventListener("click", () => plots.window ? plots.follow() : plots.pause());
 $("live").addEventListener("click", () => plots.follow());
@@ -98,7 +204,7 @@ $("stop").addEventListener("click", () => {
   ask({ op: "stop" });
 });
 addEventListener("keydown", (event) => {
-  if (event.target.matches("input, select, button, canvas") || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target.matches("input, select, button, canvas, summary") || event.ctrlKey || event.metaKey || event.altKey) return;
   const keys = {
     " ": () => plots.window ? plots.follow() : plots.pause(), "+": () => plots.zoom(0.5), "-": () => plots.zoom(2),
     ArrowLeft: () => plots.shift(-0.25), ArrowRight: () => plots.shift(0.25), Home: () => plots.follow(),
@@ -110,11 +216,20 @@ addEventListener("keydown", (event) => {
 
 let plotted = 0, read = 0;
 function draw(time) {
+  const past = slow.window();
+  if (past) scene.show(slow.now(past.at));
   scene.draw();
   // Half as often as the scene: nobody reads a plot faster.
-  if (time - plotted > 30) { plots.draw(); plotted = time; }
+  if (time - plotted > 30) {
+    strip.draw(past, beside);
+    if ($("lab").open) plots.draw();
+    plotted = time;
+  }
   if (time - read > 120) { scene.read(); read = time; }
   requestAnimationFrame(draw);
 }
 requestAnimationFrame(draw);
 setInterval(() => scene.tell(), 100);
+
+// For the console, and the tests.
+Object.assign(globalThis, { haptic: { scene, strip, plots, dial, map, laws, slow, beside, sound, tour } });

@@ -1,8 +1,13 @@
 // The map of stability: which K and B of the present kind of law the loop bears, and where the law stands.
+import { digits, figure, fixed, step } from "./format.js";
 import { colour, onTheme } from "./theme.js";
 
 export class StabilityMap {
-  constructor(canvas, words, button) {
+  // `move` is called with stiffness and damping of where the dot is dragged to.
+  constructor(canvas, words, button, move) {
+    this.trail = [];
+    this.move = move;
+    this.drag(canvas);
     this.canvas = canvas;
     this.words = words;
     this.whole = false;
@@ -17,8 +22,28 @@ export class StabilityMap {
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
 
+  // The dot is a handle: what is past the edge it only reaches where the dial may.
+  drag(canvas) {
+    canvas.addEventListener("pointerdown", (event) => {
+      if (!this.frame || !this.movable) return;
+      canvas.setPointerCapture(event.pointerId);
+      this.pull(event);
+    });
+    canvas.addEventListener("pointermove", (event) => { if (canvas.hasPointerCapture(event.pointerId)) this.pull(event); });
+  }
+
+  pull(event) {
+    const { left, bottom, top, end, right, most } = this.frame, within = (part) => Math.min(1, Math.max(0, part));
+    const damping = within((event.offsetX - left) / (end - left)) * right, stiffness = within((bottom - event.offsetY) / (bottom - top)) * most;
+    const row = this.map.edge.reduce((best, each) => (Math.abs(each[0] - damping) < Math.abs(best[0] - damping) ? each : best));
+    const edge = row[2] ?? Infinity, wanted = this.beyond() ? stiffness : Math.min(stiffness, 0.98 * edge);
+    this.move(Math.max(wanted, most / 200), damping, wanted >= edge);
+  }
+
   show(map) {
+    const before = this.map;
     this.map = map;
+    if (before?.edge && map.edge && (before.k_n_per_m !== map.k_n_per_m || before.b_n_s_per_m !== map.b_n_s_per_m)) this.trail = [...this.trail.slice(-40), [before.b_n_s_per_m, before.k_n_per_m]];
     this.canvas.hidden = !map.edge;
     this.button.hidden = !map.edge;
     this.words.replaceChildren(...this.tell(map));
@@ -29,14 +54,23 @@ export class StabilityMap {
   tell(map) {
     if (map.why) return [map.why];
     const bold = (text, bad) => Object.assign(document.createElement("b"), { textContent: text, className: bad ? "bad" : "" });
-    const at = ` at a delay of ${map.delay_ticks.toFixed(2)} ticks`;
+    const at = ` at a delay of ${fixed(map.delay_ticks, 2)} ticks`;
+    // What was seen counts more than what is computed.
+    if (this.stopped) return [bold("It swung, and the driver stopped it", true), map.stable ? `, though the declared device would be stable${at}: the real loop is not this one.` : `: unstable${at}.`];
     if (!map.stable) {
-      const edge = map.k_max_n_per_m === null ? "no K is stable" : `stable up to K = ${figure(map.k_max_n_per_m)} N/m`;
+      const edge = map.k_max_n_per_m === null ? "no stiffness is stable" : `stable up to K = ${figure(map.k_max_n_per_m)} N/m`;
       return [bold("Unstable", true), `${at}: ${edge}.`];
     }
-    const k = map.k_max_n_per_m === null ? "without limit" : `${(map.k_max_n_per_m / map.k_n_per_m).toPrecision(3)} × K`;
-    const delay = map.delay_margin_ticks === null ? "over 20 ticks" : `${map.delay_margin_ticks.toFixed(2)} ticks`;
+    const k = map.k_max_n_per_m === null ? "without limit" : `${figure(map.k_max_n_per_m / map.k_n_per_m)} × K`;
+    const delay = map.delay_margin_ticks === null ? "over 20 ticks" : `${fixed(map.delay_margin_ticks, 2)} ticks`;
     return ["Stable", `${at}. To the edge: `, bold(k), map.k_max_n_per_m === null ? "" : ` (${figure(map.k_max_n_per_m)} N/m)`, ", or ", bold(`${delay} more delay`), "."];
+  }
+
+  // Whether the driver has stopped the loop, whatever is computed.
+  stop(stopped) {
+    if (this.stopped === stopped) return;
+    this.stopped = stopped;
+    if (this.map) this.show(this.map);
   }
 
   draw() {
@@ -52,7 +86,7 @@ export class StabilityMap {
     const right = this.whole ? Math.max(...rows.map(([b]) => b)) : map.near;
     const left = 50, bottom = height - 30, top = 8, end = width - 10;
     const x = (b) => left + (b / right) * (end - left), y = (k) => bottom - (k / most) * (bottom - top);
-    g.font = "11.5px system-ui, sans-serif";
+    g.font = "12px system-ui, sans-serif";
     this.axes(g, x, y, right, most, { left, bottom, top, end });
     const stable = rows.filter(([, low]) => low !== null);
     g.beginPath();
@@ -67,7 +101,33 @@ export class StabilityMap {
     g.beginPath();
     stable.forEach(([b, , high], n) => g[n ? "lineTo" : "moveTo"](x(b), y(high ?? most)));
     g.stroke();
+    this.frame = { left, bottom, top, end, right, most };
+    this.regions(g, stable, x, y, right, most);
+    this.where(g, x, y);
     this.point(g, x(Math.min(map.b_n_s_per_m, right)), y(map.k_n_per_m), map.k_max_n_per_m === null ? null : y(map.k_max_n_per_m));
+  }
+
+  regions(g, stable, x, y, right, most) {
+    if (!stable.length) return;
+    const [b, , high] = stable[Math.floor(stable.length * 0.62)];
+    g.font = "600 12px system-ui, sans-serif";
+    g.textAlign = "center";
+    g.fillStyle = colour("good");
+    g.fillText("rests", x(Math.min(b, right)), y((high ?? most) * 0.45));
+    g.fillStyle = colour("bad");
+    if ((high ?? most) < 0.9 * most) g.fillText("sings", x(stable[Math.floor(stable.length * 0.3)][0]), y(0.94 * most) + 4);
+  }
+
+  // Where one was.
+  where(g, x, y) {
+    this.trail.forEach(([b, k], n) => {
+      g.globalAlpha = 0.15 + (0.45 * n) / this.trail.length;
+      g.fillStyle = colour("device");
+      g.beginPath();
+      g.arc(x(b), y(k), 2.5, 0, 2 * Math.PI);
+      g.fill();
+    });
+    g.globalAlpha = 1;
   }
 
   point(g, u, v, edge) {
@@ -95,14 +155,14 @@ export class StabilityMap {
     g.fillStyle = colour("soft");
     g.lineWidth = 1;
     g.textAlign = "right";
-    for (const k of nice(most, 4)) {
+    for (const [k, text] of nice(most, 4)) {
       g.beginPath(); g.moveTo(left, y(k)); g.lineTo(end, y(k)); g.stroke();
-      g.fillText(k >= 10000 ? `${k / 1000}k` : `${k}`, left - 6, y(k) + 4);
+      g.fillText(text, left - 6, y(k) + 4);
     }
     g.textAlign = "center";
-    for (const b of nice(right, 5)) {
+    for (const [b, text] of nice(right, 5)) {
       g.beginPath(); g.moveTo(x(b), top); g.lineTo(x(b), bottom); g.stroke();
-      g.fillText(`${b}`, x(b), bottom + 14);
+      g.fillText(text, x(b), bottom + 14);
     }
     g.textAlign = "right";
     g.fillText("B [N s/m]", end, bottom + 27);
@@ -111,12 +171,9 @@ export class StabilityMap {
   }
 }
 
+// Round numbers from 0 on, each with its text.
 function nice(most, count) {
-  const raw = most / count, decade = 10 ** Math.floor(Math.log10(raw));
-  const step = decade * [1, 2, 5, 10].find((factor) => factor * decade >= raw);
-  const found = [];
-  for (let n = 0; n * step <= most; n++) found.push(+(n * step).toPrecision(6));
+  const every = step(most / count), found = [];
+  for (let n = 0; n * every <= most; n++) found.push([n * every, fixed(n * every, digits(every))]);
   return found;
 }
-
-function figure(value) { return value >= 100 ? Math.round(value).toLocaleString("en").replaceAll(",", " ") : value.toPrecision(3); }

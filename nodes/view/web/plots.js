@@ -1,7 +1,8 @@
 // Time plots: position, force, energy, response; each column of pixels shows its least and largest value.
+import { digits, fixed } from "./format.js";
 import { colour, onTheme } from "./theme.js";
 
-const UNIT = { position: ["Position [mm]", 1e3], force: ["Force [N]", 1], energy: ["Energy given out [mJ]", 1e3], response: ["Response [µs]", 1e6] };
+const UNIT = { position: ["Position [mm]", 1e3], force: ["Force [N]", 1], energy: ["Energy of the wall [mJ]: + given out, − taken in", 1e3], response: ["Response [µs]", 1e6] };
 const PANELS = [
   { unit: "position", height: 170, lines: [["proxy", "proxy", "proxy"], ["target", "target", "hand’s target"], ["position", "device", "device"]] },
   { unit: "force", height: 150, lines: [["law_force", "asked", "law"], ["force", "force", "handed over"]] },
@@ -39,7 +40,7 @@ export class Plots {
       const found = axes.length && this.store.index(`${name}.${axes[0]}`) >= 0 ? axes.map((axis) => `${name}.${axis}`) : [name];
       for (const [k, each] of found.entries()) {
         wanted.push(this.store.index(each));
-        series.push({ stroke: () => colour(tint), width: name === "law_force" ? 2.5 : 1.5, points: { show: false }, dash: k ? [6, 3 * k] : undefined });
+        series.push({ stroke: () => colour(tint), width: 1.5, points: { show: false }, dash: name === "law_force" ? [4, 3] : k ? [6, 3 * k] : undefined });
       }
       if (label) this.legend.append(entry(tint, label));
     }
@@ -161,7 +162,9 @@ export class Plots {
 function axis(shown) {
   return {
     stroke: () => colour("soft"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false },
-    font: "11.5px system-ui, sans-serif", ...(shown ? {} : { values: (_, splits) => splits.map(() => ""), size: 8 }),
+    // uPlot scales whole pixels only.
+    font: "12px system-ui, sans-serif", values: (_, splits, __, ___, every) => splits.map((at) => (at === null || !shown ? "" : fixed(at, digits(every)))),
+    ...(shown ? {} : { size: 8 }),
   };
 }
 

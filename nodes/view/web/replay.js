@@ -1,4 +1,6 @@
 // The time slider of a recording.
+import { fixed } from "./format.js";
+
 export class Replay {
   constructor(places, ask) {
     Object.assign(this, places);
@@ -32,7 +34,7 @@ export class Replay {
   at(t) {
     if (!this.on || Number.isNaN(t)) return;
     if (!this.moving) this.seek.value = t;
-    this.clock.textContent = `${t.toFixed(2)} s`;
+    this.clock.textContent = `${fixed(t, 2)} s`;
     if (this.playing && t >= Number(this.seek.max) - 1e-6) this.show(false);
   }
 }

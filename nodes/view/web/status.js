@@ -1,4 +1,6 @@
 // How it stands: one sentence, and the figures.
+import { count, fixed } from "./format.js";
+
 export class Status {
   constructor(places) { Object.assign(this, places); this.rows = new Map(); this.ended = false; this.lost = 0; }
 
@@ -17,15 +19,16 @@ export class Status {
     // A screen reader is told when the sentence changes in kind, not ten times a second.
     this.words.textContent = found.words;
     this.words.dataset.level = this.dot.dataset.level = found.level;
-    this.row("rate", found.rate_hz ? `${found.rate_hz.toFixed(1)} Hz` : "–");
+    this.row("rate", found.rate_hz ? `${fixed(found.rate_hz, 1)} Hz` : "–");
     this.row("response p50", micro(found.response_us.p50));
     this.row("p99", micro(found.response_us.p99));
-    this.row("delay", `${found.delay_ticks.toFixed(2)} ticks`);
-    this.row("missed", `${found.missed}`, found.missed > 0);
-    if (found.overruns) this.row("overruns", `${found.overruns}`, true);
-    this.row("time", `${found.t.toFixed(1)} s`);
+    this.row("delay", `${fixed(found.delay_ticks, 2)} ticks`);
+    const lately = found.missed_lately;
+    this.row("missed", lately ? `${fixed(found.missed, 0)} (${count(lately, "tick")} in 10 s)` : fixed(found.missed, 0), lately > 0);
+    if (found.overruns) this.row("overruns", fixed(found.overruns, 0), lately > 0);
+    this.row("time", `${fixed(found.t, 1)} s`);
     this.nodes.replaceChildren(...Object.entries(found.nodes).map(([name, { state, silent_s: silent }]) =>
-      Object.assign(document.createElement("li"), { textContent: silent ? `${name}: silent for ${silent.toFixed(0)} s` : name, className: silent ? "silent" : "", title: state })));
+      Object.assign(document.createElement("li"), { textContent: silent ? `${name}: silent for ${fixed(silent, 0)} s` : name, className: silent || state === "failed" ? "silent" : state === "ended" ? "ended" : "", title: state })));
     if (found.ended && !this.ended) {
       this.ended = true;
       this.tell(`The run has ended: ${found.ended}. What was received stays here to be looked at.`);
@@ -45,4 +48,4 @@ export class Status {
   }
 }
 
-function micro(value) { return value === undefined ? "–" : `${value.toFixed(0)} µs`; }
+function micro(value) { return value === undefined ? "–" : `${fixed(value, 0)} µs`; }

@@ -12,19 +12,13 @@ import pytest
 import yaml
 
 from nodes.launcher import launch_file
-from tests.support.browser import bins, chromium, needs_browser, shown, url_of
+from tests.support.browser import OpenPage, bins, needs_browser, shown, url_of
 from tests.support.launching import Running, running, wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 pytestmark = needs_browser
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
 
 
 @pytest.fixture(scope="module")
@@ -35,30 +29,12 @@ def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 @pytest.fixture
 def page(browser: Browser, launch: Running) -> Iterator[Page]:
-    with opened(browser, url_of(launch)) as found:
+    with lab(browser, launch) as found:
         yield found
 
 
-def opened(browser: Browser, url: str) -> OpenPage:
-    return OpenPage(browser, url)
-
-
-class OpenPage:
-    """A page that must not have thrown anything by its end."""
-
-    def __init__(self, browser: Browser, url: str) -> None:
-        self._page = browser.new_page(viewport={"width": 1280, "height": 900})
-        self._errors: list[str] = []
-        self._page.on("pageerror", lambda error: self._errors.append(str(error)))
-        self._page.goto(url)
-
-    def __enter__(self) -> Page:
-        wait_for(lambda: bins(self._page) > 10, "the first picture")
-        return self._page
-
-    def __exit__(self, *error: object) -> None:
-        self._page.close()
-        assert self._errors == []
+def lab(browser: Browser, launch: Running) -> OpenPage:
+    return OpenPage(browser, url_of(launch) + "#lab")
 
 
 def state(launch: Running) -> dict[str, float]:
@@ -155,7 +131,7 @@ def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -
 
 
 def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Running) -> None:
-    with opened(browser, url_of(launch)) as other:
+    with lab(browser, launch) as other:
         for name in ("multi_term", "pd"):
             wait_for(lambda: other.locator("#laws label").count() > 3, "the laws")
             other.locator("#laws label").filter(has_text=name).first.click()
@@ -169,6 +145,14 @@ def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Runn
         other.locator("#scene").focus()
         other.keyboard.press("ArrowLeft")
         wait_for(lambda: "another page holds it" in shown(other, "#log li.refused >> nth=0"), "the refusal")
+        box = other.locator("#scene").bounding_box()
+        assert box is not None
+        other.mouse.move(box["x"] + 50.0, box["y"] + 100.0)
+        other.mouse.down()
+        before = bins(other)
+        wait_for(lambda: bins(other) > before + 400, "a mouse that goes on asking")
+        assert other.locator("#log li.refused").count() == 2, "one refusal for each grab"
+        other.mouse.up()
         page.mouse.up()
 
 
@@ -190,7 +174,7 @@ def test_a_wrong_token_and_a_foreign_origin_get_nothing(page: Page, browser: Bro
 
 
 def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(browser: Browser, launch: Running) -> None:
-    with opened(browser, url_of(launch)) as watching:
+    with lab(browser, launch) as watching:
         context = browser.new_context()
         stopped = context.new_page()
         stopped.goto(url_of(launch))
@@ -226,7 +210,7 @@ def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
 @pytest.mark.parametrize("size", [(390, 844), (1440, 900)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, browser: Browser, launch: Running) -> None:
-    with opened(browser, url_of(launch)) as page:
+    with lab(browser, launch) as page:
         page.set_viewport_size({"width": size[0], "height": size[1]})
         page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
         wait_for(lambda: page.locator("html").get_attribute("data-theme") == scheme, scheme)
@@ -241,7 +225,7 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser
     content["nodes"]["environment"] |= {"respawn": True, "respawn_delay": 0.0}
     (tmp_path / "touch.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     words = (str(tmp_path / "touch.yaml"), "--view", "--without", "logger")
-    with running(tmp_path, *words) as launch, opened(browser, url_of(launch)) as page:
+    with running(tmp_path, *words) as launch, lab(browser, launch) as page:
         wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the loop runs")
         environment = launch.pid("environment")
         os.kill(environment, signal.SIGSTOP)
@@ -255,7 +239,10 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser
         before = bins(page)
         wait_for(lambda: bins(page) != before, "and sees again")
         os.kill(int(launch.call("coupling", "status")["pid"]), signal.SIGKILL)
-        wait_for(lambda: "The run has ended" in shown(page, "#notice"), "the end is told")
+        wait_for(lambda: "coupling: ended with SIGKILL" in shown(page, "#notice"), "the end is told, with its reason")
+        assert "coupling" in shown(page, "#nodes li.silent")
+        assert page.locator("#nodes li.ended").count() == 2
+        assert "Hz" not in shown(page, "#figures")
         assert "stays here" in shown(page, "#notice")
         assert launch.process.wait(60.0) == 1
 
@@ -265,7 +252,7 @@ def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_p
     content = yaml.safe_load(launch_file.find("floor_drop").read_text(encoding="utf-8"))
     content["run"]["axes"] = ["x", "z"]
     (tmp_path / "two.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    with running(tmp_path, str(tmp_path / "two.yaml"), *words[1:]) as launch, opened(browser, url_of(launch)) as page:
+    with running(tmp_path, str(tmp_path / "two.yaml"), *words[1:]) as launch, lab(browser, launch) as page:
         page.select_option("#axis", "z")
         wait_for(lambda: "0.00 mm" not in shown(page, "#reading"), "how far it has come along z")
         page.select_option("#axis", "x")
@@ -273,7 +260,7 @@ def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_p
 
 
 def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_path: Path) -> None:
-    with running(tmp_path, "touch_wall", "--view") as launch, opened(browser, url_of(launch)) as page:
+    with running(tmp_path, "touch_wall", "--view") as launch, lab(browser, launch) as page:
         page.locator("#stop").click()
         assert shown(page, "#stop") == "End the run?"
         page.locator("#stop").click()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from nodes.view.pointer import PointerReader, PointerWriter, SharedHand
+from nodes.view.pointer import PointerReader, PointerWriter
 from tests.support.launching import wait_for
 
 
@@ -77,23 +77,4 @@ def test_a_torn_value_gives_the_one_before(tmp_path: Path) -> None:
         file.write(torn)
     assert reader.read() == (1.0, 0.0, 0.0)
     writer.close()
-    reader.close()
-
-
-def test_one_page_at_a_time_has_the_hand(tmp_path: Path) -> None:
-    path = tmp_path / "p"
-    assert "nothing can be dragged" in SharedHand(path).move(1, [0.0, 0.0, 0.0])
-    reader = PointerReader(path, 60.0)
-    hand = SharedHand(path)
-    assert hand.there
-    assert hand.move(1, [0.01, 0.0, 0.0]) == ""
-    assert hand.move(2, [0.5, 0.0, 0.0]) == "hand: another page holds it"
-    assert hand.move(2, None) == ""
-    assert reader.read() == (0.01, 0.0, 0.0)
-    assert hand.move(1, None) == ""
-    assert reader.read() is None
-    assert hand.move(2, [0.5, 0.0, 0.0]) == ""
-    assert "finite" in hand.move(2, [math.inf, 0.0, 0.0])
-    assert reader.read() == (0.5, 0.0, 0.0)
-    hand.close()
     reader.close()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import msgspec
 import pytest
 
 from messages.types import DeviceState, Force, Proxy
-from nodes.view.words import explain
+from nodes.view.ringing import Ringing
+from nodes.view.words import explain, told_stop
 
 STATE = DeviceState(seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8)
 PROXY = Proxy(
@@ -52,6 +54,7 @@ def told(
         ),
         ({"proxy": {"contact": False, "normal": NONE}, "state": {"force": NONE}}, "rest", "there is nothing to touch"),
         ({"state": {"force": NONE}, "force": {"force": NONE}}, "rest", "renders none at this deflection"),
+        ({"state": {"safety": "stopped", "force": NONE}}, "stop", "Too hard: it swung, and the driver stopped it."),
         ({"silent": 0.51}, "stop", "nothing has come from the driver for 0.5 s"),
     ],
 )
@@ -68,3 +71,38 @@ def test_before_the_first_tick() -> None:
         "(coupling silent)"
         in explain(msgspec.structs.replace(STATE, safety="zero", force=NONE), PROXY, FORCE, 0.0, "coupling silent")[1]
     )
+
+
+def test_a_stop_is_told_by_its_strokes() -> None:
+    reason = "the loop swings: its force came to the limit of 10 N 6 times within 0.25 s and gave out 65.3 mJ; no force until"
+    assert told_stop(reason) == ("6 strokes to the limit of 10 N within 0.25 s, 65.3 mJ given out", 0.25)
+    assert told_stop("put otherwise") == ("put otherwise", 0.0)
+
+
+@pytest.mark.parametrize(("hertz", "rings"), [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)])
+def test_a_force_that_goes_to_and_fro_rings(hertz: float, rings: bool) -> None:
+    """A wall that only pushes, at 500 Hz: nobody's hand taps 20 times a second."""
+    period, watched = 0.002, Ringing()
+    for tick in range(500):
+        watched.take(tick * period, -2.0 * max(0.0, math.sin(2.0 * math.pi * hertz * tick * period)))
+    found = watched.ring()
+    assert (found is not None) == rings
+    if found is not None:
+        # Turns are counted in whole ticks, within 0.3 s: half a turn more or less at each end.
+        assert found.frequency == pytest.approx(hertz, rel=0.1)
+        assert found.force == pytest.approx(2.0, rel=0.1)
+    level, words = explain(STATE, PROXY, FORCE, 0.0, "", found)
+    assert (level == "warn" and "It rings" in words) == rings
+    # At rest it rings no more, and in the past of a recording there is no before.
+    for tick in range(500, 700):
+        watched.take(tick * period, 0.0)
+    assert watched.ring() is None
+    watched.take(0.0, -1.0)
+    assert watched.ring() is None
+
+
+def test_noise_on_a_force_is_no_ringing() -> None:
+    watched = Ringing()
+    for tick in range(500):
+        watched.take(tick * 0.002, -3.0 + 0.3 * math.sin(2.9 * tick))
+    assert watched.ring() is None

@@ -1,0 +1,166 @@
+"""A | B: the hand of a running launch on another law too, played beside it.
+
+What plays it is registered for the launch's kind of driver (entry points ``haptic.beside``). It runs in a process of its own
+off the loop's processors, so the loop does not notice. The hand's targets are those that the driver told; the delay is the one
+measured. Whenever neither of the two is in contact, B starts again from where A is: differences do not pile up.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import signal
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from typing import Any
+
+from messages.errors import HapticError
+from messages.types import DeviceState, Message
+from nodes.base.setup import AXIS_INDEX
+from nodes.launcher.runs import RunInfo
+from nodes.parameters.registry import Registry
+
+PLAYERS = Registry("haptic.beside", "player")
+"""By kind of driver: position and force from the nodes, a law, the targets of the hand, its beginning and a delay."""
+
+PERIOD = 0.05
+"""How often B is played on [s]."""
+
+FREE = 0.4
+"""Both free for so long, B starts again from where A is [s]."""
+
+LONGEST = 30.0
+"""After so long it does so in any case [s]."""
+
+SHOWN = 1.0
+"""How much of B each message holds: a page that is slow loses none [s]."""
+
+
+class Comparison:
+    """Plays B. The pages' thread uses it.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The launch.
+    driver : str
+        Name of its driver.
+    put : callable
+        Tells all pages.
+
+    Attributes
+    ----------
+    law : str
+        Name of B; empty for none.
+    """
+
+    def __init__(self, run: RunInfo, driver: str, put: Callable[[str, dict[str, Any]], None]) -> None:
+        self._setups = run.nodes
+        self._put = put
+        setup = run.nodes.get(driver)
+        self._period = setup.period if setup else 1.0
+        self._axis = AXIS_INDEX[setup.axes[0]] if setup else 0
+        self._kind = setup.kind if setup and len(setup.axes) == 1 else ""
+        self._late = 1.0 if setup and setup.apply == "next_tick" else 0.0
+        self._pool: ProcessPoolExecutor | None = None
+        self._described: Mapping[str, Any] = {}
+        self._restart()
+        self._before: DeviceState | None = None
+        self._job: asyncio.Task[None] | None = None
+        self._played_at = 0.0
+        self.law = ""
+
+    @property
+    def there(self) -> bool:
+        """Whether this launch can be compared: a virtual device on one axis."""
+        return self._kind in PLAYERS.names()
+
+    def choose(self, law: str, described: Mapping[str, Any]) -> None:
+        """Play another law beside the launch, or none."""
+        self.law, self._described = law, described
+        self._restart()
+        self._put("beside", {"law": law})
+
+    def _restart(self) -> None:
+        self._targets: list[float] = []
+        self._begin = (0.0, 0.0)
+        self._from = 0
+        self._free = 0
+        self._b_is_free = False
+
+    def take(self, topic: str, message: Message) -> None:
+        """Take what the driver tells of its hand."""
+        del topic
+        if not self.law or not isinstance(message, DeviceState):
+            return
+        before, self._before = self._before, message
+        if before is None or message.seq <= before.seq:
+            return
+        axis, ticks = self._axis, message.seq - before.seq
+        # Without contact for both: nothing is in anybody's history.
+        self._free = self._free + ticks if message.force[axis] == 0.0 == before.force[axis] else 0
+        longest = len(self._targets) * self._period > LONGEST
+        if not self._targets or longest or (self._free * self._period > FREE and self._b_is_free):
+            self._restart()
+            x, old = message.position[axis], before.position[axis]
+            self._begin, self._from = (x, (x - old) / (ticks * self._period)), message.seq
+            self._b_is_free = False
+        else:
+            # A state that was lost on the way: the hand went straight.
+            last, now = self._targets[-1], message.target[axis]
+            self._targets += [last + (now - last) * k / ticks for k in range(1, ticks)]
+        self._targets.append(message.target[axis])
+
+    def step(self, now: float, delay: float) -> None:
+        """Play on when it is due and nothing is under way."""
+        busy = self._job is not None and not self._job.done()
+        if self.law and self._targets and not busy and now - self._played_at > PERIOD:
+            self._played_at = now
+            self._job = asyncio.get_running_loop().create_task(self._play_on(round(max(0.0, delay - self._late), 2)))
+
+    async def _play_on(self, late: float) -> None:
+        law, begun = self.law, self._from
+        work = partial(_play, self._kind, self._setups, self._described, list(self._targets), self._begin, late)
+        try:
+            position, force = await asyncio.get_running_loop().run_in_executor(self._workers(), work)
+        except (HapticError, ValueError, BrokenProcessPool) as error:
+            if law == self.law:
+                self.law = ""
+                self._put("beside", {"law": "", "why": str(error)})
+            return
+        if law != self.law or begun != self._from:
+            return
+        shown = round(SHOWN / self._period)
+        self._b_is_free = not force[-round(FREE / self._period) :].any()
+        first = max(0, len(force) - shown)
+        told = {
+            "law": law,
+            "t": (begun + first) * self._period,
+            "period": self._period,
+            "late": late,
+            "position": [round(float(x), 8) for x in position[first:]],
+            "force": [round(float(f), 5) for f in force[first:]],
+        }
+        self._put("beside", told)
+
+    def _workers(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            # Ctrl-C is for the view, which ends it.
+            self._pool = ProcessPoolExecutor(1, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+        return self._pool
+
+    async def close(self) -> None:
+        """End the process that plays."""
+        self.law = ""
+        if self._job is not None:
+            self._job.cancel()
+        if self._pool is not None:
+            await asyncio.get_running_loop().run_in_executor(None, self._pool.shutdown)
+
+
+def _play(kind: str, *words: Any) -> Any:
+    """Import what plays where it plays: the view itself stays small."""
+    return PLAYERS.load(kind)(*words)

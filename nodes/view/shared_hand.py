@@ -1,0 +1,154 @@
+"""The hand's target among several pages: one has it at a time, it never jumps, and until somebody takes it, it taps by itself.
+
+A page that falls silent with its socket open is a browser that is busy, with somebody's finger still on the mouse: the target
+stays for a while, then goes home slowly; when the page is heard again, it comes back as slowly. A page that is closed, or
+lets go, gives the hand back to its path at once.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from messages.types import ZERO, Vector
+from nodes.view.pointer import PointerWriter
+
+PATIENCE = 2.0
+"""How long the target stays where a page that has fallen silent held it [s]."""
+
+SLOWLY = 0.05
+"""How fast the target goes home then, and comes back [m/s]."""
+
+EVERY, PRESS, DEPTH = 3.0, 0.9, 0.004
+"""A hand that nobody has taken taps so often, so long [s], and pulls so far behind the surface [m]."""
+
+REST = 1.0
+"""It begins when its path has come to rest for so long [s]."""
+
+
+def _towards(here: Vector, there: Vector, way: float) -> Vector:
+    far = math.dist(here, there)
+    if far <= way:
+        return there
+    x, y, z = (a + (b - a) * way / far for a, b in zip(here, there, strict=True))
+    return x, y, z
+
+
+class SharedHand:
+    """The hand's target among several pages. One thread uses it.
+
+    Parameters
+    ----------
+    path : Path
+        The driver's pointer file.
+
+    Attributes
+    ----------
+    taken : bool
+        Whether any page has taken it so far.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._writer: PointerWriter | None = PointerWriter(path)
+        except FileNotFoundError:
+            self._writer = None
+        self.taken = False
+        self._owner = 0
+        self._lapsed = 0
+        self._heard = self._stepped = -math.inf
+        self._slow = False
+        self._wanted = self._at = self._home = self._present = ZERO
+        self._still = math.inf
+        self._taps = -math.inf
+
+    @property
+    def there(self) -> bool:
+        """Whether there is a hand that can be dragged."""
+        return self._writer is not None
+
+    def move(self, owner: int, target: Sequence[float] | None) -> str:
+        """Move the target, or let go of it."""
+        if self._writer is None:
+            none = "hand: nothing can be dragged here; haptic launch touch_wall --view has a hand"
+            return "" if target is None else none
+        if target is None:
+            if self._owner == owner:
+                self._release(self._writer)
+            if self._lapsed == owner:
+                self._lapsed = 0
+            return ""
+        if self._owner not in (0, owner):
+            return "hand: another page holds it"
+        try:
+            wanted = float(target[0]), float(target[1]), float(target[2])
+        except (ValueError, OverflowError) as error:
+            return f"hand: {error}"
+        if not all(map(math.isfinite, wanted)):
+            return f"hand: {wanted} m, expected three finite numbers"
+        if self._owner != owner:
+            self._owner, self.taken = owner, True
+            self._home = self._at = self._present
+            # Back after a silence: the finger was on the mouse all the time.
+            self._slow = self._lapsed == owner
+        self._lapsed = 0
+        self._wanted, self._heard = wanted, time.monotonic()
+        if not self._slow:
+            self._at = wanted
+            self._writer.write(wanted)
+        return ""
+
+    def step(self, present: Vector) -> None:
+        """Renew the target, from where the driver tells it to be; called as often as a screen shows it."""
+        now, before = time.monotonic(), self._stepped
+        self._stepped = now
+        if present != self._present or math.isinf(self._still):
+            self._present, self._still = present, now
+        if self._writer is None or not self._owner:
+            return
+        way = SLOWLY * min(0.1, now - before)
+        if now - self._heard < PATIENCE:
+            if self._slow:
+                self._at = _towards(self._at, self._wanted, way)
+                self._slow = self._at != self._wanted
+        else:
+            self._slow = True
+            self._at = _towards(self._at, self._home, way)
+            if self._at == self._home:
+                self._lapsed = self._owner
+                self._release(self._writer)
+                return
+        self._writer.write(self._at)
+
+    def tap(self, axis: int, surface: float | None, side: float) -> None:
+        """Touch the surface by itself now and then, while no page has taken the hand."""
+        now = time.monotonic()
+        if self._writer is None or self.taken or surface is None:
+            return
+        if now - self._taps > EVERY:
+            if now - self._still < REST:
+                return
+            self._taps, self._home = now, self._present
+        done = (now - self._taps) / PRESS
+        if done >= 1.0:
+            if self._at != self._home:
+                self._release(self._writer)
+                self._at = self._home
+            return
+        # Up and down as a finger does: soft at both ends, a while inside.
+        share = min(1.0, 1.6 * math.sin(math.pi * done) ** 2)
+        target = list(self._home)
+        target[axis] += share * (surface - side * DEPTH - target[axis])
+        self._at = target[0], target[1], target[2]
+        self._writer.write(self._at)
+
+    def _release(self, writer: PointerWriter) -> None:
+        writer.let_go()
+        self._owner, self._slow = 0, False
+
+    def close(self) -> None:
+        """Let go of the file."""
+        if self._writer is not None:
+            self._writer.close()

@@ -1,0 +1,58 @@
+// A | B: what the same hand feels with another law, played beside the launch, drawn over what the launch does.
+import { fixed } from "./format.js";
+
+const KEPT = 8000;
+
+export class Beside {
+  constructor({ other, told }, ask) {
+    Object.assign(this, { other, told, ask, law: "", times: [], position: [], force: [] });
+    other.addEventListener("change", () => this.choose(other.value));
+  }
+
+  start(hello) {
+    this.offered = hello.compares;
+    this.other.parentElement.hidden = !hello.compares;
+    this.clear();
+  }
+
+  async choose(law) {
+    const answer = await this.ask({ op: "compare", law });
+    if (!answer.ok) this.other.value = this.law;
+  }
+
+  laws(names) {
+    if (names.join() === this.names) return;
+    this.names = names.join();
+    this.other.replaceChildren(new Option("nothing", ""), ...names.map((name) => new Option(name)));
+    this.other.value = this.law;
+  }
+
+  clear() { this.times = []; this.position = []; this.force = []; }
+
+  // What has come before is replaced where it overlaps.
+  show({ law, t, period, position, force, why }) {
+    if (law !== this.law) this.clear();
+    this.law = this.other.value = law;
+    this.told.textContent = why ?? "";
+    if (!position) return;
+    while (this.times.length && this.times[this.times.length - 1] >= t - period / 2) { this.times.pop(); this.position.pop(); this.force.pop(); }
+    position.forEach((x, k) => { this.times.push(t + k * period); this.position.push(x); this.force.push(force[k]); });
+    const over = this.times.length - KEPT;
+    if (over > 0) for (const list of [this.times, this.position, this.force]) list.splice(0, over);
+    const strongest = force.reduce((most, each) => Math.max(most, Math.abs(each)), 0);
+    this.told.textContent = `up to ${fixed(strongest, 2)} N`;
+  }
+
+  get on() { return this.law !== "" && this.times.length > 0; }
+
+  // What is known of a time: B comes a little later than A.
+  at(t) {
+    if (!this.on || t < this.times[0]) return null;
+    let low = 0, high = this.times.length - 1;
+    while (low < high) {
+      const middle = (low + high + 1) >> 1;
+      if (this.times[middle] <= t) low = middle; else high = middle - 1;
+    }
+    return { t: this.times[low], position: this.position[low], force: this.force[low] };
+  }
+}

@@ -1,0 +1,93 @@
+// One dial: how hard the wall is. On a real device it ends at the edge of stability; a virtual one may be let go past it.
+import { figure } from "./format.js";
+
+const STEPS = 1000, SOFTEST = 0.02, BELOW = 0.98, PAST = 8, RESTS = 700;
+
+export class Dial {
+  // `change` is called with a stiffness [N/m] and whether it lies past the edge.
+  constructor({ dial, hardness, edge, beyond, allowed }, change) {
+    Object.assign(this, { dial, hardness, mark: edge, box: beyond, allowed, change, edge: null, stiffness: null, fitted: null });
+    dial.addEventListener("input", () => {
+      this.turning = performance.now();
+      const wanted = this.value();
+      this.write(wanted);
+      change(wanted, this.isPast(wanted));
+    });
+    for (const event of ["change", "blur"]) dial.addEventListener(event, () => { this.turning = 0; });
+    beyond.addEventListener("change", () => {
+      // Whoever takes the permission back comes back with it.
+      if (!beyond.checked && this.isPast(this.stiffness)) change(this.ends()[1], false);
+      this.fill();
+    });
+  }
+
+  start(hello) {
+    this.allowed.hidden = !hello.beyond;
+    this.off = hello.replay;
+  }
+
+  // What renders now, and where the edge is for it: null where the law has no stiffness, or no edge is known.
+  show(stiffness, edge) {
+    const safe = this.edge;
+    this.stiffness = stiffness;
+    // A trembling delay moves the edge a little, and must not move the dial under a hand.
+    if (!edge || !safe || Math.abs(edge - safe) > 0.02 * safe) this.edge = edge;
+    // Not under a hand; one that rests on it is none.
+    if (performance.now() - (this.turning || 0) > RESTS) this.fill();
+  }
+
+  isPast(stiffness) { return this.edge !== null && stiffness >= this.edge; }
+
+  ends() {
+    // Where no edge is known, what renders now is the most that is offered.
+    const most = this.edge ?? this.stiffness ?? 1;
+    return [most * SOFTEST, this.edge === null ? most : most * (this.box.checked ? PAST : BELOW)];
+  }
+
+  value() {
+    const [least, most] = this.ends(), found = least * (most / least) ** (this.dial.value / STEPS);
+    return Math.min(most, Number(found.toPrecision(3)));
+  }
+
+  place(stiffness) {
+    const [least, most] = this.ends();
+    return Math.min(1, Math.max(0, Math.log(stiffness / least) / Math.log(most / least)));
+  }
+
+  // As if it were turned there.
+  set(stiffness) {
+    const wanted = Math.min(this.ends()[1], Number(stiffness.toPrecision(3)));
+    this.change(wanted, this.isPast(wanted));
+  }
+
+  // Past the edge, where that is allowed.
+  let(times) {
+    if (this.allowed.hidden || this.edge === null) return;
+    this.box.checked = true;
+    this.set(times * this.edge);
+  }
+
+  fill() {
+    const { dial, stiffness, edge } = this;
+    dial.disabled = this.off || stiffness === null;
+    if (stiffness === null) {
+      this.hardness.textContent = "–";
+      this.mark.textContent = "This law has no single stiffness: its parameters are in the lab.";
+      return;
+    }
+    dial.value = Math.round(STEPS * this.place(stiffness));
+    const safe = edge === null ? 1 : this.place(edge);
+    dial.style.setProperty("--safe-part", `${100 * safe}%`);
+    this.write(stiffness);
+  }
+
+  write(stiffness) {
+    const past = this.isPast(stiffness);
+    this.hardness.textContent = `${figure(stiffness)} N/m`;
+    this.hardness.classList.toggle("bad", past);
+    this.mark.textContent = this.edge === null ? "The edge is not known here."
+      : past ? `${figure(stiffness / this.edge)} × the edge of ${figure(this.edge)} N/m`
+      : `edge at ${figure(this.edge)} N/m: ${figure(this.edge / stiffness)} × this`;
+    this.dial.setAttribute("aria-valuetext", `${this.hardness.textContent}, ${this.mark.textContent}`);
+  }
+}

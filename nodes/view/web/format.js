@@ -1,0 +1,29 @@
+// Numbers as the page writes them: no minus before a zero, thin spaces between thousands, one item and several items.
+const THIN = "\u202f";
+
+// A fixed number of digits after the point.
+export function fixed(value, digits) {
+  if (!Number.isFinite(value)) return "–";
+  const text = value.toFixed(digits);
+  const [whole, part] = (Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−")).split(".");
+  const grouped = whole.replace(/\B(?=(\d{3})+$)/g, THIN);
+  return part === undefined ? grouped : `${grouped}.${part}`;
+}
+
+// Three significant digits, or all of a larger whole number.
+export function figure(value) {
+  if (!Number.isFinite(value)) return "–";
+  if (value === 0) return "0";
+  return fixed(value, Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value)))));
+}
+
+export function count(number, word) { return `${fixed(number, 0)} ${word}${number === 1 ? "" : "s"}`; }
+
+// As many digits as tell one line of a ruler from the next.
+export function digits(step) { return Math.max(0, -Math.floor(Math.log10(step) + 1e-9)); }
+
+// Steps of 1, 2 or 5 times a power of ten, at least so long.
+export function step(least) {
+  const decade = 10 ** Math.floor(Math.log10(least));
+  return decade * [1, 2, 5, 10].find((factor) => factor * decade >= least * (1 - 1e-9));
+}

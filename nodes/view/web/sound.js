@@ -1,0 +1,53 @@
+// The loop heard and felt: off until somebody clicks. On phones a knock is felt too.
+const KNOCK = 0.5;
+
+export class Sound {
+  constructor(button) {
+    Object.assign(this, { button, on: false, node: null, context: null, touched: false, fed: 0 });
+    button.addEventListener("click", () => this.set(!this.on));
+  }
+
+  start(store, letter) {
+    this.store = store;
+    this.series = store.index(`force.${letter}`);
+    this.from = store.head;
+  }
+
+  async set(on) {
+    this.on = on;
+    this.button.setAttribute("aria-pressed", on);
+    if (!on) return this.context?.suspend();
+    if (!this.context) {
+      this.context = new AudioContext();
+      await this.context.audioWorklet.addModule("voice_worklet.js");
+      this.node = new AudioWorkletNode(this.context, "voice", { outputChannelCount: [1] });
+      this.node.connect(this.context.destination);
+    }
+    this.from = this.store.head;
+    return this.context.resume();
+  }
+
+  // Called when new bins are there: each becomes one sample, the stronger of its two values.
+  hear() {
+    const { store } = this;
+    if (!this.on || !this.node || this.from > store.head) { this.from = store?.head ?? 0; return; }
+    const count = store.head - this.from, times = new Float64Array(count), forces = new Float32Array(count);
+    for (let k = 0; k < count; k++) {
+      const n = (this.from + k) % store.size, low = store.low[this.series][n], high = store.high[this.series][n];
+      times[k] = store.times[n];
+      forces[k] = Math.abs(low) > Math.abs(high) ? low : high;
+      if (Number.isNaN(forces[k])) forces[k] = 0;
+    }
+    this.from = store.head;
+    this.knock(forces);
+    this.fed += count;
+    this.last = { times, forces };
+    this.node.port.postMessage(this.last);
+  }
+
+  knock(forces) {
+    const strongest = forces.reduce((most, force) => Math.max(most, Math.abs(force)), 0);
+    if (strongest > KNOCK && !this.touched) navigator.vibrate?.(Math.min(40, 8 + 4 * strongest));
+    this.touched = strongest > 0;
+  }
+}

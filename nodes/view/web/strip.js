@@ -1,0 +1,114 @@
+// The force under the scene: the last seconds, with the driver's limit, and the moments at which the limit held it back in red.
+import { colour, onTheme } from "./theme.js";
+import { fixed } from "./format.js";
+
+const SPAN = 4;
+
+export class Strip {
+  constructor(canvas) {
+    Object.assign(this, { canvas, store: null, limit: null, high: 1, low: -0.2 });
+    onTheme(() => this.draw());
+    new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  start(store, { axes, peak_n: peak }) {
+    Object.assign(this, { store, limit: peak ?? null, high: 1, low: -0.2 });
+    this.look(axes[0]);
+  }
+
+  look(letter) { this.series = ["law_force", "force"].map((name) => this.store.index(`${name}.${letter}`)); }
+
+  // A window of the past and the time in it that the scene shows; without one, what is now. And B, where there is one.
+  draw(window = null, beside = null) {
+    const { canvas, store } = this;
+    const width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
+    if (!store || !width) return;
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+    const g = canvas.getContext("2d");
+    g.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const [from, to] = window ? window.sight : [store.end - SPAN, store.end];
+    const left = 66, right = width - 10, top = 16, bottom = height - 8;
+    const [times, asked, force] = store.columns(this.series, from, to, Math.round(right - left));
+    this.settle(force);
+    const x = (t) => left + ((t - from) / (to - from)) * (right - left);
+    const y = (force) => bottom - ((force - this.low) / (this.high - this.low)) * (bottom - top);
+    this.frame(g, y, left, right, window);
+    g.save();
+    g.beginPath();
+    g.rect(left, 0, right - left, height);
+    g.clip();
+    this.curve(g, times, asked, x, y, "asked", 1.2, [4, 3]);
+    this.curve(g, times, force, x, y, "force", 1.8, []);
+    if (beside?.on) this.curve(g, beside.times, beside.force, x, y, "beside", 1.6, []);
+    this.held(g, times, force, x, top);
+    if (window) this.cursor(g, x(window.at), top, bottom);
+    g.restore();
+  }
+
+  // Widens at once, narrows slowly; a law's demand far beyond the limit does not flatten the force.
+  settle(force) {
+    const seen = force.filter((value) => value !== null && Number.isFinite(value));
+    const high = Math.max(0.5, ...seen) * 1.15, low = Math.min(-0.5, ...seen) * 1.15;
+    this.high = high > this.high ? high : this.high + (high - this.high) * 0.02;
+    this.low = low < this.low ? low : this.low + (low - this.low) * 0.02;
+  }
+
+  frame(g, y, left, right, window) {
+    g.font = "12px system-ui, sans-serif";
+    g.fillStyle = colour("soft");
+    g.textAlign = "left";
+    g.fillText(window ? "Force [N], in slow motion" : "Force [N]", left + 2, 12);
+    g.textAlign = "right";
+    const marks = [0, ...[this.limit, -this.limit].filter((at) => at && at < this.high && at > this.low)];
+    for (const end of [this.high, this.low]) {
+      const at = Number((end / 1.15).toPrecision(2));
+      if (Math.abs(at) > 0.3 && marks.every((mark) => Math.abs(y(mark) - y(at)) > 14)) marks.push(at);
+    }
+    for (const at of marks) {
+      const limit = this.limit && Math.abs(at) === this.limit;
+      g.strokeStyle = colour(limit ? "bad" : "grid");
+      g.setLineDash(limit ? [6, 4] : []);
+      g.lineWidth = 1;
+      g.beginPath();
+      g.moveTo(left, y(at));
+      g.lineTo(right, y(at));
+      g.stroke();
+      g.fillStyle = colour(limit ? "bad" : "soft");
+      g.fillText(limit ? `limit ${fixed(at, 0)}` : fixed(at, Math.abs(at) < 10 && at ? 1 : 0), left - 5, y(at) + 4);
+    }
+    g.setLineDash([]);
+  }
+
+  curve(g, times, values, x, y, tint, width, dash) {
+    g.strokeStyle = colour(tint);
+    g.lineWidth = width;
+    g.lineJoin = "round";
+    g.setLineDash(dash);
+    g.beginPath();
+    let pen = false;
+    for (let k = 0; k < times.length; k++) {
+      if (values[k] === null) { pen = false; continue; }
+      g[pen ? "lineTo" : "moveTo"](x(times[k]), y(Math.max(this.low * 2, Math.min(this.high * 2, values[k]))));
+      pen = true;
+    }
+    g.stroke();
+    g.setLineDash([]);
+  }
+
+  // When the driver handed over its limit, and no more.
+  held(g, times, force, x, top) {
+    if (!this.limit) return;
+    g.fillStyle = colour("bad");
+    for (let k = 0; k < times.length; k++) if (force[k] !== null && Math.abs(force[k]) > 0.99 * this.limit) g.fillRect(x(times[k]) - 1.5, top, 3, 7);
+  }
+
+  cursor(g, x, top, bottom) {
+    g.strokeStyle = colour("ink");
+    g.lineWidth = 1.5;
+    g.beginPath();
+    g.moveTo(x, top);
+    g.lineTo(x, bottom);
+    g.stroke();
+  }
+}

@@ -1,0 +1,40 @@
+// Five sentences, each of which ends in something to do; the next one comes when it is done.
+export class Tour {
+  constructor({ tour, sentence, act, leave, begin }, page) {
+    Object.assign(this, { place: tour, sentence, act, page, at: -1 });
+    begin.addEventListener("click", () => this.go(this.at < 0 ? 0 : -1));
+    leave.addEventListener("click", () => this.go(-1));
+    act.addEventListener("click", () => this.steps()[this.at].action?.());
+    this.begin = begin;
+    setInterval(() => { if (this.at >= 0 && this.steps()[this.at].done()) this.go(this.at + 1); }, 200);
+  }
+
+  steps() {
+    const { page } = this, { dial } = page;
+    const steps = [
+      { text: "A computer pushes back 500 times a second, and that is a wall. Touch it: pull the handle into the grey.",
+        done: () => page.touched() },
+      { text: "The stiffer its spring, the harder the wall. Make it harder: turn the dial up to its end.",
+        action: () => dial.set(dial.edge * 0.9), label: "Turn it up", done: () => dial.edge !== null && dial.stiffness > 0.7 * dial.edge },
+      { text: "Each answer comes a little late, so too hard a wall pushes out more than was put in, and sings. Go past the edge and touch it.",
+        action: () => dial.let(1.6), label: "Too hard", done: () => page.stopped() || (dial.isPast(dial.stiffness) && page.rings()), needs: dial.allowed.hidden === false },
+      { text: "The later the answer, the sooner it sings: in the map the edge comes down with the delay. Take the dot below it.",
+        action: () => page.calm(), label: "Back below the edge", done: () => !page.stopped() && dial.edge !== null && dial.stiffness < dial.edge },
+      { text: "Another law bears more at the same delay. Put one beside yours: the same hand, felt twice.",
+        action: () => page.compare(), label: "Compare", done: () => page.compared() },
+    ];
+    return steps.filter(({ needs }) => needs !== false);
+  }
+
+  go(at) {
+    const steps = this.steps();
+    this.at = at >= steps.length ? -1 : at;
+    this.place.hidden = this.at < 0;
+    this.begin.setAttribute("aria-pressed", this.at >= 0);
+    if (this.at < 0) return;
+    const { text, label } = steps[this.at];
+    this.sentence.textContent = `${this.at + 1} of ${steps.length}. ${text}`;
+    this.act.hidden = !label;
+    this.act.textContent = label ?? "";
+  }
+}

@@ -1,0 +1,106 @@
+"""Another law under the same hand: the one-process loop plays what a running launch's hand and device would feel with it.
+
+A view calls `play_beside` in a process of its own, off the loop's processors, with the targets that the driver told so far.
+It is the loop of `from_launch`, with that hand: the same bits as when the launch file is played with this law and this path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+
+from nodes.base.setup import Setup
+from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
+from sim.scene.from_launch import from_launch
+from sim.scene.loop import Array, Scene, run
+
+__all__ = ["beside_scene", "play_beside"]
+
+
+def beside_scene(
+    setups: Mapping[str, Setup],
+    law: Mapping[str, Any],
+    targets: Sequence[float],
+    begin: tuple[float, float],
+    late: float = 0.0,
+) -> tuple[Scene, Any, int]:
+    """Make the scene of a launch with another law and the hand's targets as they were.
+
+    Parameters
+    ----------
+    setups : dict of str to Setup
+        The nodes of the launch.
+    law : dict
+        The other law, with its ``kind``.
+    targets : sequence of float
+        Where the hand pulled to, tick by tick [m].
+    begin : tuple of float, shape (2,)
+        Position [m] and velocity [m/s] of the device at the first of them.
+    late : float
+        Delay of the loop beyond that of the device and of ``next_tick`` [ticks].
+
+    Returns
+    -------
+    scene : Scene
+        Device, hand and surface.
+    law : CompiledLaw
+        The law.
+    memory : int
+        Deflections that the coupling remembers.
+
+    Raises
+    ------
+    ParameterError
+        When the launch has something that one process does not play, see `from_launch`.
+    """
+    first = next(iter(setups.values()))
+    nodes = {}
+    for name, setup in setups.items():
+        parameters = dict(setup.parameters)
+        if setup.kind == "coupling":
+            parameters |= {"law": "beside", "laws": {"beside": dict(law)}, "schedule": []}
+        elif "safety" in parameters:
+            # What brings a force in after a gap has nothing to do here: there is no gap.
+            parameters["safety"] = {**parameters["safety"], "ramp": 0.0}
+        nodes[name] = NodeSpec(kind=setup.kind, parameters=parameters)
+    spec = RunSpec(rate=1.0 / first.period, apply=first.apply, axes=list(first.axes))
+    launched = from_launch(
+        Launch(scenario=first.run, summary="", path="", text="", arguments={}, run=spec, nodes=nodes)
+    )
+    device = launched.scene.device
+    path = [(k * first.period, target) for k, target in enumerate(targets)]
+    hand = device.hand and msgspec.structs.replace(device.hand, path=path, repeat=None)
+    device = msgspec.structs.replace(device, position=begin[0], velocity=begin[1], delay=device.delay + late, hand=hand)
+    return replace(launched.scene, device=device), launched.law, launched.memory
+
+
+def play_beside(
+    setups: Mapping[str, Setup],
+    law: Mapping[str, Any],
+    targets: Sequence[float],
+    begin: tuple[float, float],
+    late: float = 0.0,
+) -> tuple[Array, Array]:
+    """Play another law under the same hand.
+
+    Parameters
+    ----------
+    setups, law, targets, begin, late
+        See `beside_scene`.
+
+    Returns
+    -------
+    position, force : ndarray, shape (ticks,)
+        What the encoder reads [m], and what is handed over [N].
+
+    Raises
+    ------
+    ParameterError
+        See `beside_scene`.
+    """
+    scene, compiled, memory = beside_scene(setups, law, targets, begin, late)
+    trace = run(scene, compiled, len(targets), memory=memory)
+    return trace.measured, trace.force

@@ -1,0 +1,105 @@
+"""A | B and sound in a real browser: what is drawn as B is a separate run's, what is heard is what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from messages.topics import DEVICE_STATE
+from nodes.laws.parse import parse_law
+from nodes.recording.reader import Recording
+from sim.scene.beside import play_beside
+from tests.support.browser import OpenPage, needs_browser, url_of
+from tests.support.launching import Running, running, wait_for
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = needs_browser
+
+
+@pytest.fixture(scope="module")
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with running(tmp_path_factory.mktemp("beside"), "touch_wall", "--view") as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, launch: Running) -> Iterator[Page]:
+    with OpenPage(browser, url_of(launch) + "#k=1500&law=pd&b=multi_term") as found:
+        yield found
+
+
+def test_a_link_carries_law_stiffness_and_comparison(page: Page, launch: Running) -> None:
+    wait_for(
+        lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1500.0, "the stiffness of the link"
+    )
+    wait_for(lambda: page.evaluate("haptic.beside.law") == "multi_term", "the comparison of the link")
+    page.evaluate("navigator.clipboard.writeText = (text) => { window.copied = text; return Promise.resolve(); }")
+    page.locator("#share").click()
+    assert page.evaluate("location.hash") == "#law=pd&k=1500&b=multi_term"
+    # What follows the # goes to no server, the token included stays on this machine.
+    assert page.evaluate("copied.startsWith(location.origin)")
+
+
+def test_b_is_drawn_and_felt_beside_a(page: Page) -> None:
+    wait_for(lambda: page.evaluate("haptic.beside.times.length") > 500, "B is played")
+    # The hand taps by itself: both touch the wall.
+    wait_for(lambda: page.evaluate("Math.min(...haptic.beside.force)") < -0.2, "B pushes back")
+    newest = float(page.evaluate("haptic.beside.times.at(-1)"))
+    wait_for(lambda: float(page.evaluate("haptic.beside.times.at(-1)")) > newest + 0.5, "it is played on")
+    times = np.array(page.evaluate("haptic.beside.times"))
+    assert np.all(np.diff(times) > 0.0)
+
+
+def test_b_has_the_bits_of_a_separate_run(launch: Running) -> None:
+    """Played on as the targets come, or all at once: the same; and the scene of the launch file, with its own law."""
+    setups = launch.run.nodes
+    targets = [0.0] * 20 + [0.024] * 300 + [0.0] * 80
+    law: dict[str, Any] = {"kind": "pd", "stiffness": 2500.0, "damping": 3.0}
+    assert parse_law(law).compile(0.002).taps
+    whole = play_beside(setups, law, targets, (0.0, 0.0), 0.23)
+    part = play_beside(setups, law, targets[:250], (0.0, 0.0), 0.23)
+    for all_of_it, some in zip(whole, part, strict=True):
+        assert np.array_equal(all_of_it[:250], some)
+    assert whole[1].min() < -0.3
+    other = play_beside(setups, {**law, "stiffness": 500.0}, targets, (0.0, 0.0), 0.23)
+    assert not np.array_equal(whole[0], other[0])
+
+
+def test_the_sound_is_the_force(browser: Browser, launch: Running) -> None:
+    """Each sample that goes to the sound card is the force of its tick; between two of them it goes straight."""
+    with OpenPage(browser, url_of(launch)) as page:
+        assert page.evaluate("haptic.sound.on") is False, "off until somebody clicks"
+        page.evaluate("window.heard = { times: [], forces: [] }")
+        page.locator("#sound").click()
+        wait_for(lambda: page.evaluate("haptic.sound.node !== null && haptic.sound.fed > 100"), "it is fed")
+        page.evaluate("""() => { const { port } = haptic.sound.node, post = port.postMessage.bind(port);
+          port.postMessage = (data) => {
+            heard.times.push(...data.times); heard.forces.push(...data.forces); post(data); }; }""")
+        wait_for(
+            lambda: page.evaluate("Math.min(0, ...heard.forces) < -0.2 && heard.forces.length > 1500"),
+            "a touch is heard",
+        )
+        heard = page.evaluate("heard")
+        page.locator("#sound").click()
+        assert page.evaluate("haptic.sound.context.state") in ("suspended", "running")
+        between = page.evaluate("""async () => { const { Voice } = await import("./voice.js"), voice = new Voice(48000);
+          voice.feed([0, 0.002, 0.004, 0.006], [0, -1, -3, 1]);
+          return [0.002, 0.003, 0.0055].map((at) => { voice.at = at; voice.next = 0; return voice.force(); }); }""")
+        assert between == pytest.approx([-1.0, -2.0, 0.0], abs=1e-6)
+    path = next((launch.folder / "recordings").glob("*.mcap"))
+    forces: dict[int, float] = {}
+    # What is flushed by now: the run goes on.
+    newest = round(heard["times"][-1] / 0.002)
+
+    def recorded() -> bool:
+        forces.update({state.seq: state.force[0] for state in Recording(path).messages(DEVICE_STATE)})
+        return bool(max(forces) >= newest)
+
+    wait_for(recorded, "the recording holds it")
+    ticks = [round(t / 0.002) for t in heard["times"]]
+    assert heard["forces"] == [np.float32(forces[tick]) for tick in ticks]

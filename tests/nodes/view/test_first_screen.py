@@ -1,0 +1,217 @@
+"""The first screen in a real browser: one question, one dial, a hand that asks to be pulled, and what happens past the edge."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from nodes.cli.page import PageAnnouncer
+from tests.support.browser import OpenPage, bins, needs_browser, shown, url_of
+from tests.support.launching import Running, running, wait_for
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = needs_browser
+
+SIZES = [(1366, 768), (390, 844), (820, 1180), (1920, 1080), (683, 384)]
+"""A laptop, a phone, a tablet, a large screen, and the laptop at 200 %."""
+
+
+@pytest.fixture(scope="module")
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with running(tmp_path_factory.mktemp("first"), "touch_wall", "--view", "--without", "logger") as found:
+        yield found
+
+
+@pytest.fixture
+def page(browser: Browser, launch: Running) -> Iterator[Page]:
+    with OpenPage(browser, url_of(launch)) as found:
+        yield found
+
+
+def target(launch_page: Page) -> float:
+    return float(launch_page.evaluate("haptic.scene.now.target[haptic.scene.axis]"))
+
+
+def turn(page: Page, part: float) -> None:
+    """Turn the dial to a part of its way, as a finger does."""
+    script = """part => { const dial = document.getElementById("dial");
+      dial.value = 1000 * part;
+      for (const kind of ["input", "change"]) dial.dispatchEvent(new Event(kind)); }"""
+    page.evaluate(script, part)
+
+
+def handle(page: Page) -> tuple[float, float]:
+    """Find the handle on the screen."""
+    box: Any = page.locator("#scene").bounding_box()
+    u = float(page.evaluate("(haptic.scene.now.target[0] - haptic.scene.middle) * haptic.scene.scale()"))
+    return box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + 30.0
+
+
+def test_until_somebody_takes_it_the_hand_taps_and_asks_to_be_pulled(page: Page, launch: Running) -> None:
+    assert page.evaluate("haptic.scene.hand"), "the first picture has a hand"
+    begun = launch.ticks()
+    seen: list[int] = []
+
+    def tapped() -> bool:
+        if float(launch.call("driver", "progress")["force_n"][0]) < -0.2:
+            seen.append(launch.ticks())
+        # Beside the launch file's own touch at its beginning, which is over by then.
+        return seen != [] and seen[-1] > max(begun, 1300) + 1500
+
+    wait_for(tapped, "it taps, and taps again")
+    assert page.evaluate("!haptic.scene.grip.used")
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_scene_and_force_share_the_first_screen(size: tuple[int, int], browser: Browser, launch: Running) -> None:
+    with OpenPage(browser, url_of(launch), viewport={"width": size[0], "height": size[1]}) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        scene: Any = page.locator("#scene").bounding_box()
+        strip: Any = page.locator("#strip").bounding_box()
+        assert scene["height"] >= 150.0
+        assert size[1] < 400 or strip["y"] + strip["height"] <= size[1]
+        assert not page.locator("#laws").is_visible(), "the rest is folded away"
+        assert page.locator("#lens").is_visible()
+
+
+def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Running) -> None:
+    wait_for(lambda: abs(target(page)) < 1e-4 and launch.ticks() > 1300, "the hand rests")
+    x, y = handle(page)
+    page.mouse.move(x + 20.0, y)
+    page.mouse.down()
+    wait_for(lambda: page.evaluate("haptic.scene.held !== null"), "it is taken")
+    assert abs(float(page.evaluate("haptic.scene.held"))) < 5e-4, "taken beside its middle it stays where it is"
+    page.mouse.move(x + 60.0, y, steps=4)
+    moved = wait_for(lambda: (found := target(page)) > 5e-4 and found, "it follows")
+    # Keys to another place let go of the keyboard's hand, not of the mouse's.
+    page.keyboard.press("Tab")
+    before = bins(page)
+    wait_for(lambda: bins(page) > before + 300, "some time passes")
+    assert target(page) == pytest.approx(moved, abs=2e-3)
+    assert page.evaluate("haptic.scene.held !== null")
+    page.mouse.up()
+    wait_for(lambda: abs(target(page)) < 1e-4, "it is let go")
+    # From afar it comes gliding: a step per frame, no jump.
+    box: Any = page.locator("#scene").bounding_box()
+    page.mouse.move(box["x"] + box["width"] * 0.75, y)
+    page.mouse.down()
+    assert abs(float(page.evaluate("haptic.scene.held ?? 0"))) < 0.016
+    wait_for(lambda: not page.evaluate("haptic.scene.grip.gliding"), "it arrives")
+    page.mouse.up()
+
+
+def test_numbers_and_names_are_written_one_way(page: Page) -> None:
+    found = page.evaluate("""async () => { const { fixed, figure, count, digits } = await import("./format.js");
+      return [fixed(-0.001, 2), fixed(-1.25, 1), figure(4470.4), figure(0.0123),
+        count(1, "tick"), count(2, "tick"), fixed(0.2, digits(0.2))]; }""")
+    assert found == ["0.00", "\u22121.3", "4\u202f470", "0.0123", "1 tick", "2 ticks", "0.2"]
+    offered = page.evaluate("[...document.querySelectorAll('#laws input, #laws option')].map((e) => e.value)")
+    assert "pd" in offered
+    assert "excitation" not in offered
+    page.evaluate("document.getElementById('lab').open = true")
+    page.evaluate("haptic.laws.choose('multi_term')")
+    wait_for(lambda: "multi" in str(page.evaluate("haptic.laws.state.active")), "the law")
+    labels = page.locator("#sliders").inner_text()
+    assert "[0]" not in labels
+    page.evaluate("haptic.laws.choose('pd')")
+
+
+def test_a_frame_without_a_force_costs_no_arrow(page: Page) -> None:
+    """The first tick of a run has no force of the law yet, and a recording begins with it."""
+    scale = page.evaluate("""() => { const { scene } = haptic, none = [NaN, NaN, NaN];
+      const nothing = { ...scene.now, asked: none, force: none };
+      scene.show(nothing); scene.show({ ...scene.now, asked: [3, 0, 0], force: [3, 0, 0] }); return scene.forceScale; }""")
+    assert scale >= 3.0
+
+
+def test_the_numbers_of_a_plot_are_as_large_on_a_fine_screen(browser: Browser, launch: Running) -> None:
+    with OpenPage(browser, url_of(launch) + "#lab", device_scale_factor=2.0) as page:
+        # uPlot multiplies the pixels of a font; a part of a pixel it takes for the whole.
+        assert page.evaluate("haptic.plots.panels[0].plot.axes[0].font[0]").startswith("24px")
+
+
+def test_a_refused_slider_goes_back_to_what_renders(page: Page, launch: Running) -> None:
+    launch.call("coupling", "law.switch", law="pd")
+    page.evaluate("document.getElementById('lab').open = true")
+    slider = page.locator("input[type=range][aria-label=stiffness]")
+    wait_for(lambda: slider.count() == 1, "the sliders")
+    before = launch.call("coupling", "param.get", name="laws.pd.stiffness")
+    script = """element => { element.value = 1000;
+      for (const kind of ["input", "change"]) element.dispatchEvent(new Event(kind)); }"""
+    wait_for(lambda: page.evaluate("haptic.laws.edge") is not None, "the edge")
+    wait_for(lambda: (slider.evaluate(script), page.locator("#refusal").is_visible())[1], "it is refused")
+    assert "largest stiffness that would be taken" in shown(page, "#refusal")
+    number = page.locator("input[aria-label='stiffness, exact value']")
+    wait_for(lambda: float(number.input_value()) == pytest.approx(before, rel=1e-5), "what renders")
+    wait_for(lambda: page.locator(".slider.refused").count() == 0, "a valid value is not red")
+    number.fill(str(before * 1.01))
+    page.keyboard.press("Enter")
+    wait_for(lambda: not page.locator("#refusal").is_visible(), "nor does a refusal stand beside it")
+    launch.call("coupling", "param.set", values={"laws.pd.stiffness": before})
+
+
+def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(page: Page, launch: Running) -> None:
+    launch.call("coupling", "law.switch", law="pd")
+    wait_for(lambda: page.evaluate("haptic.dial.edge") is not None, "the edge")
+    turn(page, 1.0)
+    wait_for(lambda: page.evaluate("haptic.dial.stiffness / haptic.dial.edge") > 0.8, "as far as it is stable")
+    assert page.evaluate("haptic.dial.stiffness < haptic.dial.edge")
+    page.locator("#beyond").check()
+    x, y = handle(page)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for part in [0.8] + 40 * [1.0]:
+        turn(page, part)
+        page.mouse.move(x + 450.0, y, steps=2)
+        page.mouse.move(x + 700.0, y, steps=2)
+        if "Too hard" in shown(page, "#words"):
+            break
+        time.sleep(0.1)
+    wait_for(lambda: "6 strokes to the limit of 10 N" in shown(page, "#words"), "the driver stops it, and says why")
+    page.mouse.up()
+    wait_for(lambda: page.evaluate("haptic.slow.window() !== null"), "slow motion")
+    sight, at = page.evaluate("(({ sight, at }) => [sight, at])(haptic.slow.window())")
+    assert 0.3 <= sight[1] - sight[0] < 2.0
+    assert sight[0] <= at <= sight[1]
+    wait_for(lambda: page.evaluate("haptic.slow.window().at") > at, "it goes on, slowly")
+    forces = page.evaluate(
+        "[...Array(300).keys()].map((k) => haptic.slow.now(haptic.slow.window().sight[0] + k / 1000).force[0])"
+    )
+    assert max(map(abs, forces)) == pytest.approx(10.0), "the moments at the limit are in it"
+    assert "driver stopped it" in shown(page, "#margin")
+    page.locator("#again").click()
+    wait_for(lambda: "No force: nothing is touched" in shown(page, "#words"), "again")
+    assert float(launch.call("coupling", "param.get", name="laws.pd.stiffness")) < 4000.0
+    page.locator("#beyond").uncheck()
+
+
+def test_a_page_past_the_edge_needs_a_virtual_device_that_allows_it(browser: Browser, tmp_path: Path) -> None:
+    words = ("wall_press", "duration:=0", "--view", "--without", "logger")
+    with running(tmp_path, *words) as launch, OpenPage(browser, url_of(launch)) as page:
+        wait_for(lambda: page.evaluate("haptic.dial.edge") is not None, "the edge")
+        assert not page.locator("#beyond").is_visible()
+        assert page.evaluate("haptic.dial.ends()[1] < haptic.dial.edge"), "the dial ends at the edge"
+        before = launch.call("coupling", "law.show")["stiffness"]
+        # The page is not asked whether it may: the node's side decides.
+        page.evaluate("haptic.laws.change('stiffness', 1e6, true)")
+        wait_for(lambda: "only a virtual device may" in shown(page, "#refusal"), "the refusal")
+        assert launch.call("coupling", "law.show")["stiffness"] == before
+
+
+def test_no_url_is_printed_for_a_launch_that_is_ending(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "view.page.json").write_text('{"url": "http://127.0.0.1:1/x/"}', encoding="utf-8")
+    child = SimpleNamespace(setup=SimpleNamespace(kind="view"), running=True)
+    announcer = PageAnnouncer(as_json=True)
+    supervisor: Any = SimpleNamespace(children={"view": child}, run_dir=str(tmp_path), ending=True)
+    announcer(supervisor)
+    supervisor.ending = False
+    announcer(supervisor)
+    announcer.drain()
+    assert capfd.readouterr().out.count("http://") == 1
