@@ -175,9 +175,7 @@ def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str,
             f"  ticks left out by the driver, late by a whole period: {verdict.left_out} (gaps everywhere, no losses)"
         )
     for node, account in verdict.nodes.items():
-        told = "all there" if not account.lost else f"{account.lost} lost"
-        late = f", recorded from seq {account.since} on" if account.since else ""
-        lines.append(f"  {node}: sent {account.sent}, recorded {account.recorded}: {told}{late}")
+        lines.append(f"  {node}: {account.text}")
     for node, clock in remote.items():
         lines.append(
             f"  {node}: clock {-clock.offset:+.6f} s from the launcher's, known to ±{clock.error * 1e6:.0f} µs"

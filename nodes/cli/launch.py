@@ -17,6 +17,7 @@ import msgspec
 from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
 from nodes.base import realtime
+from nodes.base.setup import Setup
 from nodes.base.words import instead_of_stderr, last_words
 from nodes.cli.colour import coloured
 from nodes.cli.main import UsageError, add_json, answer
@@ -29,6 +30,7 @@ from nodes.launcher.runs import RunError
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
+from nodes.recording.ended import Ended, write_ended
 from nodes.recording.logger import LoggerParameters
 from nodes.tick.choose import compile_later
 
@@ -108,12 +110,30 @@ def _signals(supervisor: Supervisor) -> Iterator[None]:
 def _recordings(launch: Launch, supervisor: Supervisor) -> list[tuple[str, str]]:
     """Where the recordings are: ``host:`` (empty on this machine) and path, so that scp understands the two together."""
     found = []
-    for name, report in supervisor.reports.items():
-        if "recording" in report:
+    for name, child in supervisor.children.items():
+        # A logger that was killed leaves no report, but a file.
+        path = supervisor.reports.get(name, {}).get("recording") or _path_of(child.setup, supervisor.run)
+        if path:
             host = launch.nodes[name].host
             place = f"[{host}]:" if ":" in host else f"{host}:"
-            found.append((place if host and is_remote(f"tcp://{place}1") else "", report["recording"]))
+            found.append((place if host and is_remote(f"tcp://{place}1") else "", path))
     return found
+
+
+def _path_of(setup: Setup, run: str) -> str:
+    """Name the file of a node that records on this machine; empty for any other, or where no file was begun."""
+    if setup.kind != "logger" or setup.control.startswith("tcp://"):
+        return ""
+    path = msgspec.convert(setup.parameters, LoggerParameters).path.replace("{run}", run)
+    return path if os.path.exists(path) else ""
+
+
+def _note_cut(supervisor: Supervisor, ticks: int) -> None:
+    """Leave beside each recording that its logger did not finish how many ticks the run had."""
+    for child in supervisor.children.values():
+        path = _path_of(child.setup, supervisor.run) if child.ended_badly else ""
+        if path:
+            write_ended(Path(path), Ended(ticks, child.end))
 
 
 def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
@@ -301,6 +321,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             say(str(error))
     status.clear()
     figures = summarise(launch, supervisor)
+    _note_cut(supervisor, figures["ticks"])
     if launch.run.tick == "auto" and supervisor.tick == "plain" and figures["ticks"]:
         processors = {cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus}
         with realtime.off(processors):

@@ -37,8 +37,8 @@ DEFAULTS = {"rate": 500.0, "mass": 0.1, "damping": 1.0, "delay": 0.0, "hand": 0.
 ROWS = (
     ("h1_n_per_m", "H(1), stiffness felt at rest", "N/m"),
     ("h_nyquist_n_per_m", "H(−1), gain of encoder noise", "N/m"),
-    ("f_min_n_s_per_m", "least f(ω) (the lower, the more damping)", "N s/m"),
-    ("f_nyquist_n_s_per_m", "f at the Nyquist frequency", "N s/m"),
+    ("f_min_n_s_per_m", "least f(ω), H(1) as spring (the lower, the more damping)", "N s/m"),
+    ("f_nyquist_n_s_per_m", "f(ω_N), H(1) as spring", "N s/m"),
     ("damping_needed_n_s_per_m", "device damping needed to be passive", "N s/m"),
     ("delay_ticks", "delay of the loop", "ticks"),
     ("pole_radius", "pole radius (stable below 1)", ""),

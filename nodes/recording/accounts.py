@@ -8,6 +8,7 @@ import msgspec
 
 from messages.topics import DEVICE_STATE, FORCE, LOOP, PROXY, RECEIPT, message_type
 from messages.types import DeviceState, NodeStatus
+from nodes.recording.ended import read_ended
 from nodes.recording.mcap_walk import RawMessage
 from nodes.recording.reader import Recording
 
@@ -24,6 +25,8 @@ class Account(msgspec.Struct):
     lost : int
         Difference; 0 when everything arrived. For a logger that came late, only what is missing in ``seq`` since then
         and was not left out by the driver.
+    early : int
+        Messages sent before the logger listened, as the first recorded status tells: not lost, nobody was there.
     since : int
         ``seq`` at which the recording begins: above 0 for a logger that came late.
     finished : bool
@@ -33,8 +36,18 @@ class Account(msgspec.Struct):
     sent: int
     recorded: int
     lost: int
+    early: int
     since: int
     finished: bool
+
+    @property
+    def text(self) -> str:
+        """The account in words."""
+        whole = "all there" if self.finished else "nothing missing so far; its end is not there"
+        told = [f"{self.lost} lost" if self.lost else whole]
+        told += [f"{self.early} before it was listened to"] if self.early else []
+        told += [f"recorded from seq {self.since} on"] if self.since else []
+        return f"sent {self.sent}, recorded {self.recorded}: {', '.join(told)}"
 
 
 class Completeness(msgspec.Struct):
@@ -43,7 +56,11 @@ class Completeness(msgspec.Struct):
     Attributes
     ----------
     complete : bool
-        Whether the file was finished by its writer.
+        Whether its writer finished the file; not so for a cut one that was recovered.
+    end_s : float
+        Time of the run at which the recording ends [s].
+    missing_ticks : int or None
+        Ticks of the run that came after the end of a cut recording; None where no launch told how many the run had.
     nodes : dict of str to Account
         What each node sent against what was recorded.
     left_out : int
@@ -51,6 +68,8 @@ class Completeness(msgspec.Struct):
     """
 
     complete: bool
+    end_s: float
+    missing_ticks: int | None
     nodes: dict[str, Account]
     left_out: int
 
@@ -62,15 +81,21 @@ class Completeness(msgspec.Struct):
     @property
     def text(self) -> str:
         """The verdict in words."""
-        file = "complete" if self.complete else "cut"
+        if not self.complete:
+            after = "what came after is" if self.missing_ticks is None else f"{self.missing_ticks} ticks after it are"
+            before = f"; {self.lost} messages lost before" if self.lost else ""
+            return f"cut at {self.end_s:.3f} s; {after} not there{before}"
         if self.lost is None:
-            return f"{file}, losses unknown: no status recorded"
-        return f"{file}, {f'{self.lost} messages' if self.lost else 'nothing'} lost"
+            return "complete, losses unknown: no status recorded"
+        return f"complete, {f'{self.lost} messages' if self.lost else 'nothing'} lost"
 
 
 def completeness(recording: Recording) -> Completeness:
     """Judge whether a recording holds everything."""
-    return Completeness(recording.complete, accounts(recording), overruns(recording))
+    ended = read_ended(recording.path) if recording.recovered else None
+    ticks = recording.topics.get(DEVICE_STATE)
+    missing = None if ended is None else max(ended.ticks - (ticks.last_seq if ticks else 0), 0)
+    return Completeness(not recording.recovered, recording.duration, missing, accounts(recording), overruns(recording))
 
 
 class Clock(msgspec.Struct):
@@ -118,6 +143,7 @@ def accounts(recording: Recording) -> dict[str, Account]:
     decoder = msgspec.json.Decoder(NodeStatus)
     counts = dict.fromkeys(topics, 0)
     sent: dict[str, dict[int, int]] = {}
+    early: dict[str, int] = {}
     found: dict[str, Account] = {}
     for topic, raw, offset in recording.raw():
         if message_type(topic) is NodeStatus:
@@ -126,14 +152,17 @@ def accounts(recording: Recording) -> dict[str, Account]:
             ticking = _tick_topics(recording, status)
             own = [t for t in topics if t in ticking or t.startswith(f"/{status.node}/")]
             total, recorded = sum(sent[status.node].values()), sum(counts[t] for t in own)
-            lost = max(total - recorded, 0)
+            # What the first status counts and nobody received was sent before the logger listened, if no tick was sent yet.
+            ahead = not since and not any(counts.get(t, 0) for t in ticking)
+            before = early.setdefault(status.node, max(total - recorded, 0) if ahead else 0)
+            lost = max(total - recorded - before, 0)
             if since:
                 # What a node skipped for something newer is missing in seq too, but was never sent.
                 lost = min(lost, max(sum(topics[t].gaps for t in own) - left_out, 0))
             # Where only some topics were recorded, there is nothing to compare.
             if not ticking or ticking[0] in topics:
                 ended = status.state in ("finished", "failed")
-                found[status.node] = Account(total, recorded, lost, since, ended)
+                found[status.node] = Account(total, recorded, lost, before, since, ended)
         counts[topic] += 1
     return found
 

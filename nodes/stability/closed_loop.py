@@ -43,7 +43,8 @@ class Rendered:
     f_min_rad_per_s : float
         Where that is [rad/s].
     f_nyquist_n_s_per_m : float
-        f(ω_N) [N s/m].
+        f(ω_N), H(1) as the spring unless `nominal` is given; with K, as in the paper, it is larger by the leak D(1)·T/2
+        [N s/m].
     f_mean_n_s_per_m : float
         Mean of f over (0, ω_N): T·D(1)/2, the waterbed (THEORY.md §2) [N s/m].
     damping_needed_n_s_per_m : float

@@ -21,6 +21,7 @@ __all__ = [
     "Edge",
     "damping_shown",
     "edge_at",
+    "position_over_force",
 ]
 
 
@@ -65,7 +66,7 @@ def damping_shown(plant: Plant, theta: float) -> float:
         b R [N s/m]; for k = 0 and light damping b (1 + tan²(ωT/2)/3).
     """
     z = cmath.exp(1j * theta)
-    return plant.period * (-1.0 / ((1.0 - z) * _held(z, replace(plant, delay=0.0)))).real
+    return plant.period * (-1.0 / ((1.0 - z) * position_over_force(z, replace(plant, delay=0.0)))).real
 
 
 def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = False) -> Edge:
@@ -104,7 +105,9 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
     if plant.delay > whole:
         # A fraction of a tick splits the hold; of a free, light device that is the delay's own share of the response.
         body = replace(plant, mass=1.0, damping=0.0) if light else plant
-        late *= _held(z, replace(body, delay=plant.delay - whole)) / _held(z, replace(body, delay=0.0))
+        late *= position_over_force(z, replace(body, delay=plant.delay - whole)) / position_over_force(
+            z, replace(body, delay=0.0)
+        )
     # D late + K (late − 1): what law and delay do beside the spring K/2. It is linear in K, which is solved for.
     by_law = period * (derivative.response(z) * late / (1.0 - z)).real
     by_spring = period * (late / (1.0 - z)).real
@@ -116,7 +119,21 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
     return Edge(omega, by_law + exact * (by_spring - 0.5 * period), factor, simple, exact)
 
 
-def _held(z: complex, plant: Plant) -> complex:
+def position_over_force(z: complex, plant: Plant) -> complex:
+    """Give P(z), what the held device answers to a force, its delay included.
+
+    Parameters
+    ----------
+    z : complex
+        Where.
+    plant : Plant
+        The device and its loop.
+
+    Returns
+    -------
+    complex
+        P [m/N].
+    """
     held = held_plant(plant)
     n2, n1, n0 = held.numerator
     _, d1, d0 = held.denominator

@@ -31,6 +31,8 @@ CUTOFFS = (50.0, 100.0, 200.0)
 
 _LONGEST, _QUICK_LONGEST = 64, 8
 _GAINS, _STIFFNESSES = np.geomspace(0.5, 40.0, 14), np.geomspace(6000.0, 200.0, 26)
+_NEARER, _PRECISION = (1.4, 1.1, 1.03, 1.008), 1e-4
+"""Factors about the best gain so far that are searched next, nine gains each; and how well the stiffness is told."""
 
 _FIRST = {("gl", 4), ("bdf2", 4), ("bdf3", 4)}
 """Realisations of D^1 that differ; all others are PD's difference."""
@@ -47,19 +49,19 @@ def keeps(law: CompiledLaw, radius: float) -> bool:
 
 def tuned(way: Way, radius: float) -> tuple[float, float]:
     """Find the largest stiffness that keeps the demand at any gain, and that gain; both 0 when none does."""
-    best, at = 0.0, 0.0
-    gains = _GAINS
-    for spread in (1.2, 1.05):
+    best, at, gains = 0.0, 0.0, _GAINS
+    # The edge of the demand has kinks: the best gain is where two masses bind, so a coarse grid of gains loses stiffness.
+    for spread in (*_NEARER, 1.0):
         for gain in gains.tolist():
             kept = next((k for k in _STIFFNESSES.tolist() if k > best and keeps(way(k, gain), radius)), None)
-            if kept is None and not (best > 0.0 and keeps(way(best * 1.001, gain), radius)):
+            if kept is None and not (best > 0.0 and keeps(way(best * (1.0 + _PRECISION), gain), radius)):
                 continue
             low, high = kept or best, (kept or best) * float(_STIFFNESSES[0] / _STIFFNESSES[1])
-            while high > 1.001 * low:
+            while high > (1.0 + _PRECISION) * low:
                 middle = math.sqrt(low * high)
                 low, high = (middle, high) if keeps(way(middle, gain), radius) else (low, middle)
             best, at = low, gain
-        gains = np.geomspace(at / spread, at * spread, 5) if at else gains[:0]
+        gains = np.geomspace(at / spread, at * spread, 9) if at else gains[:0]
     return best, at
 
 

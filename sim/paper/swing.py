@@ -1,31 +1,50 @@
-"""The swing of a device in contact, from a recording: which frequency occurs, and what K_max it predicts (THEORY.md §9).
+"""The swing of a device in contact, from a recording: what it says of K_max, and how surely (THEORY.md §9).
 
-Colgate's condition at the frequency that one sees needs the law, the delay and the device's damping, but no mass. A swing below
-the edge of stability is near the one at the edge, so a recording of a stable loop tells how stiff the law may get.
+A swing is a pole of the loop: law, delay and the device's damping are known, so its frequency tells the mass, and the exact
+loop with this mass tells K_max. Dry friction changes how fast the swing dies, hardly how fast it turns: so with a known damping
+the decay is not used. Where the damping is not known it lies between none and what the decay shows.
+
+Windows of the contact are fitted one by one; how far they are apart is the interval. What is no swing of the linear loop is
+refused.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from messages.topics import DEVICE_STATE
+from messages.topics import DEVICE_STATE, FORCE
+from messages.types import DeviceState
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import parse_law
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.reader import Recording
-from nodes.stability.k_max import without_spring
-from nodes.stability.occurring import Edge, edge_at
+from nodes.stability.k_max import edge_of, without_spring
+from nodes.stability.occurring import Edge, position_over_force
 from nodes.stability.plant import Plant
 from sim.design.recorded_loop import measure
 
 Vector = NDArray[np.float64]
 
 _SHORTEST = 40
+_WINDOWS = ((0.12, 1.0), (0.25, 1.0), (0.12, 0.6), (0.4, 1.0))
+"""Parts of the contact that are fitted: what is left of the impact dies in the first eighth."""
+
+_MARGIN = 0.01
+"""Least half width of the interval: over 360 drops on random devices the windows alone miss by less, but for PDα."""
+
+_RESIDUAL = 0.1
+"""Largest residual of the fit, as a part of the swing."""
+
+
+class CannotTellError(ValueError):
+    """The recorded contact says nothing of K_max; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -40,62 +59,199 @@ class Swing:
         Factor by which it shrinks per tick; 1 at the edge.
     ticks : int
         Length of the contact that it was measured over.
-    edge : Edge
-        Colgate's condition at that frequency, for the law of the recording.
     stiffness_n_per_m : float
         Nominal K that was rendered [N/m].
+    k_max_n_per_m : tuple of float, shape (2,)
+        Interval of K_max [N/m].
+    mass_kg : tuple of float, shape (2,)
+        Interval of the moving mass that the swing shows [kg].
+    damping_n_s_per_m : tuple of float, shape (2,)
+        Damping that was taken: twice the known one, or from none to what the decay shows [N s/m].
+    edge : Edge
+        What the loop does at the middle of the interval, by Colgate's condition at the frequency that occurs there.
     """
 
     omega_rad_per_s: float
     decay_per_tick: float
     ticks: int
-    edge: Edge
     stiffness_n_per_m: float
+    k_max_n_per_m: tuple[float, float]
+    mass_kg: tuple[float, float]
+    damping_n_s_per_m: tuple[float, float]
+    edge: Edge
 
 
-def ringing(position: Vector) -> tuple[float, float]:
-    """Fit one decaying swing about a constant: x[k] = a x[k−1] + b x[k−2] + c."""
-    centred = position - position.mean()
-    size = float(np.abs(centred).max())
+@dataclass(frozen=True)
+class Ringing:
+    """One decaying swing: ωT and decay per tick with their standard deviations, and the residual over the swing's size."""
+
+    theta: float
+    decay: float
+    theta_off: float
+    decay_off: float
+    residual: float
+
+
+def ringing(position: Vector) -> Ringing:
+    """Fit one decaying swing about a slowly moving rest."""
+    from scipy.optimize import least_squares
+
+    size = float(np.ptp(position))
     if len(position) < _SHORTEST or size < 1e-9:
-        raise ValueError(f"{len(position)} ticks of contact that move by {size:.2g} m: nothing swings")
-    x = centred / size
+        raise CannotTellError(f"{len(position)} ticks of contact that move by {size:.2g} m: nothing swings")
+    x, k = (position - position.mean()) / size, np.arange(len(position))
+
+    def misfit(guess: Vector) -> Vector:
+        decay, theta = guess
+        envelope = np.clip(decay, 0.3, 1.05) ** k
+        parts = np.column_stack(
+            [envelope * np.cos(theta * k), envelope * np.sin(theta * k), np.ones(len(k)), k / len(k)]
+        )
+        return np.asarray(parts @ np.linalg.lstsq(parts, x, rcond=None)[0] - x)
+
+    found = least_squares(misfit, _start(x), x_scale=(0.01, 0.01))
+    spread = float(found.fun @ found.fun)
+    slopes = np.asarray(found.jac, dtype=np.float64)
+    covariance = np.linalg.pinv(slopes.T @ slopes) * spread / max(len(x) - 6, 1)
+    decay_off, theta_off = np.sqrt(np.diag(covariance)).tolist()
+    decay, theta = found.x.tolist()
+    return Ringing(abs(theta), decay, theta_off, decay_off, math.sqrt(spread / len(x)))
+
+
+def _start(x: Vector) -> tuple[float, float]:
+    """Decay and ωT from x[k] = a x[k−1] + b x[k−2] + c."""
     # Instrumental variables two ticks further back: noise of the encoder does not bias the fit.
     rows = np.column_stack([x[3:-1], x[2:-2], np.ones(len(x) - 4)])
     tools = np.column_stack([x[1:-3], x[:-4], np.ones(len(x) - 4)])
     a, b, _ = np.linalg.lstsq(tools.T @ rows, tools.T @ x[4:], rcond=None)[0]
     if a * a + 4.0 * b >= 0.0 or b >= 0.0:
-        raise ValueError("the contact creeps to rest, it does not swing: raise the stiffness or lower the damping")
+        raise CannotTellError("the contact creeps to rest, it does not swing: raise the stiffness or lower the damping")
     decay = math.sqrt(-b)
-    return math.acos(max(-1.0, min(1.0, a / (2.0 * decay)))), decay
+    return min(decay, 1.0), math.acos(max(-1.0, min(1.0, a / (2.0 * decay))))
 
 
 def recorded_swing(path: Path, damping: float | None = None) -> Swing:
     """Measure the swing of the longest contact of a recording, and what it says of K_max."""
     loop = measure(path)
-    known = loop.damping if damping is None else damping
-    if known is None:
-        raise ValueError(f"{path}: not a virtual device: give its --damping")
     recording = Recording(path)
     law = _law(recording, path)
     compiled = law.compile(loop.period)
+    if compiled.evaluate is not None:
+        raise CannotTellError(f"{law.kind} has code of its own, so no poles")
+    fits, ticks = windows(_contact(recording))
+    known = loop.damping if damping is None else damping
+    return _told(law, compiled, Plant(loop.period, 1.0, 0.0, loop.median), fits, known, ticks)
+
+
+def windows(inside: Vector) -> tuple[list[Ringing], int]:
+    """Fit parts of a contact, the longest first; and how many ticks of it move."""
+    moving = np.flatnonzero(np.abs(inside - inside[-len(inside) // 8 :].mean()) > 1e-9)
+    end = int(moving[-1]) + 1 if moving.size else len(inside)
+    fits: list[Ringing] = []
+    for begin, stop in _WINDOWS:
+        first = min(int(begin * end), max(end - _SHORTEST, 0))
+        window = inside[first : max(int(stop * end), min(first + _SHORTEST, end))]
+        if not fits or len(window) >= _SHORTEST:
+            fits.append(ringing(window))
+    whole = fits[0]
+    if whole.residual > _RESIDUAL:
+        raise CannotTellError(f"no single swing: {100.0 * whole.residual:.0f} % of the motion is something else")
+    if whole.decay - 2.0 * whole.decay_off > 1.0 - 1e-9:
+        raise CannotTellError("the swing does not decay: the loop is unstable, or in a limit cycle")
+    return fits, end
+
+
+def _told(
+    law: Law, compiled: CompiledLaw, loop: Plant, fits: list[Ringing], damping: float | None, ticks: int
+) -> Swing:
+    derivative = without_spring(law, loop.period)
+    plants = []
+    for fit in (fit for fit in fits if fit.residual <= _RESIDUAL):
+        for theta in (fit.theta - 2.0 * fit.theta_off, fit.theta + 2.0 * fit.theta_off):
+            if damping is not None:
+                plants.append(_by_frequency(compiled, loop, theta, fit.decay, damping))
+            else:
+                plants.append(_by_frequency(compiled, loop, theta, fit.decay, 0.0))
+                plants += [_by_pole(compiled, loop, theta, fit.decay + off) for off in (-2.0 * fit.decay_off, 0.0)]
+    known = [plant for plant in plants if plant is not None]
+    edges = [edge for plant in known if (edge := edge_of(derivative, plant)) is not None]
+    if len(edges) < len(plants) or not edges:
+        raise CannotTellError("no mass makes this swing a pole of a loop that rings at its edge")
+    edges.sort(key=lambda edge: edge.k_exact_n_per_m)
+    low, high = edges[0].k_exact_n_per_m, edges[-1].k_exact_n_per_m
+    wider = _MARGIN * 0.5 * (low + high) + 0.5 * (high - low)
+    masses, dampings = ([getattr(plant, name) for plant in known] for name in ("mass", "damping"))
+    return Swing(
+        omega_rad_per_s=fits[0].theta / loop.period,
+        decay_per_tick=fits[0].decay,
+        ticks=ticks,
+        stiffness_n_per_m=float(getattr(law, "stiffness", compiled.h1)),
+        k_max_n_per_m=(max(low - wider, 0.0), high + wider),
+        mass_kg=(min(masses), max(masses)),
+        damping_n_s_per_m=(min(dampings), max(dampings)),
+        edge=edges[len(edges) // 2],
+    )
+
+
+def _by_frequency(law: CompiledLaw, loop: Plant, theta: float, decay: float, damping: float) -> Plant | None:
+    """Find the mass with which the loop has a pole at an angle; its decay comes out, too."""
+    return _solved(law, loop, decay, lambda second: (damping, second * cmath.exp(1j * theta)))
+
+
+def _by_pole(law: CompiledLaw, loop: Plant, theta: float, decay: float) -> Plant | None:
+    """Find the mass and the damping with which the loop has a pole."""
+    return _solved(law, loop, 1.0, lambda second: (max(second, 0.0), decay * cmath.exp(1j * theta)))
+
+
+def _solved(
+    law: CompiledLaw, loop: Plant, start: float, trial: Callable[[float], tuple[float, complex]]
+) -> Plant | None:
+    from scipy.optimize import root
+
+    _, z = trial(start)
+    half = 0.5 * abs(cmath.phase(z))
+    # Of a lossless mass on a spring of this size (THEORY.md §9).
+    mass = abs(law.response(z)) * loop.period**2 / (4.0 * math.sin(half) * math.tan(half))
+
+    def plant(unknown: Vector) -> Plant:
+        return replace(loop, mass=math.exp(min(unknown[0], 50.0)), damping=trial(unknown[1])[0])
+
+    def balance(unknown: Vector) -> tuple[float, float]:
+        z = trial(unknown[1])[1]
+        law_there = complex(law.response(z))
+        off = (1.0 / position_over_force(z, plant(unknown)) + law_there) / abs(law_there)
+        return off.real, off.imag
+
+    for second in (start, 0.3 * start, 0.97):
+        found = root(balance, (math.log(mass), second), tol=1e-12)
+        if found.success and max(map(abs, balance(found.x))) < 1e-8:
+            return plant(found.x)
+    return None
+
+
+def _contact(recording: Recording) -> Vector:
+    """Positions of the longest contact along the axis that pushes most; one law, no limit of the driver in between."""
     states = recording.messages(DEVICE_STATE)
     force = np.array([state.force for state in states])
     axis = int(np.abs(force).max(axis=0).argmax())
-    position = np.array([state.position[axis] for state in states])
     first, last = _longest(np.abs(force[:, axis]) > 0.0)
-    # What is left of the impact dies first: the later half of the contact, or as much of it as still moves.
-    inside = position[first:last]
-    moving = np.flatnonzero(np.abs(inside - inside[-len(inside) // 8 :].mean()) > 1e-9)
-    end = int(moving[-1]) + 1 if moving.size else len(inside)
-    theta, decay = ringing(inside[min(end // 4, max(end - _SHORTEST, 0)) : end])
-    derivative = without_spring(law, loop.period)
-    edge = edge_at(derivative, Plant(loop.period, 1.0, known, loop.median), theta / loop.period, light=True)
-    return Swing(theta / loop.period, decay, end, edge, _nominal(law, compiled))
+    inside = states[first:last]
+    forces = recording.messages(FORCE)
+    rendered = {message.seq: message for message in forces}
+    answers = [rendered[state.force_seq] for state in inside if state.force_seq in rendered]
+    if any(answer.revision != forces[0].revision for answer in answers):
+        raise CannotTellError("the law changed before the end of the longest contact")
+    if any(state.safety != "active" for state in inside) or any(
+        _limited(state, rendered[state.force_seq].force[axis], axis)
+        for state in inside
+        if state.force_seq in rendered and state.age == 0
+    ):
+        raise CannotTellError("the driver limited the force during the longest contact")
+    return np.array([state.position[axis] for state in inside])
 
 
-def _nominal(law: Law, compiled: CompiledLaw) -> float:
-    return float(getattr(law, "stiffness", compiled.h1))
+def _limited(state: DeviceState, rendered: float, axis: int) -> bool:
+    return abs(state.force[axis] - rendered) > 1e-9 * max(1.0, abs(rendered))
 
 
 def _longest(contact: NDArray[np.bool_]) -> tuple[int, int]:

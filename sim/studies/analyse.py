@@ -112,8 +112,8 @@ def _text(figures: dict[str, Any]) -> str:
     lines = [
         f"H(1)            {shown(figures['h1_n_per_m'], 'N/m')}",
         f"H(-1)           {shown(figures['h_nyquist_n_per_m'], 'N/m')}",
-        f"f min           {shown(figures['f_min_n_s_per_m'], 'N s/m')} at {figures['f_min_rad_per_s']:.5g} rad/s",
-        f"f at Nyquist    {shown(figures['f_nyquist_n_s_per_m'], 'N s/m')}",
+        f"f min, H(1)     {shown(figures['f_min_n_s_per_m'], 'N s/m')} at {figures['f_min_rad_per_s']:.5g} rad/s",
+        f"f(w_N), H(1)    {shown(figures['f_nyquist_n_s_per_m'], 'N s/m')}",
         f"passive from b  {shown(figures['damping_needed_n_s_per_m'], 'N s/m')}",
         f"passive scale   {shown(figures['passive_scale'], '')}",
         f"pole radius     {figures['pole_radius']:.9f} ({verdict})",

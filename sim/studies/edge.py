@@ -27,14 +27,19 @@ LAWS: dict[str, dict[str, Any]] = {
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "recording", nargs="?", type=Path, help="predict K_max from the swing of its longest contact, without the mass"
+        "recording",
+        nargs="?",
+        type=Path,
+        help="predict an interval of K_max from the swing of its longest contact, no mass known",
     )
     parser.add_argument(
         "--gain", type=shared.interval, default=(1.0, 40.0), help="B, LOW..HIGH [N s/m] (default: 1..40)"
     )
     parser.add_argument("--points", type=int, default=24, help="gains, in geometric steps (default: %(default)s)")
     parser.add_argument(
-        "--device-damping", type=shared.not_negative, help="of the recorded device, when it is real [N s/m]"
+        "--device-damping",
+        type=shared.not_negative,
+        help="of the recorded device, when it is real [N s/m]; narrows the interval",
     )
     shared.add_device(parser)
     shared.add_answer(parser)
@@ -79,18 +84,28 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _predict(arguments: argparse.Namespace) -> int:
-    from sim.paper.swing import recorded_swing
+    from sim.paper.swing import CannotTellError, recorded_swing
 
     try:
         swing = recorded_swing(arguments.recording, arguments.device_damping)
+    except CannotTellError as error:
+        answer(arguments.json, {"k_max_n_per_m": None, "why": str(error)}, f"cannot tell: {error}")
+        return 1
     except (RecordError, LawRefusedError, ValueError, OSError) as error:
         raise UsageError(str(error)) from error
     figures = asdict(swing)
+    low, high = swing.k_max_n_per_m
+    mass, damping, k = swing.mass_kg, swing.damping_n_s_per_m, swing.stiffness_n_per_m
+    known = (
+        f"with the damping of {damping[0]:g} N s/m"
+        if damping[0] == damping[1]
+        else f"with a damping between none and the {damping[1]:.3g} N s/m that the decay shows (--device-damping narrows it)"
+    )
     text = (
-        f"swings at {swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick, "
-        f"at K = {swing.stiffness_n_per_m:.6g} N/m\n"
-        f"predicts K_max {swing.edge.k_exact_n_per_m:.5g} N/m: Colgate's condition at this frequency, no mass needed "
-        f"(THEORY.md §9)"
+        f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg, {known} (THEORY.md §9)\n"
+        f"measured at K = {k:.6g} N/m, {100.0 * k / high:.0f} to {100.0 * k / low if low else math.inf:.0f} % of it: swings at "
+        f"{swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick; rings at "
+        f"{swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"
     )
     answer(arguments.json, figures, text)
     return 0

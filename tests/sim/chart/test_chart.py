@@ -21,7 +21,7 @@ from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.bench.tap_timing import TapTimings
 from sim.chart.derivatives import largest_stable, with_stiffness
-from sim.chart.equal_demand import NYQUIST, keeps, tuned
+from sim.chart.equal_demand import NYQUIST, RADII, keeps, laws, tuned
 from sim.chart.integrators import DAMPING, MASS, PERIOD, drop, integrators, reference, spring_limit
 from sim.chart.k_max import light, poles, simulated
 from sim.chart.points import Group, Point, on_front, save, with_front
@@ -316,3 +316,13 @@ def test_bench_taps_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     # A window looks back over up to 15 samples, a filter multiplies four times.
     assert answer["laws_us"]["pd_windowed"] > answer["laws_us"]["pd_filtered"] > 0.0
     assert (tmp_path / "bench_taps.png").exists()
+
+
+def test_the_best_gain_at_equal_demand_is_not_lost_between_two_tries() -> None:
+    way = next(way for name, _, way, _ in laws(1.0, quick=True) if name == "pd")
+    best, at = tuned(way, RADII["stable"])
+    # The demand's edge is the least of two masses' edges: a peak with a kink, found again by a dense walk about it.
+    for gain in np.geomspace(0.7 * at, 1.4 * at, 61).tolist():
+        assert not keeps(way(1.002 * best, gain), RADII["stable"])
+    assert keeps(way(best, at), RADII["stable"])
+    assert best == pytest.approx(1966.5, rel=2e-3)

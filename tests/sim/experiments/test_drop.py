@@ -7,7 +7,9 @@ import dataclasses
 import itertools
 import json
 import math
+import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ import pytest
 from nodes.cli.main import main
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.multi_term import MultiTerm, Term
+from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.laws.pd_alpha import PDAlpha
 from nodes.stability.closed_loop import closed_loop, pole_radius
@@ -228,3 +231,26 @@ def test_study_presses_with_the_grip_it_is_given(capsys: pytest.CaptureFixture[s
         assert 0.7 < found[-1] / exact.k_max_n_per_m < 0.99
     # The hand's own spring is in the loop too: what it takes is not left for the wall.
     assert found[1] < found[0]
+
+
+def test_the_pages_simulated_limits_name_their_horizon() -> None:
+    page = (Path(__file__).parents[3] / "sim" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\| (?:`(\w+)` at 23 µm, )?(free swing|drop) in simulation, (\d+) s \| (\d+) \| (\d+) \|$", page, re.M
+    )
+    assert len(rows) == 4
+    for kind, scene, horizon, *limits in rows:
+        resolution = {"resolution": 2.3e-5} if kind else {}
+        law = parse_law({"kind": kind or "pd", "stiffness": 1.0, "damping": 3.0, **resolution})
+        derivative = without_spring(law, PERIOD)
+        for delay, limit in zip((0.0, 1.0), map(float, limits), strict=True):
+            model = DeviceModel(mass=0.1, damping=1.0, delay=delay)
+            played = drop_scene(model, PERIOD, False, True) if scene == "drop" else free_scene(model, PERIOD)
+            criterion = Criterion(ticks=round(float(horizon) / PERIOD))
+            found = simulated_k_max(
+                lambda K, d=derivative: with_spring(d, K),  # type: ignore[misc]
+                played,
+                criterion,
+            )
+            # The page rounds to whole N/m.
+            assert found.k_max_n_per_m == pytest.approx(limit, abs=0.6)
