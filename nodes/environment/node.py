@@ -49,7 +49,9 @@ class Environment(Node):
     def check(cls, setup: Setup) -> None:
         """Make the surface before anything is started."""
         where = f"{setup.name}.surface"
-        meet_axes(parse_surface(setup.parameters.get("surface", {"kind": "free"}), where), setup.axes, where)
+        surface = parse_surface(setup.parameters.get("surface", {"kind": "free"}), where)
+        meet_axes(surface, setup.axes, where)
+        surface.check(where)
 
     @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
@@ -64,7 +66,7 @@ class Environment(Node):
         where = f"{self.setup.name}.surface"
         surface = parse_surface(parameters.surface, where)
         meet_axes(surface, self.setup.axes, where)
-        meet = surface.meeting()
+        meet = surface.meeting_every(self.setup.period)
         return surface, meet if surface.pushes() is not None else self._watched(meet)
 
     def _watched(self, meet: Callable[[Vector], Meeting]) -> Callable[[Vector], Meeting]:

@@ -74,6 +74,31 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         """
         raise TypeError(f"surface kind {type(self).kind!r} does not define meeting()")
 
+    def meeting_every(self, period: float) -> Callable[[Vector], Meeting]:
+        """Build the question of the hot path, for a surface that goes by time.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period [s].
+
+        Returns
+        -------
+        callable
+            As `meeting` does, and what that gives where time does not matter.
+        """
+        del period
+        return self.meeting()
+
+    def check(self, where: str) -> None:
+        """Refuse what cannot be touched, beyond what its fields alone tell, before anything is started.
+
+        Parameters
+        ----------
+        where : str
+            Path of the surface, for errors.
+        """
+
     def pushes(self) -> tuple[Axis, ...] | None:
         """Tell along which axes the surface can push: a scene must compute all of them, or nothing would be felt.
 

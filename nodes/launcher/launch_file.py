@@ -2,7 +2,7 @@
 
 A launch file has these parts: ``summary``, ``arguments`` (with default, unit, help, limits), ``run`` (rate, pace, apply,
 duration, axes, scheduling), ``nodes``, and where it matters ``model`` (what the scene is for, what it leaves out on
-purpose). ``$(var NAME)`` stands for an argument, as in ROS 2.
+purpose). ``$(var NAME)`` stands for an argument and ``$(dirname)`` for the folder of the launch file, as in ROS 2.
 """
 
 from __future__ import annotations
@@ -178,6 +178,7 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origi
     if isinstance(data, list):
         return [_substitute(inner, values, f"{where}[{i}]", origins) for i, inner in enumerate(data)]
     if isinstance(data, str):
+        data = data.replace("$(dirname)", origins.folder)
         for name in _WITHIN.findall(data):
             if name not in values:
                 raise ParameterError(f"{where}: $(var {name}) is not an argument; {choices(name, values)}")

@@ -24,9 +24,15 @@ class Origins:
         Arguments as the user gave them.
     nodes : mapping
         Its nodes by name.
+
+    Attributes
+    ----------
+    folder : str
+        Where the launch file stands.
     """
 
     def __init__(self, path: Path, given: Mapping[str, Any], nodes: Mapping[str, Any]) -> None:
+        self.folder = str(path.resolve().parent)
         self._name = path.name
         self._given = given
         self._nodes = set(nodes)

@@ -1,0 +1,13 @@
+"""The geometry, for compiled callers: the functions of the interpreted proxy as they stand, so both give the same bits."""
+
+from __future__ import annotations
+
+from inspect import isfunction
+
+from nodes.environment.shapes import convex, patch, planes, proxy, tree, triangle
+from nodes.tick.kernels.sources import kernel
+
+for _module in (convex, triangle, tree, planes, patch, proxy):
+    for _function in vars(_module).values():
+        if isfunction(_function) and _function.__module__ == _module.__name__:
+            kernel(_function)

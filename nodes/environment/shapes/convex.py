@@ -1,0 +1,167 @@
+"""Convex shapes that are a few floats: how far a point is, and when a moving one hits.
+
+The distance to a convex shape along a straight line is a convex function, so Newton's method from outside never steps over the
+first hit, and converges quadratically: one distance a shape is all that its sweep needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+
+from nodes.environment.shapes.tables import BOX, CAPSULE, CYLINDER, GIVEN, KIND, LIP, PLANE, RADIUS, SPHERE, TOLERANCE
+
+_TINY = 1e-15
+_STEPS = 60
+_STRAIGHT = 1e-6
+
+
+def gap(scene: Sequence[float], row: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Distance of the tool's centre from where it touches a shape [m], negative inside, and the outward normal."""
+    kind, at = scene[row + KIND], row + GIVEN
+    px, py, pz = x - scene[at], y - scene[at + 1], z - scene[at + 2]
+    if kind == PLANE:
+        nx, ny, nz = scene[at + 3], scene[at + 4], scene[at + 5]
+        away = px * nx + py * ny + pz * nz
+    elif kind == SPHERE:
+        away, nx, ny, nz = _from_point(px, py, pz)
+        away -= scene[at + 3]
+    elif kind == CAPSULE:
+        ux, uy, uz = scene[at + 3], scene[at + 4], scene[at + 5]
+        along = min(max(px * ux + py * uy + pz * uz, 0.0), scene[at + 6])
+        away, nx, ny, nz = _from_point(px - along * ux, py - along * uy, pz - along * uz)
+        away -= scene[at + 7]
+    elif kind == CYLINDER:
+        away, nx, ny, nz = _from_cylinder(scene, at, px, py, pz)
+    else:
+        away, nx, ny, nz = _from_box(scene, at, px, py, pz)
+    return away - scene[RADIUS], nx, ny, nz
+
+
+def _from_point(px: float, py: float, pz: float) -> tuple[float, float, float, float]:
+    away = sqrt(px * px + py * py + pz * pz)
+    if away < _TINY:
+        return 0.0, 0.0, 0.0, 1.0
+    return away, px / away, py / away, pz / away
+
+
+def _from_cylinder(
+    scene: Sequence[float], at: int, px: float, py: float, pz: float
+) -> tuple[float, float, float, float]:
+    ux, uy, uz = scene[at + 3], scene[at + 4], scene[at + 5]
+    along = px * ux + py * uy + pz * uz
+    rx, ry, rz = px - along * ux, py - along * uy, pz - along * uz
+    across = sqrt(rx * rx + ry * ry + rz * rz)
+    if across > _TINY:
+        rx, ry, rz = rx / across, ry / across, rz / across
+    side = across - scene[at + 7]
+    if along < 0.0:
+        along, ux, uy, uz = -along, -ux, -uy, -uz
+    end = along - scene[at + 6]
+    if side > 0.0 and end > 0.0:
+        away = sqrt(side * side + end * end)
+        s, e = side / away, end / away
+        return away, s * rx + e * ux, s * ry + e * uy, s * rz + e * uz
+    if side > end and across > _TINY:
+        return side, rx, ry, rz
+    return end, ux, uy, uz
+
+
+def _from_box(scene: Sequence[float], at: int, px: float, py: float, pz: float) -> tuple[float, float, float, float]:
+    nx = ny = nz = squares = 0.0
+    outside, nearest, deepest = 0, 0, -1e300
+    sign = 1.0
+    for i in range(3):
+        k = at + 3 + 3 * i
+        along = px * scene[k] + py * scene[k + 1] + pz * scene[k + 2]
+        side = 1.0 if along >= 0.0 else -1.0
+        beyond = side * along - scene[at + 12 + i]
+        if beyond > 0.0:
+            outside += 1
+            squares += beyond * beyond
+            nx += side * beyond * scene[k]
+            ny += side * beyond * scene[k + 1]
+            nz += side * beyond * scene[k + 2]
+        if beyond > deepest:
+            deepest, nearest, sign = beyond, i, side
+    if outside < 2:
+        k = at + 3 + 3 * nearest
+        return deepest, sign * scene[k], sign * scene[k + 1], sign * scene[k + 2]
+    away = sqrt(squares)
+    return away, nx / away, ny / away, nz / away
+
+
+def core(
+    scene: Sequence[float], row: int, x: float, y: float, z: float, nx: float, ny: float, nz: float
+) -> tuple[bool, float, float, float]:
+    """Where the normals of a round part meet that a point pulls to: whether there is such, and the point.
+
+    Parameters
+    ----------
+    scene : sequence of float
+        The shapes.
+    row : int
+        Where this one begins.
+    x, y, z : float
+        What the proxy is pulled to [m].
+    nx, ny, nz : float
+        Outward normal where the proxy touches: it tells the part.
+
+    Returns
+    -------
+    tuple
+        Whether that part is round, and the centre of its curvature beside the point [m].
+    """
+    kind, at = scene[row + KIND], row + GIVEN
+    cx, cy, cz = scene[at], scene[at + 1], scene[at + 2]
+    if kind == SPHERE:
+        return True, cx, cy, cz
+    if kind == CAPSULE or kind == CYLINDER:  # noqa: SIM109  # compiled, floats are compared one by one
+        ux, uy, uz = scene[at + 3], scene[at + 4], scene[at + 5]
+        along = (x - cx) * ux + (y - cy) * uy + (z - cz) * uz
+        if kind == CAPSULE:
+            along = min(max(along, 0.0), scene[at + 6])
+            return True, cx + along * ux, cy + along * uy, cz + along * uz
+        if abs(nx * ux + ny * uy + nz * uz) < _STRAIGHT and abs(along) < scene[at + 6]:
+            return True, cx + along * ux, cy + along * uy, cz + along * uz
+    if kind == BOX or kind == CYLINDER:  # noqa: SIM109
+        # A ball on an edge: what pulls lies between the shape and the ball's way around it.
+        away, ox, oy, oz = gap(scene, row, x, y, z)
+        away += scene[RADIUS]
+        if away > LIP:
+            return True, x - away * ox, y - away * oy, z - away * oz
+    return False, 0.0, 0.0, 0.0
+
+
+def convex_hit(
+    scene: Sequence[float], row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
+) -> float:
+    """Part of a straight step that the tool can go before it hits a convex shape; 2.0 when it does not hit.
+
+    Parameters
+    ----------
+    scene : sequence of float
+        The shapes.
+    row : int
+        Where this one begins.
+    x, y, z : float
+        Where the step begins, outside [m].
+    sx, sy, sz : float
+        The step [m].
+
+    Returns
+    -------
+    float
+        0.0 to 1.0, or 2.0.
+    """
+    part = 0.0
+    for _ in range(_STEPS):
+        left, nx, ny, nz = gap(scene, row, x + part * sx, y + part * sy, z + part * sz)
+        closing = nx * sx + ny * sy + nz * sz
+        # A convex function lies above its tangent: what the tangent does not reach is not reached.
+        if left + closing * (1.0 - part) >= -TOLERANCE:
+            return 2.0
+        if left <= TOLERANCE:
+            return part
+        part -= left / closing
+    return part

@@ -1,0 +1,420 @@
+"""Surfaces in three dimensions, as the registry offers them: each is one solid or several, touched by a proxy with a memory."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+
+from messages.types import ZERO, Vector
+from nodes.base.setup import Axis
+from nodes.environment.shapes import scene
+from nodes.environment.shapes.proxy import meet
+from nodes.environment.shapes.scene import Friction, Solid
+from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY
+from nodes.environment.surfaces import Meeting, Surface, parse_surface
+from nodes.parameters.store import ParameterError
+
+__all__ = [
+    "Ball",
+    "Box",
+    "Capsule",
+    "Cylinder",
+    "FrictionParameters",
+    "Mesh",
+    "OrientedPlane",
+    "Shape",
+    "Touchable",
+    "Union",
+]
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
+Coefficient = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
+Sizes = tuple[Positive, Positive, Positive]
+
+
+class FrictionParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Friction of a surface.
+
+    Attributes
+    ----------
+    static : float
+        Coefficient up to which the proxy sticks: tangential over normal deflection.
+    dynamic : float or None
+        Coefficient while it slides; None for the static one.
+    viscous : float
+        By how long a sliding proxy trails [s]: a viscous friction of this times the coupling's stiffness.
+    """
+
+    static: Coefficient = 0.0
+    dynamic: Coefficient | None = None
+    viscous: Coefficient = 0.0
+
+    def __post_init__(self) -> None:
+        if self.dynamic is not None and self.dynamic > self.static:
+            raise ValueError(f"dynamic is {self.dynamic}, expected at most static, {self.static}")
+
+
+class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of what is touched in three dimensions.
+
+    Attributes
+    ----------
+    tool_radius : float
+        Radius of the ball that touches; 0 for a point [m].
+    """
+
+    tool_radius: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 0.0
+
+    def solids(self, where: str) -> list[Solid]:
+        """Make what the geometry works on.
+
+        Parameters
+        ----------
+        where : str
+            Path of the surface, for errors.
+
+        Returns
+        -------
+        list of Solid
+            At least one.
+
+        Raises
+        ------
+        ParameterError
+            When a parameter is refused.
+        """
+        raise TypeError(f"{where}: surface kind {type(self).kind!r} does not define solids()")
+
+    def check(self, where: str) -> None:
+        """Refuse what could not be touched.
+
+        Parameters
+        ----------
+        where : str
+            Path of the surface, for errors.
+
+        Raises
+        ------
+        ParameterError
+            Naming parameter, value and remedy.
+        """
+        self.solids(where)
+
+    def tables(self, where: str, period: float) -> tuple[array[float], array[float]]:
+        """Make the tables that the geometry works on.
+
+        Parameters
+        ----------
+        where : str
+            Path of the surface, for errors.
+        period : float
+            Sampling period [s].
+
+        Returns
+        -------
+        tuple of array
+            The scene, and the memory of a proxy that has touched nothing yet (nodes/environment/shapes/tables.py).
+        """
+        solids = self.solids(where)
+        return scene.scene_table(solids, self.tool_radius, period), scene.new_memory(len(solids))
+
+    def meeting_every(self, period: float) -> Callable[[Vector], Meeting]:
+        """Build the question of the hot path.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period, which viscous friction goes by [s].
+
+        Returns
+        -------
+        callable
+            From a device position [m] to proxy, normal, distance and contact; it remembers where the proxy was.
+        """
+        table, memory = self.tables("surface", period)
+
+        def ask(position: Vector) -> Meeting:
+            meet(table, memory, *position)
+            contact = memory[IN_CONTACT] == 1.0
+            proxy = (memory[PROXY], memory[PROXY + 1], memory[PROXY + 2]) if contact else position
+            normal = memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2]
+            return proxy, normal, memory[DISTANCE], contact
+
+        return ask
+
+    def pushes(self) -> tuple[Axis, ...]:
+        """Tell along which axes it can push.
+
+        Returns
+        -------
+        tuple of str
+            All three.
+        """
+        return ("x", "y", "z")
+
+
+class Shape(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of single shapes.
+
+    Attributes
+    ----------
+    friction : FrictionParameters
+        None by default.
+    """
+
+    friction: FrictionParameters = FrictionParameters()
+
+    @property
+    def rubs(self) -> Friction:
+        """Friction as the geometry takes it."""
+        given = self.friction
+        return Friction(given.static, given.static if given.dynamic is None else given.dynamic, given.viscous)
+
+
+class OrientedPlane(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Half a space below a plane that may lean.
+
+    Attributes
+    ----------
+    position : tuple of float, shape (3,)
+        A point of the plane [m].
+    normal : tuple of float, shape (3,)
+        The direction that is free, of any length.
+    """
+
+    kind: ClassVar[str] = "oriented_plane"
+    position: Vector = ZERO
+    normal: Vector = (0.0, 0.0, 1.0)
+
+    def solids(self, where: str) -> list[Solid]:
+        """Make the plane.
+
+        Parameters
+        ----------
+        where : str
+            Path of the surface, for errors.
+
+        Returns
+        -------
+        list of Solid
+            One.
+
+        Raises
+        ------
+        ParameterError
+            When the normal has no direction.
+        """
+        if math.hypot(*self.normal) < 1e-6:
+            raise ParameterError(f"{where}.normal: {list(self.normal)} has no direction")
+        return [scene.plane(self.position, self.normal, self.rubs)]
+
+
+class Ball(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A sphere, touched from outside.
+
+    Attributes
+    ----------
+    position : tuple of float, shape (3,)
+        Its centre [m].
+    radius : float
+        Its radius [m].
+    """
+
+    kind: ClassVar[str] = "sphere"
+    position: Vector = ZERO
+    radius: Positive
+
+    def solids(self, where: str) -> list[Solid]:
+        """Make the sphere.
+
+        Parameters
+        ----------
+        where : str
+            Path of the surface, for errors.
+
+        Returns
+        -------
+        list of Solid
+            One.
+        """
+        del where
+        return [scene.sphere(self.position, self.radius, self.rubs)]
+
+
+class Box(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A box, touched from outside.
+
+    Attributes
+    ----------
+    position : tuple of float, shape (3,)
+        Its centre [m].
+    size : tuple of float, shape (3,)
+        Lengths of its edges [m].
+    rotation : tuple of float, shape (3,)
+        Roll, pitch and yaw [rad], about the fixed axes, as in URDF.
+    """
+
+    kind: ClassVar[str] = "box"
+    position: Vector = ZERO
+    size: Sizes
+    rotation: Vector = ZERO
+
+    def solids(self, where: str) -> list[Solid]:
+        """Make the box.
+
+        Parameters
+        ----------
+        where : str
+            Path of the surface, for errors.
+
+        Returns
+        -------
+        list of Solid
+            One.
+        """
+        del where
+        return [scene.box(self.position, self.size, self.rotation, self.rubs)]
+
+
+class _Rod(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    start: Vector
+    end: Vector
+    radius: Positive
+
+    def solids(self, where: str) -> list[Solid]:
+        """Make the solid between the two ends."""
+        if math.dist(self.start, self.end) < 1e-6:
+            raise ParameterError(
+                f"{where}.end: {list(self.end)} is the start: the axis has no direction; a ball is a sphere"
+            )
+        make = scene.capsule if type(self).kind == "capsule" else scene.cylinder
+        return [make(self.start, self.end, self.radius, self.rubs)]
+
+
+class Capsule(_Rod, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """All that is within a radius of a straight line.
+
+    Attributes
+    ----------
+    start, end : tuple of float, shape (3,)
+        Ends of the line [m].
+    radius : float
+        The radius [m].
+    """
+
+    kind: ClassVar[str] = "capsule"
+
+
+class Cylinder(_Rod, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A cylinder, touched from outside.
+
+    Attributes
+    ----------
+    start, end : tuple of float, shape (3,)
+        Centres of its two ends [m].
+    radius : float
+        Its radius [m].
+    """
+
+    kind: ClassVar[str] = "cylinder"
+
+
+class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The solid that triangles bound, or a sheet of them.
+
+    Attributes
+    ----------
+    file : str
+        An ``.stl`` or ``.obj`` file; ``$(dirname)`` in a launch file is the folder that it stands in.
+    scale : float
+        Metres per unit of the file: 0.001 for millimetres.
+    position : tuple of float, shape (3,)
+        Where the origin of the file is [m].
+    rotation : tuple of float, shape (3,)
+        Roll, pitch and yaw [rad].
+    sides : str
+        ``outer`` for a closed mesh, felt from outside; ``both`` for a sheet, which may be open.
+    """
+
+    kind: ClassVar[str] = "mesh"
+    file: str
+    scale: Positive = 1.0
+    position: Vector = ZERO
+    rotation: Vector = ZERO
+    sides: Literal["outer", "both"] = "outer"
+
+    def solids(self, where: str) -> list[Solid]:
+        """Read the file and make the solid.
+
+        Parameters
+        ----------
+        where : str
+            Path of the surface, for errors.
+
+        Returns
+        -------
+        list of Solid
+            One.
+
+        Raises
+        ------
+        ParameterError
+            When the file cannot be read or its triangles bound nothing.
+        """
+        # A scene of plain shapes needs no numpy.
+        import numpy as np
+
+        from nodes.environment.shapes.mesh import prepare_mesh
+        from nodes.environment.shapes.mesh_file import read_triangles
+
+        corners = read_triangles(Path(self.file).expanduser(), f"{where}.file")
+        with np.errstate(over="ignore", invalid="ignore"):
+            corners = self.scale * corners @ np.array(scene.rotation(self.rotation)).T + self.position
+        return [scene.mesh(prepare_mesh(corners, self.sides == "both", f"{where}.file"), self.rubs)]
+
+
+class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Several shapes, touched as one: several at once, too.
+
+    Attributes
+    ----------
+    shapes : list of dict
+        Each with its kind and parameters.
+    """
+
+    kind: ClassVar[str] = "union"
+    shapes: Annotated[list[dict[str, Any]], msgspec.Meta(min_length=1, max_length=64)]
+
+    def solids(self, where: str) -> list[Solid]:
+        """Make all of them.
+
+        Parameters
+        ----------
+        where : str
+            Path of the surface, for errors.
+
+        Returns
+        -------
+        list of Solid
+            One for each shape.
+
+        Raises
+        ------
+        ParameterError
+            When one is refused, or is no shape.
+        """
+        found = []
+        for i, data in enumerate(self.shapes):
+            at = f"{where}.shapes[{i}]"
+            shape = parse_surface(data, at)
+            if not isinstance(shape, Shape):
+                raise ParameterError(f"{at}.kind: {shape.kind!r} is no shape that can be part of a union")
+            if shape.tool_radius:
+                raise ParameterError(f"{at}.tool_radius: the tool has one radius; set it on the union")
+            found += shape.solids(at)
+        return found

@@ -1,0 +1,89 @@
+"""The patch of a mesh around a contact, over edges so shallow that they stand for a smooth surface."""
+
+from __future__ import annotations
+
+from collections.abc import MutableSequence, Sequence
+from math import sqrt
+
+from nodes.environment.shapes.tables import NEIGHBOURS, PATCH, RADIUS, SEEN, TRIANGLE, TRIANGLES
+from nodes.environment.shapes.triangle import nearest_on_triangle
+
+_SHALLOW = 1.0718
+"""Squared: how much further than the contact an edge may be from the device to be crossed. 1/cos²(15°), so that between two
+equally near faces an edge of up to 30° counts as part of a smooth surface."""
+
+_NEARER = 1e-13
+"""By how much another triangle must be nearer [m]."""
+
+
+def nearer_in_patch(
+    scene: Sequence[float],
+    row: int,
+    memory: MutableSequence[float],
+    face: int,
+    x: float,
+    y: float,
+    z: float,
+) -> tuple[bool, float, float, float]:
+    """Look for a triangle nearer to the device than the one touched, over edges that are hardly further.
+
+    Parameters
+    ----------
+    scene : sequence of float
+        The shapes.
+    row : int
+        Where the mesh begins.
+    memory : sequence of float
+        What the proxy remembers; the triangles seen are noted in it.
+    face : int
+        Triangle touched.
+    x, y, z : float
+        Device position, behind it [m].
+
+    Returns
+    -------
+    tuple
+        Whether there is one, and where the proxy would be on it [m].
+    """
+    triangles, neighbours = int(scene[row + TRIANGLES]), int(scene[row + NEIGHBOURS])
+    px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)
+    least = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
+    first, reach = least, _SHALLOW * least * least
+    bx, by, bz = px, py, pz
+    memory[SEEN] = float(face)
+    seen, done = 1, 0
+    while done < seen:
+        at = int(memory[SEEN + done])
+        done += 1
+        for k in range(3):
+            other = scene[neighbours + 3 * at + k]
+            if other < 0.0 or seen == PATCH:
+                continue
+            known = False
+            for i in range(seen):
+                if memory[SEEN + i] == other:
+                    known = True
+                    break
+            if known or _edge(scene, triangles + TRIANGLE * at, k, x, y, z) > reach:
+                continue
+            memory[SEEN + seen] = other
+            seen += 1
+            px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * int(other), x, y, z)
+            away = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
+            if away < least:
+                least, bx, by, bz = away, px, py, pz
+    if least >= first - _NEARER:
+        return False, 0.0, 0.0, 0.0
+    out = scene[RADIUS] / least
+    return True, bx + out * (bx - x), by + out * (by - y), bz + out * (bz - z)
+
+
+def _edge(scene: Sequence[float], at: int, k: int, x: float, y: float, z: float) -> float:
+    """Squared distance to an edge of a triangle [m²]."""
+    i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
+    ex, ey, ez = scene[j] - scene[i], scene[j + 1] - scene[i + 1], scene[j + 2] - scene[i + 2]
+    px, py, pz = x - scene[i], y - scene[i + 1], z - scene[i + 2]
+    along = (px * ex + py * ey + pz * ez) / (ex * ex + ey * ey + ez * ez)
+    along = min(max(along, 0.0), 1.0)
+    px, py, pz = px - along * ex, py - along * ey, pz - along * ez
+    return px * px + py * py + pz * pz

@@ -1,0 +1,130 @@
+"""How far the proxy may go towards what pulls it, between up to eight planes at once: a small quadratic programme, exact."""
+
+from __future__ import annotations
+
+from collections.abc import MutableSequence
+
+from nodes.environment.shapes.tables import CONTACT, CONTACTS, GAP, SHARE
+
+_FLAT = 1e-14
+_SLACK = 1e-13
+
+
+def step_between(
+    memory: MutableSequence[float], count: int, vx: float, vy: float, vz: float
+) -> tuple[float, float, float]:
+    """Find the step nearest to a wanted one that stays on the free side of all planes touched.
+
+    It is the v that minimises |step − v|² subject to n·step ≥ −gap for each plane. In three dimensions at most three planes
+    carry it, so each one, pair and triple is tried, and the first that satisfies the conditions of Karush, Kuhn and Tucker is
+    the answer. The multipliers, which are the normal parts of the deflection [m], are written beside the planes.
+
+    Parameters
+    ----------
+    memory : sequence of float
+        The contacts, in and out.
+    count : int
+        How many.
+    vx, vy, vz : float
+        Step that is wanted [m].
+
+    Returns
+    -------
+    tuple of float
+        Step [m].
+    """
+    if _worst(memory, count, vx, vy, vz) <= _SLACK:
+        return _settled(memory, count, vx, vy, vz, -1, -1, -1)
+    best, bi, bj, bk = 1e300, -1, -1, -1
+    for i in range(count):
+        if _needs(memory, i, vx, vy, vz) > 0.0:
+            sx, sy, sz = _against(memory, vx, vy, vz, i, -1, -1)
+            worst = _worst(memory, count, sx, sy, sz)
+            if worst < best:
+                best, bi, bj, bk = worst, i, -1, -1
+    for size in range(2, 4):
+        if best <= _SLACK or count < size:
+            break
+        for i in range(count):
+            for j in range(i + 1, count):
+                for k in range(j + 1 if size == 3 else -1, count if size == 3 else 0):
+                    sx, sy, sz = _against(memory, vx, vy, vz, i, j, k)
+                    if _all_push(memory, i, j, k):
+                        worst = _worst(memory, count, sx, sy, sz)
+                        if worst < best:
+                            best, bi, bj, bk = worst, i, j, k
+    return _settled(memory, count, vx, vy, vz, bi, bj, bk)
+
+
+def _settled(
+    memory: MutableSequence[float], count: int, vx: float, vy: float, vz: float, i: int, j: int, k: int
+) -> tuple[float, float, float]:
+    """Step on the planes that carry it, if any; the others have no multiplier."""
+    for n in range(count):
+        memory[CONTACTS + CONTACT * n + SHARE] = 0.0
+    return _against(memory, vx, vy, vz, i, j, k) if i >= 0 else (vx, vy, vz)
+
+
+def _needs(memory: MutableSequence[float], i: int, vx: float, vy: float, vz: float) -> float:
+    """How far a step leads behind a plane [m]."""
+    at = CONTACTS + CONTACT * i
+    return -memory[at + GAP] - (memory[at] * vx + memory[at + 1] * vy + memory[at + 2] * vz)
+
+
+def _worst(memory: MutableSequence[float], count: int, vx: float, vy: float, vz: float) -> float:
+    worst = -1e300
+    for i in range(count):
+        worst = max(worst, _needs(memory, i, vx, vy, vz))
+    return worst
+
+
+def _all_push(memory: MutableSequence[float], i: int, j: int, k: int) -> bool:
+    return (
+        memory[CONTACTS + CONTACT * i + SHARE] > 0.0
+        and memory[CONTACTS + CONTACT * j + SHARE] > 0.0
+        and (k < 0 or memory[CONTACTS + CONTACT * k + SHARE] > 0.0)
+    )
+
+
+def _dot(memory: MutableSequence[float], i: int, j: int) -> float:
+    a, b = CONTACTS + CONTACT * i, CONTACTS + CONTACT * j
+    return memory[a] * memory[b] + memory[a + 1] * memory[b + 1] + memory[a + 2] * memory[b + 2]
+
+
+def _against(
+    memory: MutableSequence[float], vx: float, vy: float, vz: float, i: int, j: int, k: int
+) -> tuple[float, float, float]:
+    """Step on one, two or three planes at once; their multipliers are written, 0 where they are all but parallel."""
+    a = _needs(memory, i, vx, vy, vz)
+    b = c = 0.0
+    if j >= 0:
+        g, nj = _dot(memory, i, j), _needs(memory, j, vx, vy, vz)
+        if k < 0:
+            whole = 1.0 - g * g
+            if whole > _FLAT:
+                a, b = (a - g * nj) / whole, (nj - g * a) / whole
+            else:
+                a = b = 0.0
+        else:
+            h, m, nk = _dot(memory, i, k), _dot(memory, j, k), _needs(memory, k, vx, vy, vz)
+            whole = 1.0 + 2.0 * g * h * m - g * g - h * h - m * m
+            if whole > _FLAT:
+                a, b, c = (
+                    (a * (1.0 - m * m) + nj * (h * m - g) + nk * (g * m - h)) / whole,
+                    (a * (h * m - g) + nj * (1.0 - h * h) + nk * (g * h - m)) / whole,
+                    (a * (g * m - h) + nj * (g * h - m) + nk * (1.0 - g * g)) / whole,
+                )
+            else:
+                a = b = c = 0.0
+    p = CONTACTS + CONTACT * i
+    memory[p + SHARE] = a
+    vx, vy, vz = vx + a * memory[p], vy + a * memory[p + 1], vz + a * memory[p + 2]
+    if j >= 0:
+        p = CONTACTS + CONTACT * j
+        memory[p + SHARE] = b
+        vx, vy, vz = vx + b * memory[p], vy + b * memory[p + 1], vz + b * memory[p + 2]
+    if k >= 0:
+        p = CONTACTS + CONTACT * k
+        memory[p + SHARE] = c
+        vx, vy, vz = vx + c * memory[p], vy + c * memory[p + 1], vz + c * memory[p + 2]
+    return vx, vy, vz

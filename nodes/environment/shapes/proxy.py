@@ -1,0 +1,422 @@
+"""The proxy on shapes: where the tool would be if they were solid, with friction (Zilles, Salisbury 1995; Melder, Harwin).
+
+The proxy goes from where it was towards the device, straight until it hits, then along what it touches, and so on until
+nothing lets it come nearer: all in one call, not one constraint a tick. It never begins from the nearest point, so it does not
+change sides in thin walls. It sticks while the deflection stays within the cone of friction, and slides until it is back on it.
+
+Over the shallow edges of a mesh, which stand for a smooth surface, a proxy that only ever descends would hang on to its
+triangle until the device has left the room under it: every edge would brake by a jump. There the proxy looks at its neighbours
+as well, and takes the nearest, so that its energy depends on where the device is, not on how it came there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableSequence, Sequence
+from math import sqrt
+
+from nodes.environment.shapes.convex import convex_hit, core, gap
+from nodes.environment.shapes.patch import nearer_in_patch
+from nodes.environment.shapes.planes import step_between
+from nodes.environment.shapes.tables import (
+    AT,
+    BACK,
+    CONTACT,
+    CONTACTS,
+    DISTANCE,
+    DYNAMIC,
+    FACE,
+    GAP,
+    IN_CONTACT,
+    KIND,
+    LAST,
+    MESH,
+    MOST,
+    NORMAL,
+    PERIOD,
+    PLACED,
+    PROXY,
+    RADIUS,
+    ROUNDS,
+    ROW,
+    ROWS,
+    SHAPE,
+    SHAPES,
+    SHARE,
+    SLIDING,
+    STATIC,
+    TOUCH,
+    TOUCHED,
+    TRIANGLE,
+    TRIANGLES,
+    VISCOUS,
+)
+from nodes.environment.shapes.tree import mesh_gap, mesh_hit
+from nodes.environment.shapes.triangle import triangle_gap
+
+_STILL = 1e-14
+"""A shorter step is none [m]."""
+
+_MOST_ROUNDS = 200
+
+_FACING = 0.2
+"""Cosine from which on the centre of a round part shows the way."""
+
+_PARALLEL = 1e-9
+_BIT = 1e-6
+"""How far along a crease its bend is looked for [m]."""
+
+_FLATTEST = 0.1
+"""A step along a crease is lengthened up to ten times."""
+
+_TURNS = 9
+"""Descents in a call: the first, and two for each patch that is tried."""
+
+
+def meet(scene: Sequence[float], memory: MutableSequence[float], x: float, y: float, z: float) -> None:
+    """Let the proxy follow the device to a position, and write the answer into its memory.
+
+    Parameters
+    ----------
+    scene : sequence of float
+        The shapes (see nodes/environment/shapes/tables.py).
+    memory : sequence of float
+        What the proxy remembers; proxy, normal, distance and contact are written into it.
+    x, y, z : float
+        Device position [m].
+    """
+    if memory[PLACED] == 0.0:
+        _place(scene, memory, x, y, z)
+    memory[ROUNDS] = 0.0
+    gx, gy, gz = x, y, z
+    before, trying = 0.0, False
+    for turn in range(_TURNS):
+        # One place that calls it: compiled, it is the largest part by far.
+        held = _descend(scene, memory, gx, gy, gz, turn == 0)
+        if trying:
+            trying, gx, gy, gz = False, x, y, z
+            continue
+        if turn > 0 and _away(memory, x, y, z) >= before:
+            _go_back(memory)
+            break
+        if not held:
+            break
+        found, qx, qy, qz = _other_patch(scene, memory, x, y, z)
+        if not found:
+            break
+        before, trying, gx, gy, gz = _away(memory, x, y, z), True, qx, qy, qz
+    _answer(scene, memory, x, y, z)
+
+
+def _away(memory: Sequence[float], x: float, y: float, z: float) -> float:
+    """Squared distance of a point to the proxy [m²]."""
+    ax, ay, az = memory[AT] - x, memory[AT + 1] - y, memory[AT + 2] - z
+    return ax * ax + ay * ay + az * az
+
+
+def _go_back(memory: MutableSequence[float]) -> None:
+    """Be again where the last search of a patch began."""
+    memory[AT], memory[AT + 1], memory[AT + 2] = memory[BACK], memory[BACK + 1], memory[BACK + 2]
+    for k in range(CONTACT):
+        memory[CONTACTS + k] = memory[BACK + 3 + k]
+    memory[TOUCHED] = 1.0
+
+
+def _place(scene: Sequence[float], memory: MutableSequence[float], x: float, y: float, z: float) -> None:
+    """Put a proxy that has no past beside the device, or on the nearest surface when that is inside."""
+    memory[PLACED] = 1.0
+    memory[SLIDING] = memory[TOUCHED] = 0.0
+    shapes = int(scene[SHAPES])
+    for _ in range(_MOST_ROUNDS):
+        deepest, nx, ny, nz = -TOUCH, 0.0, 0.0, 1.0
+        for n in range(shapes):
+            away, px, py, pz = _shape_gap(scene, memory, n, x, y, z)
+            if away < deepest:
+                deepest, nx, ny, nz = away, px, py, pz
+        if deepest >= -TOUCH:
+            break
+        x, y, z = x - deepest * nx, y - deepest * ny, z - deepest * nz
+    memory[AT], memory[AT + 1], memory[AT + 2] = x, y, z
+
+
+def _shape_gap(
+    scene: Sequence[float], memory: MutableSequence[float], n: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    row = ROWS + ROW * n
+    if scene[row + KIND] == MESH:
+        return mesh_gap(scene, row, memory, LAST + n, x, y, z)
+    return gap(scene, row, x, y, z)
+
+
+def _descend(
+    scene: Sequence[float], memory: MutableSequence[float], dx: float, dy: float, dz: float, rough: bool
+) -> bool:
+    """Bring the proxy as near as it can come, descending all the way; whether something holds it."""
+    x, y, z = memory[AT], memory[AT + 1], memory[AT + 2]
+    count = _touching(scene, memory, int(memory[TOUCHED]), x, y, z)
+    sliding, slid, idle = memory[SLIDING] == 1.0, 0.0, 0
+    for _ in range(_MOST_ROUNDS):
+        memory[ROUNDS] += 1.0
+        vx, vy, vz = dx - x, dy - y, dz - z
+        sx, sy, sz = step_between(memory, count, vx, vy, vz)
+        length = sqrt(sx * sx + sy * sy + sz * sz)
+        part, held = 1.0, False
+        carrying, carrier = 0, 0
+        cone = coat = pressed = 0.0
+        for i in range(count):
+            at = CONTACTS + CONTACT * i
+            share = memory[at + SHARE]
+            if share > 0.0:
+                carrying, carrier = carrying + 1, i
+                row = ROWS + ROW * int(memory[at + SHAPE])
+                cone += share * scene[row + (DYNAMIC if sliding else STATIC)]
+                coat += share * scene[row + VISCOUS]
+                pressed += share
+        held = carrying > 0
+        if rough and held and length > _STILL:
+            behind = coat / (pressed * scene[PERIOD])
+            if not sliding and length > cone:
+                sliding = True
+                cone = 0.0
+                for i in range(count):
+                    at = CONTACTS + CONTACT * i
+                    cone += memory[at + SHARE] * scene[ROWS + ROW * int(memory[at + SHAPE]) + DYNAMIC]
+            left = length - cone - behind * slid
+            if left <= _STILL:
+                length = 0.0
+            else:
+                part = left / (length * (1.0 + behind))
+        if length <= _STILL:
+            break
+        if carrying == 1:
+            at = CONTACTS + CONTACT * carrier
+            sx, sy, sz = _around(scene, memory, at, x, y, z, dx, dy, dz, sx, sy, sz)
+        elif carrying == 2:
+            sx, sy, sz = _along_crease(scene, memory, count, x, y, z, sx, sy, sz)
+        sx, sy, sz = part * sx, part * sy, part * sz
+        go, nx, ny, nz, shape, face = _first_hit(scene, x, y, z, sx, sy, sz)
+        if go > 1.0:
+            if carrying == 0:
+                # Nothing in the way: the device itself, to the bit.
+                x, y, z = (dx, dy, dz) if part == 1.0 else (x + sx, y + sy, z + sz)
+            else:
+                x, y, z = x + sx, y + sy, z + sz
+            go = 1.0
+        else:
+            x, y, z = x + go * sx, y + go * sy, z + go * sz
+        covered = go * sqrt(sx * sx + sy * sy + sz * sz)
+        if held:
+            slid += covered
+        before = count
+        count = _touching(scene, memory, count, x, y, z)
+        if shape >= 0.0:
+            count = _add(scene, memory, count, nx, ny, nz, shape, face, x, y, z)
+        idle = idle + 1 if covered <= _STILL and count == before else 0
+        if idle > 2:
+            break
+    step_between(memory, count, dx - x, dy - y, dz - z)
+    memory[AT], memory[AT + 1], memory[AT + 2] = x, y, z
+    memory[TOUCHED] = float(count)
+    if rough:
+        memory[SLIDING] = 1.0 if slid > _STILL else 0.0
+    pressed = 0.0
+    for i in range(count):
+        pressed += memory[CONTACTS + CONTACT * i + SHARE]
+    return pressed > 0.0
+
+
+def _around(
+    scene: Sequence[float],
+    memory: MutableSequence[float],
+    at: int,
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    sx: float,
+    sy: float,
+    sz: float,
+) -> tuple[float, float, float]:
+    """On a round part: the step along its tangent plane to above where the proxy comes to rest, from where it only drops."""
+    row = ROWS + ROW * int(memory[at + SHAPE])
+    nx, ny, nz = memory[at], memory[at + 1], memory[at + 2]
+    is_round, cx, cy, cz = core(scene, row, dx, dy, dz, nx, ny, nz)
+    if is_round:
+        ox, oy, oz = dx - cx, dy - cy, dz - cz
+        facing = nx * ox + ny * oy + nz * oz
+        if facing > _FACING * sqrt(ox * ox + oy * oy + oz * oz):
+            height = nx * (x - cx) + ny * (y - cy) + nz * (z - cz) - memory[at + GAP]
+            far = height / facing
+            return cx + far * ox - x, cy + far * oy - y, cz + far * oz - z
+    return sx, sy, sz
+
+
+def _along_crease(
+    scene: Sequence[float],
+    memory: MutableSequence[float],
+    count: int,
+    x: float,
+    y: float,
+    z: float,
+    sx: float,
+    sy: float,
+    sz: float,
+) -> tuple[float, float, float]:
+    """Between two surfaces: the step along their crease by Newton's method, which knows how both bend along it."""
+    tx = ty = tz = 0.0
+    first = -1
+    for i in range(count):
+        at = CONTACTS + CONTACT * i
+        if memory[at + SHARE] > 0.0:
+            if first < 0:
+                first = at
+            else:
+                tx = memory[first + 1] * memory[at + 2] - memory[first + 2] * memory[at + 1]
+                ty = memory[first + 2] * memory[at] - memory[first] * memory[at + 2]
+                tz = memory[first] * memory[at + 1] - memory[first + 1] * memory[at]
+    length = sqrt(tx * tx + ty * ty + tz * tz)
+    if length < _PARALLEL:
+        return sx, sy, sz
+    tx, ty, tz = tx / length, ty / length, tz / length
+    steep = 1.0
+    for i in range(count):
+        at = CONTACTS + CONTACT * i
+        if memory[at + SHARE] > 0.0:
+            row = ROWS + ROW * int(memory[at + SHAPE])
+            nx, ny, nz = memory[at], memory[at + 1], memory[at + 2]
+            is_round, cx, cy, cz = core(scene, row, x, y, z, nx, ny, nz)
+            if is_round:
+                px, py, pz = x + _BIT * tx, y + _BIT * ty, z + _BIT * tz
+                _, ox, oy, oz = core(scene, row, px, py, pz, nx, ny, nz)
+                follows = ((ox - cx) * tx + (oy - cy) * ty + (oz - cz) * tz) / _BIT
+                radius = nx * (x - cx) + ny * (y - cy) + nz * (z - cz)
+                if radius > 0.0:
+                    steep -= memory[at + SHARE] * (1.0 - follows) / radius
+    more = (tx * sx + ty * sy + tz * sz) * (1.0 / max(steep, _FLATTEST) - 1.0)
+    return sx + more * tx, sy + more * ty, sz + more * tz
+
+
+def _first_hit(
+    scene: Sequence[float], x: float, y: float, z: float, sx: float, sy: float, sz: float
+) -> tuple[float, float, float, float, float, float]:
+    """Part of a step before anything is hit (2.0: nothing), the normal there, which shape, which of its triangles."""
+    best, nx, ny, nz, shape, face = 2.0, 0.0, 0.0, 1.0, -1.0, -1.0
+    for n in range(int(scene[SHAPES])):
+        row = ROWS + ROW * n
+        if scene[row + KIND] == MESH:
+            part, px, py, pz, triangle = mesh_hit(scene, row, x, y, z, sx, sy, sz)
+            if part < best:
+                best, nx, ny, nz, shape, face = part, px, py, pz, float(n), triangle
+        else:
+            part = convex_hit(scene, row, x, y, z, sx, sy, sz)
+            if part < best:
+                _, nx, ny, nz = gap(scene, row, x + part * sx, y + part * sy, z + part * sz)
+                best, shape, face = part, float(n), -1.0
+    return best, nx, ny, nz, shape, face
+
+
+def _touching(scene: Sequence[float], memory: MutableSequence[float], count: int, x: float, y: float, z: float) -> int:
+    """Keep the triangles that are still touched, and look which of the other shapes are; how many contacts that makes."""
+    kept = 0
+    for i in range(count):
+        at = CONTACTS + CONTACT * i
+        shape, face = memory[at + SHAPE], memory[at + FACE]
+        if face >= 0.0:
+            first = int(scene[ROWS + ROW * int(shape) + TRIANGLES])
+            away, nx, ny, nz = triangle_gap(scene, first + TRIANGLE * int(face), scene[RADIUS], x, y, z)
+            if away <= TOUCH:
+                kept = _write(memory, kept, nx, ny, nz, away, shape, face)
+    for n in range(int(scene[SHAPES])):
+        if scene[ROWS + ROW * n + KIND] != MESH and kept < MOST:
+            away, nx, ny, nz = gap(scene, ROWS + ROW * n, x, y, z)
+            if away <= TOUCH:
+                kept = _write(memory, kept, nx, ny, nz, away, float(n), -1.0)
+    return kept
+
+
+def _write(
+    memory: MutableSequence[float],
+    i: int,
+    nx: float,
+    ny: float,
+    nz: float,
+    away: float,
+    shape: float,
+    face: float,
+) -> int:
+    at = CONTACTS + CONTACT * i
+    memory[at], memory[at + 1], memory[at + 2] = nx, ny, nz
+    memory[at + GAP], memory[at + SHAPE], memory[at + FACE], memory[at + SHARE] = away, shape, face, 0.0
+    return i + 1
+
+
+def _add(
+    scene: Sequence[float],
+    memory: MutableSequence[float],
+    count: int,
+    nx: float,
+    ny: float,
+    nz: float,
+    shape: float,
+    face: float,
+    x: float,
+    y: float,
+    z: float,
+) -> int:
+    """Note what was hit, if it is not among the contacts yet; with all places taken, in place of the last."""
+    for i in range(count):
+        at = CONTACTS + CONTACT * i
+        if memory[at + SHAPE] == shape and memory[at + FACE] == face:
+            return count
+    away = 0.0
+    if face >= 0.0:
+        first = int(scene[ROWS + ROW * int(shape) + TRIANGLES])
+        found, _, _, _ = triangle_gap(scene, first + TRIANGLE * int(face), scene[RADIUS], x, y, z)
+        if found <= TOUCH:
+            away = found
+    return _write(memory, min(count, MOST - 1), nx, ny, nz, away, shape, face)
+
+
+def _other_patch(
+    scene: Sequence[float], memory: MutableSequence[float], dx: float, dy: float, dz: float
+) -> tuple[bool, float, float, float]:
+    """On a smooth mesh without friction: whether a triangle over a shallow edge is nearer, and where the proxy would be."""
+    carrier, carriers = 0, 0
+    for i in range(int(memory[TOUCHED])):
+        if memory[CONTACTS + CONTACT * i + SHARE] > 0.0:
+            carrier, carriers = CONTACTS + CONTACT * i, carriers + 1
+    if carriers != 1 or memory[carrier + FACE] < 0.0:
+        return False, 0.0, 0.0, 0.0
+    row = ROWS + ROW * int(memory[carrier + SHAPE])
+    if scene[row + STATIC] > 0.0 or scene[row + VISCOUS] > 0.0:
+        return False, 0.0, 0.0, 0.0
+    for k in range(3):
+        memory[BACK + k] = memory[AT + k]
+    for k in range(CONTACT):
+        memory[BACK + 3 + k] = memory[carrier + k]
+    return nearer_in_patch(scene, row, memory, int(memory[carrier + FACE]), dx, dy, dz)
+
+
+def _answer(scene: Sequence[float], memory: MutableSequence[float], x: float, y: float, z: float) -> None:
+    """Write where the proxy is, how far, and whether there is contact."""
+    ax, ay, az = memory[AT], memory[AT + 1], memory[AT + 2]
+    memory[PROXY], memory[PROXY + 1], memory[PROXY + 2] = ax, ay, az
+    nx = ny = nz = 0.0
+    for i in range(int(memory[TOUCHED])):
+        at = CONTACTS + CONTACT * i
+        share = memory[at + SHARE]
+        nx, ny, nz = nx + share * memory[at], ny + share * memory[at + 1], nz + share * memory[at + 2]
+    length = sqrt(nx * nx + ny * ny + nz * nz)
+    if length > 0.0:
+        nx, ny, nz = nx / length, ny / length, nz / length
+        away = nx * (x - ax) + ny * (y - ay) + nz * (z - az)
+        memory[IN_CONTACT] = 1.0
+    else:
+        away, nx, ny, nz = 1e300, 0.0, 0.0, 0.0
+        for n in range(int(scene[SHAPES])):
+            found, px, py, pz = _shape_gap(scene, memory, n, x, y, z)
+            if found < away:
+                away, nx, ny, nz = found, px, py, pz
+        memory[IN_CONTACT] = 0.0
+    memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2], memory[DISTANCE] = nx, ny, nz, away

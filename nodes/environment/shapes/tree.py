@@ -1,0 +1,125 @@
+"""The bounding-volume tree of a mesh: which of its triangles a step hits first, and which is nearest.
+
+The tree is complete and stands in heap order, the root at 1 and the children of k at 2k and 2k + 1, so that walking it needs no
+stack: after a node comes the one to its right, above all that end with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableSequence, Sequence
+from math import sqrt
+
+from nodes.environment.shapes.tables import (
+    CLOSED,
+    COUNT,
+    LEAVES,
+    LIP,
+    NODE,
+    RADIUS,
+    TREE,
+    TRIANGLE,
+    TRIANGLES,
+)
+from nodes.environment.shapes.triangle import height_above, nearest_on_triangle, triangle_hit
+
+
+def mesh_hit(
+    scene: Sequence[float], row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
+) -> tuple[float, float, float, float, float]:
+    """Part of a step before a mesh is hit (2.0: not at all), the normal there, and which triangle."""
+    radius, count, leaves = scene[RADIUS], int(scene[row + COUNT]), int(scene[row + LEAVES])
+    triangles, tree = int(scene[row + TRIANGLES]), int(scene[row + TREE])
+    margin = radius + LIP
+    best, bx, by, bz, face = 2.0, 0.0, 0.0, 1.0, -1.0
+    ex, ey, ez = x + sx, y + sy, z + sz
+    k = 1
+    while True:
+        at = tree + NODE * k
+        if (
+            min(x, ex) - margin <= scene[at + 3]
+            and max(x, ex) + margin >= scene[at]
+            and min(y, ey) - margin <= scene[at + 4]
+            and max(y, ey) + margin >= scene[at + 1]
+            and min(z, ez) - margin <= scene[at + 5]
+            and max(z, ez) + margin >= scene[at + 2]
+        ):
+            if k < leaves:
+                k = 2 * k
+                continue
+            j = k - leaves
+            for i in range(j * count // leaves, (j + 1) * count // leaves):
+                part, nx, ny, nz = triangle_hit(scene, triangles + TRIANGLE * i, radius, x, y, z, sx, sy, sz)
+                if part < best:
+                    best, bx, by, bz, face = part, nx, ny, nz, float(i)
+                    ex, ey, ez = x + part * sx, y + part * sy, z + part * sz
+        while k & 1:
+            k = k >> 1
+        if k == 0:
+            return best, bx, by, bz, face
+        k += 1
+
+
+def mesh_gap(
+    scene: Sequence[float], row: int, memory: MutableSequence[float], last: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Distance of a tool's centre from where it touches a mesh [m], negative inside of a closed one, and the outward normal.
+
+    Parameters
+    ----------
+    scene : sequence of float
+        The shapes.
+    row : int
+        Where this one begins.
+    memory : sequence of float
+        What the proxy remembers.
+    last : int
+        Where in it the nearest triangle stands: the search begins with that one, which makes it short.
+    x, y, z : float
+        The point [m].
+
+    Returns
+    -------
+    tuple of float
+        Distance and normal.
+    """
+    count, leaves = int(scene[row + COUNT]), int(scene[row + LEAVES])
+    triangles, tree = int(scene[row + TRIANGLES]), int(scene[row + TREE])
+    face = int(memory[last])
+    qx, qy, qz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)
+    best = (x - qx) * (x - qx) + (y - qy) * (y - qy) + (z - qz) * (z - qz)
+    side = height_above(scene, triangles + TRIANGLE * face, x, y, z)
+    k = 1
+    while True:
+        at = tree + NODE * k
+        dx = max(scene[at] - x, x - scene[at + 3], 0.0)
+        dy = max(scene[at + 1] - y, y - scene[at + 4], 0.0)
+        dz = max(scene[at + 2] - z, z - scene[at + 5], 0.0)
+        if dx * dx + dy * dy + dz * dz <= best:
+            if k < leaves:
+                k = 2 * k
+                continue
+            j = k - leaves
+            for i in range(j * count // leaves, (j + 1) * count // leaves):
+                at = triangles + TRIANGLE * i
+                px, py, pz, _ = nearest_on_triangle(scene, at, x, y, z)
+                away = (x - px) * (x - px) + (y - py) * (y - py) + (z - pz) * (z - pz)
+                if away <= best:
+                    height = height_above(scene, at, x, y, z)
+                    # Of triangles that share the nearest point, the one that is seen the least from its edge tells the side.
+                    if away < best * (1.0 - 1e-9) or abs(height) > abs(side):
+                        face, side = i, height
+                        qx, qy, qz = px, py, pz
+                    best = away
+        while k & 1:
+            k = k >> 1
+        if k == 0:
+            break
+        k += 1
+    memory[last] = float(face)
+    away = sqrt(best)
+    sign = -1.0 if scene[row + CLOSED] == 1.0 and side < 0.0 else 1.0
+    at = triangles + TRIANGLE * face
+    if away <= LIP:
+        return sign * away - scene[RADIUS], scene[at + 9], scene[at + 10], scene[at + 11]
+    away *= sign
+    return away - scene[RADIUS], (x - qx) / away, (y - qy) / away, (z - qz) / away

@@ -1,0 +1,198 @@
+"""One triangle: the nearest point on it, and when a moving point or ball hits it.
+
+A triangle stands in the scene table as three corners and its outward normal. It is hit from the side of its normal only; a
+surface that is felt from both sides has each triangle twice, back to back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+
+from nodes.environment.shapes.tables import LIP, SKIN, TOLERANCE, TOUCH
+
+
+def nearest_on_triangle(
+    scene: Sequence[float], at: int, x: float, y: float, z: float
+) -> tuple[float, float, float, bool]:
+    """Nearest point of a triangle [m], and whether it lies inside of its edges (Ericson 2005, 5.1.5)."""
+    ax, ay, az = scene[at], scene[at + 1], scene[at + 2]
+    bx, by, bz = scene[at + 3] - ax, scene[at + 4] - ay, scene[at + 5] - az
+    cx, cy, cz = scene[at + 6] - ax, scene[at + 7] - ay, scene[at + 8] - az
+    px, py, pz = x - ax, y - ay, z - az
+    d1, d2 = bx * px + by * py + bz * pz, cx * px + cy * py + cz * pz
+    if d1 <= 0.0 and d2 <= 0.0:
+        return ax, ay, az, False
+    qx, qy, qz = px - bx, py - by, pz - bz
+    d3, d4 = bx * qx + by * qy + bz * qz, cx * qx + cy * qy + cz * qz
+    if d3 >= 0.0 and d4 <= d3:
+        return ax + bx, ay + by, az + bz, False
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v = d1 / (d1 - d3)
+        return ax + v * bx, ay + v * by, az + v * bz, False
+    qx, qy, qz = px - cx, py - cy, pz - cz
+    d5, d6 = bx * qx + by * qy + bz * qz, cx * qx + cy * qy + cz * qz
+    if d6 >= 0.0 and d5 <= d6:
+        return ax + cx, ay + cy, az + cz, False
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        w = d2 / (d2 - d6)
+        return ax + w * cx, ay + w * cy, az + w * cz, False
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return ax + bx + w * (cx - bx), ay + by + w * (cy - by), az + bz + w * (cz - bz), False
+    # By the normal, not by the corners: it keeps the digits of a point that is close.
+    nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
+    height = px * nx + py * ny + pz * nz
+    return x - height * nx, y - height * ny, z - height * nz, True
+
+
+def height_above(scene: Sequence[float], at: int, x: float, y: float, z: float) -> float:
+    """Height of a point above the plane of a triangle [m]."""
+    return (x - scene[at]) * scene[at + 9] + (y - scene[at + 1]) * scene[at + 10] + (z - scene[at + 2]) * scene[at + 11]
+
+
+def _within(scene: Sequence[float], at: int, x: float, y: float, z: float) -> bool:
+    """Whether a point over the plane lies over the triangle or its lips."""
+    nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
+    for k in range(3):
+        i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
+        ex, ey, ez = scene[j] - scene[i], scene[j + 1] - scene[i + 1], scene[j + 2] - scene[i + 2]
+        px, py, pz = x - scene[i], y - scene[i + 1], z - scene[i + 2]
+        inward = px * (ny * ez - nz * ey) + py * (nz * ex - nx * ez) + pz * (nx * ey - ny * ex)
+        if inward < 0.0 and inward * inward > LIP * LIP * (ex * ex + ey * ey + ez * ez):
+            return False
+    return True
+
+
+def triangle_gap(
+    scene: Sequence[float], at: int, radius: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Distance of a tool's centre from where it touches a triangle [m], and the normal there; 1.0 where it is beside it."""
+    height = height_above(scene, at, x, y, z)
+    if abs(height) <= radius + TOUCH and height >= 0.0 and _within(scene, at, x, y, z):
+        return height - radius, scene[at + 9], scene[at + 10], scene[at + 11]
+    if radius > LIP:
+        qx, qy, qz, inside = nearest_on_triangle(scene, at, x, y, z)
+        if not inside:
+            qx, qy, qz = x - qx, y - qy, z - qz
+            away = sqrt(qx * qx + qy * qy + qz * qz)
+            if away > LIP:
+                return away - radius, qx / away, qy / away, qz / away
+    return 1.0, 0.0, 0.0, 1.0
+
+
+def triangle_hit(
+    scene: Sequence[float],
+    at: int,
+    radius: float,
+    x: float,
+    y: float,
+    z: float,
+    sx: float,
+    sy: float,
+    sz: float,
+) -> tuple[float, float, float, float]:
+    """Part of a straight step that a tool can go before it hits a triangle, and the normal there; 2.0 when it does not.
+
+    Parameters
+    ----------
+    scene : sequence of float
+        The shapes.
+    at : int
+        Where the triangle begins.
+    radius : float
+        Of the tool, with the skin [m].
+    x, y, z : float
+        Where the step begins [m].
+    sx, sy, sz : float
+        The step [m].
+
+    Returns
+    -------
+    tuple of float
+        0.0 to 1.0, or 2.0; and the normal.
+    """
+    nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
+    before = height_above(scene, at, x, y, z)
+    closing = nx * sx + ny * sy + nz * sz
+    after = before + closing
+    if before >= radius - SKIN:
+        if after >= radius - TOLERANCE:
+            return 2.0, nx, ny, nz
+        part = max((radius - before) / closing, 0.0)
+        if _within(scene, at, x + part * sx, y + part * sy, z + part * sz):
+            return part, nx, ny, nz
+        if radius <= LIP:
+            # At an edge the way may lead past the skin of both sides: what is hit is the triangle itself.
+            if after < 0.0:
+                through = -before / closing
+                if _within(scene, at, x + through * sx, y + through * sy, z + through * sz):
+                    return part, nx, ny, nz
+            return 2.0, nx, ny, nz
+    elif radius <= LIP:
+        return 2.0, nx, ny, nz
+    if before <= -radius and after <= -radius:
+        return 2.0, nx, ny, nz
+    return _rim_hit(scene, at, radius, x, y, z, sx, sy, sz)
+
+
+def _rim_hit(
+    scene: Sequence[float],
+    at: int,
+    radius: float,
+    x: float,
+    y: float,
+    z: float,
+    sx: float,
+    sy: float,
+    sz: float,
+) -> tuple[float, float, float, float]:
+    """When a moving ball hits an edge or a corner."""
+    best, bx, by, bz = 2.0, 0.0, 0.0, 1.0
+    for k in range(3):
+        i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
+        px, py, pz = x - scene[i], y - scene[i + 1], z - scene[i + 2]
+        part, nx, ny, nz = _ball_hit(radius, px, py, pz, sx, sy, sz)
+        if part < best:
+            best, bx, by, bz = part, nx, ny, nz
+        ex, ey, ez = scene[j] - scene[i], scene[j + 1] - scene[i + 1], scene[j + 2] - scene[i + 2]
+        length = sqrt(ex * ex + ey * ey + ez * ez)
+        ex, ey, ez = ex / length, ey / length, ez / length
+        along, going = px * ex + py * ey + pz * ez, sx * ex + sy * ey + sz * ez
+        part, nx, ny, nz = _ball_hit(
+            radius,
+            px - along * ex,
+            py - along * ey,
+            pz - along * ez,
+            sx - going * ex,
+            sy - going * ey,
+            sz - going * ez,
+        )
+        if part < best and 0.0 <= along + part * going <= length:
+            best, bx, by, bz = part, nx, ny, nz
+    return best, bx, by, bz
+
+
+def _ball_hit(
+    radius: float, px: float, py: float, pz: float, sx: float, sy: float, sz: float
+) -> tuple[float, float, float, float]:
+    """When a point that moves from p by s comes within a radius of the origin."""
+    speed, coming = sx * sx + sy * sy + sz * sz, px * sx + py * sy + pz * sz
+    if coming >= 0.0:
+        return 2.0, 0.0, 0.0, 1.0
+    closest = min(-coming / speed, 1.0)
+    qx, qy, qz = px + closest * sx, py + closest * sy, pz + closest * sz
+    within = radius - TOLERANCE
+    if qx * qx + qy * qy + qz * qz >= within * within:
+        return 2.0, 0.0, 0.0, 1.0
+    outside = px * px + py * py + pz * pz - radius * radius
+    part = 0.0
+    if outside > 0.0:
+        # The root written so that it keeps its digits.
+        part = outside / (-coming + sqrt(max(coming * coming - speed * outside, 0.0)))
+    qx, qy, qz = px + part * sx, py + part * sy, pz + part * sz
+    away = sqrt(qx * qx + qy * qy + qz * qz)
+    return part, qx / away, qy / away, qz / away

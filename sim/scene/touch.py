@@ -1,0 +1,129 @@
+"""A device led along a path over shapes, in one process: the very proxy of the environment node, compiled."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Registers the geometry with numba.
+import nodes.environment.shapes.compiled as _registered
+from nodes.environment.shapes import proxy
+from nodes.environment.shapes.scene import Solid, new_memory, scene_table
+from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY, ROUNDS
+from sim.scene.compiled import compiled
+
+del _registered
+
+Rows = NDArray[np.float64]
+
+meet: Callable[[Any, Any, float, float, float], None] = compiled()(proxy.meet)
+"""`nodes.environment.shapes.proxy.meet`, compiled."""
+
+_ANSWER = 9
+
+
+@compiled()
+def _walk(scene: Rows, memory: Rows, path: Rows, answers: Rows) -> None:
+    for i in range(len(path)):
+        meet(scene, memory, path[i, 0], path[i, 1], path[i, 2])
+        for k in range(3):
+            answers[i, k] = memory[PROXY + k]
+            answers[i, 3 + k] = memory[NORMAL + k]
+        answers[i, 6], answers[i, 7], answers[i, 8] = memory[DISTANCE], memory[IN_CONTACT], memory[ROUNDS]
+
+
+class Touched(NamedTuple):
+    """What came of a path, one row a tick.
+
+    Attributes
+    ----------
+    path : ndarray, shape (ticks, 3)
+        Device positions [m].
+    proxy : ndarray, shape (ticks, 3)
+        Where the proxy was [m].
+    normal : ndarray, shape (ticks, 3)
+        Outward normal.
+    distance : ndarray, shape (ticks,)
+        Signed distance along it [m].
+    contact : ndarray of bool, shape (ticks,)
+        Whether something was touched.
+    rounds : ndarray, shape (ticks,)
+        Rounds that each call took.
+    memory : ndarray
+        What the proxy remembers at the end.
+    """
+
+    path: Rows
+    proxy: Rows
+    normal: Rows
+    distance: Rows
+    contact: NDArray[np.bool_]
+    rounds: Rows
+    memory: Rows
+
+
+def touch(
+    solids: Sequence[Solid],
+    path: Rows,
+    tool_radius: float = 0.0,
+    period: float = 1e-3,
+    interpreted: bool = False,
+    memory: Rows | None = None,
+) -> Touched:
+    """Lead a device over shapes.
+
+    Parameters
+    ----------
+    solids : sequence of Solid
+        The shapes.
+    path : ndarray, shape (ticks, 3)
+        Device positions [m].
+    tool_radius : float, optional
+        Radius of the ball that touches [m].
+    period : float, optional
+        Time between two positions [s].
+    interpreted : bool, optional
+        Run the same functions without numba.
+    memory : ndarray, optional
+        Go on from this memory, which is changed.
+
+    Returns
+    -------
+    Touched
+        Proxies and what goes with them.
+    """
+    table = scene_table(solids, tool_radius, period)
+    answers = np.zeros((len(path), _ANSWER))
+    if interpreted:
+        kept: Any = new_memory(len(solids)) if memory is None else memory.tolist()
+        for answer, (x, y, z) in zip(answers, path.tolist(), strict=True):
+            proxy.meet(table, kept, x, y, z)
+            answer[:] = [*kept[PROXY : PROXY + 8], kept[ROUNDS]]
+        memory = np.array(kept)
+    else:
+        memory = np.array(new_memory(len(solids))) if memory is None else memory
+        _walk(np.array(table), memory, np.ascontiguousarray(path, dtype=np.float64), answers)
+    return Touched(path, answers[:, :3], answers[:, 3:6], answers[:, 6], answers[:, 7] == 1.0, answers[:, 8], memory)
+
+
+def call_times(
+    solids: Sequence[Solid], path: Rows, tool_radius: float = 0.0, period: float = 1e-3, most: int = 20_000
+) -> Rows:
+    """Time single calls of the compiled proxy along a path, with what the interpreter adds to each (under 1 µs).
+
+    Returns
+    -------
+    ndarray
+        One time for each position, of at most so many [s].
+    """
+    table, memory = np.array(scene_table(solids, tool_radius, period)), np.array(new_memory(len(solids)))
+    times = []
+    for x, y, z in path[:most].tolist():
+        begin = time.perf_counter_ns()
+        meet(table, memory, x, y, z)
+        times.append(time.perf_counter_ns() - begin)
+    return np.array(times, dtype=np.float64) * 1e-9

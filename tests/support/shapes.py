@@ -1,0 +1,134 @@
+"""Shapes, paths and independent oracles for tests of the proxy: textbook distances, equilibrium by least squares."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from nodes.environment.shapes.scene import Solid, rotation
+from nodes.environment.shapes.tables import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE
+
+Array = NDArray[np.float64]
+
+
+def icosphere(halvings: int, radius: float) -> Array:
+    """Triangles of a sphere, 20·4ⁿ of them; shape (n, 3, 3)."""
+    golden = (1.0 + 5.0**0.5) / 2.0
+    corners = np.array([(a, b * golden, 0.0) for b in (-1.0, 1.0) for a in (-1.0, 1.0)])
+    corners = np.concatenate([np.roll(corners, n, axis=1) for n in range(3)])
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(corners)
+    triangles = corners[hull.simplices]
+    outward = np.einsum("ij,ij->i", np.cross(*(triangles[:, i] - triangles[:, 0] for i in (1, 2))), triangles[:, 0])
+    triangles[outward < 0.0] = triangles[outward < 0.0][:, ::-1]
+    triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
+    for _ in range(halvings):
+        middle = triangles + np.roll(triangles, -1, axis=1)
+        middle /= np.linalg.norm(middle, axis=2, keepdims=True)
+        (a, b, c), (ab, bc, ca) = np.moveaxis(triangles, 1, 0), np.moveaxis(middle, 1, 0)
+        parts = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
+    return np.ascontiguousarray(radius * triangles)
+
+
+def box_triangles(size: Any) -> Array:
+    """Twelve triangles of a box about the origin; shape (12, 3, 3)."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return np.asarray(corners[[face for a, b, c, d in quads for face in ([a, b, c], [a, c, d])]], dtype=np.float64)
+
+
+def wander(rng: np.random.Generator, ticks: int, step: float, limits: Any, start: Any) -> Array:
+    """Random steps of up to a length, folded back into a box; shape (ticks, 3)."""
+    way = rng.normal(size=(ticks, 3))
+    way *= rng.uniform(0.0, step, (ticks, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    limits = np.asarray(limits, dtype=np.float64)
+    far = np.cumsum(way, axis=0) + start + limits
+    return np.asarray(np.abs((far + 2.0 * limits) % (4.0 * limits) - 2.0 * limits) - limits, dtype=np.float64)
+
+
+def distance_to(solid: Solid, point: Array) -> float:
+    """Signed distance by the textbook [m]; meshes unsigned, by brute force."""
+    given = np.array(solid.numbers)
+    if solid.kind == PLANE:
+        return float((point - given[:3]) @ given[3:])
+    if solid.kind == SPHERE:
+        return float(np.linalg.norm(point - given[:3]) - given[3])
+    if solid.kind == CAPSULE:
+        along = np.clip((point - given[:3]) @ given[3:6], 0.0, given[6])
+        return float(np.linalg.norm(point - given[:3] - along * given[3:6]) - given[7])
+    if solid.kind == CYLINDER:
+        along = (point - given[:3]) @ given[3:6]
+        across = np.linalg.norm(point - given[:3] - along * given[3:6])
+        over = np.array([across - given[7], abs(along) - given[6]])
+        return float(np.linalg.norm(np.maximum(over, 0.0)) + min(over.max(), 0.0))
+    if solid.kind == BOX:
+        over = np.abs(given[3:12].reshape(3, 3) @ (point - given[:3])) - given[12:15]
+        return float(np.linalg.norm(np.maximum(over, 0.0)) + min(over.max(), 0.0))
+    assert solid.kind == MESH
+    assert solid.mesh is not None
+    return float(np.linalg.norm(point - nearest_on(solid.mesh.corners, point), axis=1).min())
+
+
+def nearest_on(corners: Array, point: Array) -> Array:
+    """Nearest point of each triangle, by the corners, the edges and the face, whichever is nearest; shape (n, 3)."""
+    best = corners[:, 0].copy()
+    least = np.linalg.norm(best - point, axis=1)
+
+    def take(candidates: Array, valid: Any = True) -> None:
+        away = np.where(valid, np.linalg.norm(candidates - point, axis=1), np.inf)
+        nearer = away < least
+        best[nearer], least[nearer] = candidates[nearer], away[nearer]
+
+    for k in range(3):
+        a, b = corners[:, k], corners[:, (k + 1) % 3]
+        along = np.einsum("ij,ij->i", point - a, b - a) / np.einsum("ij,ij->i", b - a, b - a)
+        take(a + np.clip(along, 0.0, 1.0)[:, None] * (b - a))
+    u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], point - corners[:, 0]
+    normal = np.cross(u, v)
+    area = np.einsum("ij,ij->i", normal, normal)
+    beta = np.einsum("ij,ij->i", np.cross(w, v), normal) / area
+    gamma = np.einsum("ij,ij->i", np.cross(u, w), normal) / area
+    take(corners[:, 0] + beta[:, None] * u + gamma[:, None] * v, (beta >= 0.0) & (gamma >= 0.0) & (beta + gamma <= 1.0))
+    return best
+
+
+def out_of_balance(solids: list[Solid], radius: float, proxy: Array, device: Array) -> float:
+    """How far a proxy is from an equilibrium without friction [m]: its deflection less the nearest sum of pushes.
+
+    Pushes go along the gradients of the distances of what is touched, by central differences: nothing under test is used.
+    """
+    step = 1e-6
+    pushes = []
+    for solid in solids:
+        if solid.kind == MESH:
+            assert solid.mesh is not None
+            corners, normals = solid.mesh.corners, solid.mesh.normals
+            nearest = nearest_on(corners, proxy)
+            away = np.linalg.norm(proxy - nearest, axis=1)
+            for i in np.flatnonzero(away <= radius + 1e-8):
+                flat = abs((proxy - corners[i, 0]) @ normals[i]) >= away[i] - 1e-9
+                pushes.append(normals[i] if flat else (proxy - nearest[i]) / away[i])
+        elif distance_to(solid, proxy) <= radius + 1e-8:
+            pushes.append(
+                np.array(
+                    [
+                        (distance_to(solid, proxy + step * axis) - distance_to(solid, proxy - step * axis))
+                        / (2.0 * step)
+                        for axis in np.eye(3)
+                    ]
+                )
+            )
+    deflection = proxy - device
+    if not pushes:
+        return float(np.linalg.norm(deflection))
+    return float(nnls(np.array(pushes).T, deflection)[1])
+
+
+def turned(triangles: Array, roll: float, pitch: float, yaw: float) -> Array:
+    """Turn triangles about the origin."""
+    return np.ascontiguousarray(triangles @ np.array(rotation((roll, pitch, yaw))).T)
