@@ -30,7 +30,7 @@ def first_guess(experiment: Experiment, held: bool) -> Array:
     bend = (-8.0 * (1.0 - s**2) ** 3 + 48.0 * s**2 * (1.0 - s**2) ** 2) / unit**2
     # ∫ force dt at the forces' own instants is piecewise linear, and so exact at any delay.
     impulse = np.concatenate([[0.0], np.cumsum(experiment.force[:-1] * np.diff(experiment.at))])
-    best: tuple[float, Array] = (np.inf, np.array([10.0, 5.0, 0.3, 0.0, 0.0, 0.0]))
+    best: tuple[float, Array] = (np.inf, np.array([10.0, 5.0, 0.3, 0.0, 0.0, 0.0, *[0.0] * 5]))
     parts = [part for part in experiment.segments if part[1] - part[0] > 3 * HALF_WIDTH]
 
     def over(signal: Array, kernel: Array) -> Array:
@@ -58,5 +58,5 @@ def first_guess(experiment: Experiment, held: bool) -> Array:
         error = float(np.linalg.norm(matrix @ solution - target))
         if error < best[0]:
             g, b, c, load, k = (*solution.tolist(), 0.0)[:5]
-            best = error, np.array([max(g, 0.1), max(b, 0.0), max(c, 0.0), max(k, 0.0), load, delay])
+            best = error, np.array([max(g, 0.1), max(b, 0.0), max(c, 0.0), max(k, 0.0), load, delay, *[0.0] * 5])
     return best[1]

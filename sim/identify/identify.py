@@ -11,7 +11,8 @@ from sim.identify.encoder import Encoder, encoder
 from sim.identify.experiment import Experiment
 from sim.identify.first_guess import first_guess
 from sim.identify.identified import Estimate, HeldOut, Identified
-from sim.identify.output_error import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS, Fit, fit, windows
+from sim.identify.motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
+from sim.identify.output_error import Fit, fit, windows
 
 __all__ = [
     "CONFIDENCE",
@@ -99,7 +100,8 @@ def initial_state(experiment: Experiment, found: Identified) -> tuple[float, flo
     """
     mass, _, _ = found.mass.known()
     parts = (found.damping, found.friction, found.stiffness, found.load)
-    theta = np.array([1.0, *(part.value or 0.0 for part in parts), mass * (found.device_delay.value or 0.0)]) / mass
+    theta = np.zeros(11)
+    theta[:6] = np.array([1.0, *(part.value or 0.0 for part in parts), mass * (found.device_delay.value or 0.0)]) / mass
     first = fit(experiment, np.zeros(1, dtype=np.int64), found.ticks, theta, (), found.encoder.value or 1e-6)
     return float(first.states[0, 0]), float(first.states[0, 1])
 

@@ -18,7 +18,7 @@ from sim.identify.encoder import encoder
 from sim.identify.experiment import Experiment, lockstep
 from sim.identify.identified import Estimate
 from sim.identify.identify import identify
-from sim.identify.output_error import _window
+from sim.identify.motion import window
 from sim.population.virtual import draw, excite
 from tests.support.launching import haptic, launch_json
 
@@ -88,19 +88,19 @@ def test_forces_count_from_the_instant_they_take_effect() -> None:
         device.pass_time(force, (1.0 - offset) * T)
         device.end_tick()
         acting = force
-    theta = np.array([1.0 / 0.08, 0.7 / 0.08, 0.05 / 0.08, 0.0, 0.0, 0.0])
+    theta = np.array([1.0 / 0.08, 0.7 / 0.08, 0.05 / 0.08, *[0.0] * 8])
     out = np.empty(300)
-    _window(theta, 0.0, 0.0, 0, 300, T, np.arange(300) + offsets, forces, out)
+    window(theta, np.array([0.0, 0.0, 0.0, 0.0]), 0, 300, T, np.arange(300) + offsets, forces, out)
     # Rounding of 600 steps of a motion of centimetres.
     assert np.max(np.abs(out - positions)) < 1e-13
 
 
 def test_a_window_stuck_by_friction_stays() -> None:
-    theta = np.array([10.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    theta = np.array([10.0, 0.0, 1.0, *[0.0] * 8])
     out = np.empty(50)
-    _window(theta, 0.01, 0.0, 0, 50, T, np.arange(50.0), np.full(50, 0.0999), out)
+    window(theta, np.array([0.01, 0.0, 0.0, 0.0]), 0, 50, T, np.arange(50.0), np.full(50, 0.0999), out)
     assert set(out.tolist()) == {0.01}
-    _window(theta, 0.01, 0.0, 0, 50, T, np.arange(50.0), np.full(50, 0.1001), out)
+    window(theta, np.array([0.01, 0.0, 0.0, 0.0]), 0, 50, T, np.arange(50.0), np.full(50, 0.1001), out)
     # Just outside: the rest of the force moves it.
     x, _ = slide(0.01, 0.0, 1.001, 49 * T, coefficients(1.0, 0.0, 0.0, 49 * T), 1.0, 0.0, 0.0, 1.0)
     assert out[-1] == pytest.approx(x, rel=1e-12)

@@ -1,0 +1,326 @@
+"""Motion of the identified device over windows of a recording, compiled; and what each unknown moves in it.
+
+Within a window the device moves by the exact map with Coulomb friction (`sim.device.friction`), from one force to the next
+wherever in the tick that one takes effect. What a richer model has besides is taken in quarters of a tick: the lag of the
+actuator by its exact mean, quadratic damping in the middle, a joint by the series of its own exact map. All per unit of mass.
+
+Everything compiled that calls each other stands in this file: kept code is looked up by the file of the outermost function.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.device.friction import slide
+from sim.device.model import Coefficients, coefficients
+from sim.scene.compiled import compiled
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+MOBILITY, DAMPING, FRICTION, STIFFNESS, LOAD, DELAY, QUADRATIC, LAG, SHARE, FREQUENCY, LOSS = range(11)
+NAMES = (
+    "mobility", "damping", "friction", "stiffness", "load", "delay", "quadratic", "lag", "share", "frequency", "loss",
+)  # fmt: skip
+"""The unknowns: 1/m [1/kg]; b/m [1/s]; c/m [m/s²]; k/m of a hand [1/s²]; load/m [m/s²]; delay [ticks]; quadratic damping per
+mass [1/m]; lag [ticks]; part of the mass beyond a joint; frequency [Hz] and damping ratio of the joint."""
+STATES = 4
+"""Position [m] and velocity [m/s] of the motor's side, then what the joint is stretched by and how fast."""
+_PARTS = 4
+"""Steps of a tick in a richer model."""
+_ORDER = 10
+"""Of the series of the joint's map: 1e-9 at a quarter of a tick and the highest frequency that is looked for."""
+
+
+@compiled()
+def _flow(
+    state: Array,
+    u: float,
+    duration: float,
+    stuck: bool,
+    damping: float,
+    stiffness: float,
+    share: float,
+    pulse: float,
+    loss: float,
+) -> None:
+    """Exact map of two masses on a joint under a held force, by its series; `stuck` keeps the first where it is."""
+    own = 1.0 - share
+    spring, damper = share * own * pulse * pulse, 2.0 * loss * share * own * pulse
+    x, v, y, w = state[0], state[1], state[2], state[3]
+    dx, dv, dy, dw = x, v, y, w
+    push = u
+    for n in range(1, _ORDER + 1):
+        pull = spring * (dx - dy) + damper * (dv - dw)
+        ax, ay = (push - pull - damping * dv - stiffness * dx) / own, pull / share
+        push = 0.0
+        h = duration / n
+        dx, dv, dy, dw = h * dv, h * ax, h * dw, h * ay
+        if stuck:
+            dx = dv = 0.0
+        x += dx
+        v += dv
+        y += dy
+        w += dw
+    state[0], state[1], state[2], state[3] = x, v, y, w
+
+
+@compiled()
+def _slide_joint(
+    state: Array,
+    u: float,
+    duration: float,
+    damping: float,
+    stiffness: float,
+    friction: float,
+    share: float,
+    pulse: float,
+    loss: float,
+) -> None:
+    """One step of two masses with Coulomb friction on the first."""  # fmt: skip
+    remaining = duration
+    spring, damper = share * (1.0 - share) * pulse * pulse, 2.0 * loss * share * (1.0 - share) * pulse
+    for _ in range(4):
+        if state[1] == 0.0:
+            net = u - stiffness * state[0] - spring * (state[0] - state[2]) + damper * state[3]
+            if abs(net) <= friction:
+                _flow(state, u, remaining, True, damping, stiffness, share, pulse, loss)
+                return
+            direction = 1.0 if net > 0.0 else -1.0
+        else:
+            direction = 1.0 if state[1] > 0.0 else -1.0
+        before = state.copy()
+        _flow(state, u - direction * friction, remaining, False, damping, stiffness, share, pulse, loss)
+        if state[1] * direction >= 0.0:
+            return
+        # The velocity turned on the way: to where it is zero, by two secants, and on from there.
+        low, high, at_low, at_high = 0.0, remaining, before[1], state[1]
+        halt = 0.0
+        for _ in range(3):
+            halt = low + (high - low) * at_low / (at_low - at_high) if at_low != 0.0 else 0.5 * (low + high)
+            state[:] = before
+            _flow(state, u - direction * friction, halt, False, damping, stiffness, share, pulse, loss)
+            if state[1] * direction > 0.0:
+                low, at_low = halt, state[1]
+            else:
+                high, at_high = halt, state[1]
+        state[1] = 0.0
+        remaining -= halt
+        if remaining <= 1e-9 * duration:
+            return
+
+
+@compiled()
+def _slide(
+    x: float,
+    v: float,
+    u: float,
+    duration: float,
+    coefs: Coefficients,
+    damping: float,
+    stiffness: float,
+    friction: float,
+) -> tuple[float, float]:
+    """One step of a unit mass: compiled once, for all who call it."""
+    return slide(x, v, u, duration, coefs, 1.0, damping, stiffness, friction)
+
+
+@compiled()
+def _rigid(
+    theta: Array, state: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array
+) -> None:
+    """Positions of one window of a rigid device from its initial state."""
+    mobility, damping, friction, stiffness, load, delay = theta[0], theta[1], theta[2], theta[3], theta[4], theta[5]
+    x, v = state[0], state[1]
+    # The force that acts when the window begins: the last one that took effect until then.
+    j = np.searchsorted(at, start - delay, "right") - 1
+    acting = force[j] if j >= 0 else 0.0
+    known = period
+    coefs = coefficients(1.0, damping, stiffness, known)
+    for k in range(length):
+        out[k] = x
+        now = 0.0
+        while j + 1 < len(at) and at[j + 1] + delay < start + k + 1:
+            until = at[j + 1] + delay - (start + k)
+            if until > now:
+                duration = (until - now) * period
+                if abs(duration - known) > 1e-12 * period:
+                    coefs = coefficients(1.0, damping, stiffness, duration)
+                    known = duration
+                x, v = _slide(x, v, mobility * acting + load, duration, coefs, damping, stiffness, friction)
+                now = until
+            j += 1
+            acting = force[j]
+        duration = (1.0 - now) * period
+        if duration > 1e-12 * period:
+            if abs(duration - known) > 1e-12 * period:
+                coefs = coefficients(1.0, damping, stiffness, duration)
+                known = duration
+            x, v = _slide(x, v, mobility * acting + load, duration, coefs, damping, stiffness, friction)
+
+
+@compiled()
+def _richer(
+    theta: Array, initial: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array
+) -> None:
+    """Positions of one window of a device with a lag, quadratic damping or a joint."""
+    mobility, damping, friction, stiffness, load, delay = theta[0], theta[1], theta[2], theta[3], theta[4], theta[5]
+    quadratic, lag, share, pulse, loss = theta[6], theta[7], theta[8], 2.0 * math.pi * theta[9], theta[10]
+    state = initial.copy()
+    state[2] = state[0] - initial[2]
+    state[3] = state[1] - initial[3]
+    j = np.searchsorted(at, start - delay, "right") - 1
+    acting = force[j] if j >= 0 else 0.0
+    given = acting
+    if lag > 0.0:
+        # What the actuator gives by now, from the forces of twelve time constants before.
+        i = max(np.searchsorted(at, start - delay - 12.0 * lag, "right") - 1, 0)
+        given = force[i] if j >= 0 else 0.0
+        while i <= j:
+            end = at[i + 1] + delay if i < j else float(start)
+            given = force[i] + (given - force[i]) * math.exp(
+                -max(end - max(at[i] + delay, start - 12.0 * lag), 0.0) / lag
+            )
+            i += 1
+    known = -1.0
+    coefs = coefficients(1.0, damping, stiffness, period)
+    for k in range(length):
+        out[k] = state[0]
+        now = 0.0
+        while now < 1.0:
+            until = 1.0
+            arrives = j + 1 < len(at) and at[j + 1] + delay < start + k + 1
+            if arrives:
+                until = at[j + 1] + delay - (start + k)
+            span = until - now
+            if span > 1e-12:
+                parts = math.ceil(span * _PARTS - 1e-9)
+                h = span / parts
+                for _ in range(parts):
+                    mean = acting
+                    if lag > 0.0:
+                        decay = math.exp(-h / lag)
+                        mean = acting + (given - acting) * (1.0 - decay) * lag / h
+                        given = acting + (given - acting) * decay
+                    u = mobility * mean + load
+                    if quadratic > 0.0:
+                        u -= quadratic * state[1] * abs(state[1])
+                    if share > 0.0:
+                        _slide_joint(state, u, h * period, damping, stiffness, friction, share, pulse, loss)
+                    else:
+                        if abs(h - known) > 1e-12:
+                            coefs = coefficients(1.0, damping, stiffness, h * period)
+                            known = h
+                        middle = state[1]
+                        for again in range(2 if quadratic > 0.0 else 1):
+                            # Quadratic damping in the middle: a first try tells where that is.
+                            held = u + quadratic * (state[1] * abs(state[1]) - middle * abs(middle))
+                            x, v = _slide(state[0], state[1], held, h * period, coefs, damping, stiffness, friction)
+                            middle = 0.5 * (state[1] + v) if again == 0 else middle
+                        state[0], state[1] = x, v
+            now = max(until, now)
+            if arrives:
+                j += 1
+                acting = force[j]
+
+
+@compiled()
+def window(
+    theta: Array, state: Array, start: int, length: int, period: float, at: Array, force: Array, out: Array
+) -> None:
+    """Positions of one window from its initial state."""
+    if theta[6] == 0.0 and theta[7] == 0.0 and theta[8] == 0.0:
+        _rigid(theta, state, start, length, period, at, force, out)
+    else:
+        _richer(theta, state, start, length, period, at, force, out)
+
+
+@compiled()
+def slopes(
+    theta: Array,
+    free: Whole,
+    steps: Array,
+    own: int,
+    state: Array,
+    start: int,
+    length: int,
+    period: float,
+    position: Array,
+    missing: NDArray[np.bool_],
+    at: Array,
+    force: Array,
+    scale: float,
+    residual: Array,
+    out: Array,
+) -> None:
+    """Residual of one window (L,), and what each unknown and each of its own states moves in it (p + s, L)."""  # fmt: skip
+    here, there = np.empty(length), np.empty(length)
+    p = len(free)
+    window(theta, state, start, length, period, at, force, here)
+    for i in range(p):
+        moved = theta.copy()
+        moved[free[i]] += steps[free[i]]
+        window(moved, state, start, length, period, at, force, there)
+        out[i] = (there - here) / steps[free[i]]
+    for i in range(own):
+        nudge = 0.01 * scale if i % 2 == 0 else 0.1 * scale / (length * period)
+        near = state.copy()
+        near[i] += nudge
+        window(theta, near, start, length, period, at, force, there)
+        out[p + i] = (there - here) / nudge
+    residual[:] = position[start : start + length] - here
+    unread = missing[start : start + length]
+    residual[unread] = 0.0
+    out[:, unread] = 0.0
+
+
+@compiled()
+def normal(
+    theta: Array,
+    free: Whole,
+    steps: Array,
+    own: int,
+    states: Array,
+    starts: Whole,
+    length: int,
+    period: float,
+    position: Array,
+    missing: NDArray[np.bool_],
+    at: Array,
+    force: Array,
+    scale: float,
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Squared error of each window, and its normal equations with the initial state eliminated.
+
+    Returns errors (W,), matrices (W, p, p), right sides (W, p), and what moves each state: (W, s) and (W, s, p).
+    """  # fmt: skip
+    windows, p = len(starts), len(free)
+    errors = np.zeros(windows)
+    matrices = np.zeros((windows, p, p))
+    sides = np.zeros((windows, p))
+    alone = np.zeros((windows, STATES))
+    along = np.zeros((windows, STATES, p))
+    residual = np.empty(length)
+    out = np.empty((p + own, length))
+    for w in range(windows):
+        slopes(
+            theta, free, steps, own, states[w], starts[w], length, period, position, missing, at, force, scale,
+            residual, out,
+        )  # fmt: skip
+        errors[w] = residual @ residual
+        # The states' own block, a hair away from singular where friction holds the device all the time.
+        block = out[p:] @ out[p:].T
+        for i in range(own):
+            block[i, i] += 1e-9 * length * (1.0 if i % 2 == 0 else (length * period) ** 2)
+        cross = out[p:] @ out[:p].T
+        own_side = out[p:] @ residual
+        moves = np.linalg.solve(block, own_side)
+        follows = np.linalg.solve(block, cross)
+        alone[w, :own] = moves
+        along[w, :own] = follows
+        sides[w] = out[:p] @ residual - cross.T @ moves
+        matrices[w] = out[:p] @ out[:p].T - cross.T @ follows
+    return errors, matrices, sides, alone, along
