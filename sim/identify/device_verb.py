@@ -98,7 +98,7 @@ def _identify(arguments: argparse.Namespace) -> int:
     ]
     # The first push's figures at the top: one device, one place is the usual case.
     answer(arguments.json, {**told[0], "places": told}, "\n".join(lines))
-    return 0 if all(one.mass.value is not None for _, one in found) else 1
+    return 0 if all(one.mass.value is not None and not one.refuted for _, one in found) else 1
 
 
 def say(words: str) -> None:

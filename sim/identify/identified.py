@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from nodes.stability.flexible import FlexiblePlant
 
 __all__ = [
     "Estimate",
@@ -74,7 +78,7 @@ class Identified:
     mass, damping, friction : Estimate
         Moving mass [kg] and viscous damping [N s/m], a hand's share included; Coulomb friction [N].
     delay : Estimate
-        From the sample to the force taking effect, median over the ticks [ticks].
+        From the sample to the force taking effect, median over the ticks [ticks]. A lag that is not told apart is in it.
     device_delay : Estimate
         The part of it that the driver does not see [ticks].
     encoder : Estimate
@@ -83,6 +87,14 @@ class Identified:
         Of a hand that holds the device [N/m]; 0 when none was found.
     load : Estimate
         Constant force that acts besides: weight, or the pull of a hand [N].
+    quadratic : Estimate
+        Damping that grows with the speed: force per speed squared [N s²/m²]. 0 where the data do not ask for it, with the
+        largest that they would not have shown.
+    lag : Estimate
+        Time constant of the actuator [s]; likewise.
+    frequency, share, loss : Estimate
+        A second mass on a joint: frequency of the two against each other [Hz], part of the mass beyond the joint, damping
+        ratio. Without a value where the data show none; `low` of the frequency is up to where they would have.
     jitter : Estimate
         Spread of the delay over the ticks, 99.9 % quantile minus 0.1 % [ticks].
     delay_range : tuple of float, shape (2,)
@@ -107,6 +119,8 @@ class Identified:
         Whether the held-out windows refute the model, and no richer one explains them.
     why : str
         What refutes it, and what the data ask for; empty for a model that holds.
+    unbelieved : mapping of str to Estimate
+        What a refuted model says of its parameters, which have no value then.
     """
 
     mass: Estimate
@@ -117,6 +131,11 @@ class Identified:
     encoder: Estimate
     stiffness: Estimate
     load: Estimate
+    quadratic: Estimate
+    lag: Estimate
+    frequency: Estimate
+    share: Estimate
+    loss: Estimate
     jitter: Estimate
     delay_range: tuple[float, float]
     held: bool
@@ -130,6 +149,37 @@ class Identified:
     terms: tuple[str, ...] = ()
     refuted: bool = False
     why: str = ""
+    unbelieved: Mapping[str, Estimate] = field(default_factory=dict)
+
+    def anyway(self) -> Identified:
+        """Believe a refuted model: give its parameters the values that the best fit of it has.
+
+        Returns
+        -------
+        Identified
+            Still refuted, with values. A model that holds comes back as it is.
+        """
+        believed: dict[str, Any] = dict(self.unbelieved)
+        return replace(self, **believed)
+
+    def plant(self) -> FlexiblePlant:
+        """Give the linear device that a law is coupled to, joint and lag included.
+
+        Returns
+        -------
+        FlexiblePlant
+            At the estimates, quadratic damping left out: it only calms.
+
+        Raises
+        ------
+        ValueError
+            When mass, damping or delay could not be told; the text says why.
+        """
+        mass, damping, delay = (one.known()[0] for one in (self.mass, self.damping, self.delay))
+        joint = {}
+        if self.frequency.value is not None:
+            joint = {name: getattr(self, name).known()[0] for name in ("share", "frequency", "loss")}
+        return FlexiblePlant(mass, damping, delay, self.stiffness.value or 0.0, self.lag.value or 0.0, **joint)
 
     @property
     def residual_steps(self) -> float | None:

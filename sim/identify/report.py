@@ -18,6 +18,11 @@ ROWS = (
     ("encoder_m", "encoder", "encoder step", "m"),
     ("hand_stiffness_n_per_m", "stiffness", "stiffness of a hand", "N/m"),
     ("load_n", "load", "constant load", "N"),
+    ("quadratic_damping_n_s2_per_m2", "quadratic", "quadratic damping", "N s²/m²"),
+    ("lag_s", "lag", "lag of the actuator", "s"),
+    ("mode_hz", "frequency", "second mode", "Hz"),
+    ("mode_mass_share", "share", "  mass beyond its joint, part", "1"),
+    ("mode_damping_ratio", "loss", "  its damping ratio", "1"),
 )
 """Key, attribute, name and unit of each parameter."""
 
@@ -40,6 +45,7 @@ def figures(found: Identified) -> dict[str, Any]:
         "refuted": found.refuted,
         "why": found.why,
         "terms": list(found.terms),
+        "unbelieved": {key: _told(found.unbelieved[name]) for key, name, _, _ in ROWS if name in found.unbelieved},
         "held_out": {
             "residual_steps": found.held_out_steps,
             "residual_m": found.held_out.residual,
@@ -51,12 +57,13 @@ def figures(found: Identified) -> dict[str, Any]:
     }
 
 
+def _read(told: Mapping[str, Any]) -> Estimate:
+    return Estimate(told["value"], told["low"], told["high"], told.get("why", ""))
+
+
 def from_figures(told: Mapping[str, Any]) -> Identified:
     """Read back what `figures` gave: the inverse, for a step that is run alone."""
-    estimates = {
-        name: Estimate(told[key]["value"], told[key]["low"], told[key]["high"], told[key].get("why", ""))
-        for key, name, _, _ in ROWS
-    }
+    estimates = {name: _read(told[key]) for key, name, _, _ in ROWS}
     low, high = told["delay_range_ticks"]
     return Identified(
         **estimates,
@@ -72,17 +79,37 @@ def from_figures(told: Mapping[str, Any]) -> Identified:
         terms=tuple(told["terms"]),
         refuted=told["refuted"],
         why=told["why"],
+        unbelieved={name: _read(told["unbelieved"][key]) for key, name, _, _ in ROWS if key in told["unbelieved"]},
     )
 
 
+def verdict(found: Identified) -> str:
+    """Say in one line whether the model holds."""
+    if found.refuted:
+        return f"REFUTED, nothing to design on: {found.why}"
+    if found.mass.value is None:
+        return f"cannot tell: {found.mass.why}"
+    model = " with ".join(["a rigid device", *(" and ".join(found.terms) for _ in found.terms[:1])])
+    return f"holds: {model} leaves no more than noise in windows that it was not fitted to"
+
+
+def _fitted(estimate: Estimate) -> str:
+    return "" if estimate.value is None else f" ({estimate.value:.5g} by the refuted model)"
+
+
 def text(found: Identified) -> str:
-    """Give an identified device as a table."""
-    lines = [f"REFUTED: {found.why}"] if found.refuted else []
-    lines.append(f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals")
+    """Give an identified device as a table, the verdict first."""
+    lines = [verdict(found), f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals"]
     for _, name, label, unit in ROWS:
         estimate: Estimate = getattr(found, name)
-        if estimate.value is None:
+        if name in ("share", "loss", *(("frequency",) if found.refuted else ())) and estimate.value is None:
+            continue
+        if name in found.unbelieved:
+            lines.append(f"  {label:30} not believed{_fitted(found.unbelieved[name])}")
+        elif estimate.value is None:
             lines.append(f"  {label:30} cannot tell: {estimate.why}")
+        elif name in ("quadratic", "lag") and estimate.value == 0.0:
+            lines.append(f"  {label:30} none seen; below {estimate.high:.2g} {unit} it would not show")
         else:
             lines.append(f"  {label:30} {estimate.value:10.5g}  ({estimate.low:.5g} to {estimate.high:.5g}) {unit}")
     steps, unseen = found.residual_steps, found.held_out.residual

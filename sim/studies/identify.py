@@ -40,4 +40,4 @@ def run(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise RefusedError(f"{arguments.recording}: {error}") from error
     answer(arguments.json, {"recording": str(arguments.recording), **figures(found)}, text(found))
-    return 0 if found.mass.value is not None else 1
+    return 0 if found.mass.value is not None and not found.refuted else 1

@@ -1,0 +1,213 @@
+"""Choose the model: a rigid device, and one more term only while the data ask for it and are explained by it.
+
+The terms are those that devices have and that a law can be designed for: an actuator lag, one flexible mode, quadratic damping.
+Each is begun where the scan of the residual puts it, fitted in full, and kept if it explains windows that the fit has not seen.
+Where the residual still does not hold, the model is refuted, and the suspect that takes up most of it is named.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.identify.experiment import Experiment
+from sim.identify.judge import IMPROBABLE, SURE, Evidence, left, scan, unsteady, whiteness
+from sim.identify.motion import FREQUENCY, LAG, LOSS, QUADRATIC, SHARE
+from sim.identify.output_error import Fit, fit
+from sim.identify.suspects import describe
+
+Whole = NDArray[np.int64]
+
+TERMS = {"quadratic damping": (QUADRATIC,), "actuator lag": (LAG,), "flexible mode": (SHARE, FREQUENCY, LOSS)}
+"""Terms that the model can have, and their unknowns."""
+QUARTER = 1.0 / 3.0
+"""A quarter of the mass beyond a joint, as a ratio of the two: what a bound on joints is told for."""
+EXPLAINS = 0.27
+"""Part of what is left that a suspect must take up to be named."""
+REPEATED = ("cogging", "encoder ripple")
+FLEXIBLE = 0.8
+"""Waves of any length and phase fit anything a little: so much of their part counts."""
+PROMISES = 0.15
+"""Part that a term must take up by the scan to be fitted in full."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A model and what the run says about it.
+
+    Attributes
+    ----------
+    model : Fit
+        Over all windows that a stall has not spoilt.
+    test : Fit
+        Its windows that the search has not seen.
+    whiteness : float
+        Of those.
+    terms : tuple of str
+        What it has beyond a rigid device.
+    why : str
+        What refutes it; empty where it holds.
+    unsteady : float
+        Spread of the instants of the samples, root mean square [s]; 0 where none is seen.
+    mode_bound : float
+        Joints above it, a quarter of the mass beyond them, would not have been seen [Hz].
+    lag_bound, quadratic_bound : float
+        Largest lag [s] and quadratic damping per mass [1/m] that would not have been seen.
+    dropped : int
+        Windows that a stall spoilt.
+    """
+
+    model: Fit
+    test: Fit
+    whiteness: float
+    terms: tuple[str, ...]
+    why: str
+    unsteady: float
+    mode_bound: float
+    lag_bound: float
+    quadratic_bound: float
+    dropped: int
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of a run: first ticks of those that the search sees and of those that judge it, and the ticks of each."""
+
+    seen: Whole
+    unseen: Whole
+    length: int
+
+    def kept(self, kept: Whole) -> Windows:
+        """Leave out what is spoilt."""
+        return Windows(np.intersect1d(self.seen, kept), np.intersect1d(self.unseen, kept), self.length)
+
+
+def choose(experiment: Experiment, found: Fit, windows: Windows, scale: float, step: float | None) -> Choice:
+    """Judge a rigid fit, and add terms while the data ask for them."""
+    rigid, first, kept = _judged(experiment, found, windows, (), scale, step)
+    choice, evidence = rigid, first
+    while _doubted(choice, evidence) and len(choice.terms) < len(TERMS):
+        richer = _richer(experiment, choice, evidence, kept, scale)
+        if richer is None:
+            break
+        choice, evidence, kept = _judged(experiment, richer[0], kept, (*choice.terms, richer[1]), scale, step)
+    if _doubted(choice, evidence):
+        return replace(rigid, why=_why(rigid.model, first, step))
+    return choice
+
+
+def _doubted(choice: Choice, evidence: list[Evidence]) -> bool:
+    return choice.whiteness < IMPROBABLE or any(one.strength > SURE for one in evidence)
+
+
+def _judged(
+    experiment: Experiment, found: Fit, windows: Windows, terms: tuple[str, ...], scale: float, step: float | None
+) -> tuple[Choice, list[Evidence], Windows]:
+    """Fit all windows, judge by those that the search has not seen, and scan what is left."""
+    free = tuple(found.free.tolist())
+    length = windows.length
+    test = fit(experiment, windows.unseen, length, found.theta, (), scale)
+    starts = np.concatenate([windows.seen, windows.unseen])
+    order = np.argsort(starts)
+    # All windows together for what is reported: the held-out ones have judged.
+    model = fit(
+        experiment, starts[order], length, found.theta, free, scale, np.concatenate([found.states, test.states])[order]
+    )
+    undisturbed = _undisturbed(model, scale)
+    if not undisturbed.all():
+        model = fit(experiment, model.starts[undisturbed], length, model.theta, free, scale, model.states[undisturbed])
+        windows = windows.kept(model.starts)
+        test = fit(experiment, windows.unseen, length, found.theta, (), scale)
+    what = left(experiment, model, step)
+    evidence = scan(experiment, model, what)
+    spread, sure = unsteady(experiment, what)
+    # What a lag does beyond its mean delay grows with its square.
+    lags = [one for one in evidence if one.suspect.term == "actuator lag" and one.visible <= 1.0]
+    lag_bound = min((one.suspect.start[0] * math.sqrt(one.visible) for one in lags), default=math.inf)
+    quadratic = min((one.visible for one in evidence if one.suspect.term == "quadratic damping"), default=math.inf)
+    choice = Choice(
+        model=model,
+        test=test,
+        whiteness=whiteness(left(experiment, test, step)),
+        terms=terms,
+        why="",
+        unsteady=spread if sure > SURE else 0.0,
+        mode_bound=_mode_bound(evidence),
+        lag_bound=lag_bound * experiment.period,
+        quadratic_bound=quadratic,
+        dropped=int(np.sum(~undisturbed)),
+    )
+    return choice, evidence, windows
+
+
+def _mode_bound(evidence: list[Evidence]) -> float:
+    """Frequency up to which every joint would have been seen [Hz]."""
+    modes = sorted((one for one in evidence if one.suspect.term == "flexible mode"), key=lambda one: one.suspect.size)
+    seen = 0.0
+    for one in modes:
+        if one.visible > QUARTER:
+            break
+        seen = one.suspect.size
+    return seen
+
+
+def _undisturbed(found: Fit, scale: float) -> NDArray[np.bool_]:
+    """Tell which windows to keep: a stall of the machine or a knock spoils some of them altogether.
+
+    Rounding alone never makes a window four times as bad as the middle one, or as rounding itself where most of them are at
+    rest. When more than a third are, it is the model that does not fit, and all of them stay.
+    """
+    errors = np.sqrt(found.errors)
+    kept = np.asarray(errors <= 4.0 * max(float(np.median(errors)), scale * math.sqrt(found.length / 12.0)))
+    return kept if np.mean(kept) > 2.0 / 3.0 else np.ones_like(kept)
+
+
+def _richer(
+    experiment: Experiment, choice: Choice, evidence: list[Evidence], windows: Windows, scale: float
+) -> tuple[Fit, str] | None:
+    """Fit every term that is left from where the scan puts it; the one that explains unseen windows best, if any does."""
+    best: tuple[float, Fit, str] | None = None
+    before = choice.model
+    at = np.isin(before.starts, windows.seen)
+    for term, unknowns in TERMS.items():
+        asked = next((one for one in evidence if one.suspect.term == term), None)
+        if term in choice.terms or asked is None or asked.strength < SURE or asked.share < PROMISES:
+            continue
+        theta = before.theta.copy()
+        theta[list(unknowns)] = _start(asked)
+        free = (*before.free.tolist(), *unknowns)
+        found = fit(experiment, windows.seen, windows.length, theta, free, scale, before.states[at], steps=30)
+        error = float(fit(experiment, windows.unseen, windows.length, found.theta, (), scale).errors.sum())
+        if best is None or error < best[0]:
+            best = error, found, term
+    if best is None or best[0] >= float(choice.test.errors.sum()):
+        return None
+    return best[1], best[2]
+
+
+def _start(asked: Evidence) -> tuple[float, ...]:
+    """Sizes of a term to begin with."""
+    if asked.suspect.term == "quadratic damping":
+        return (max(asked.factor, 1e-3),)
+    if asked.suspect.term == "actuator lag":
+        return asked.suspect.start
+    # The mode moves the motor's side by as much as the mass beyond is of its own.
+    ratio = max(asked.factor, 0.05)
+    return (min(ratio / (1.0 + ratio), 0.7), *asked.suspect.start[1:])
+
+
+def _why(found: Fit, evidence: list[Evidence], step: float | None) -> str:
+    """Say what refutes a model and what the data ask for."""
+    size = f"{found.rms * 1e6:.3g} µm" if step is None else f"{found.rms / step:.2f} encoder steps (rounding: 0.29)"
+    strong = [one for one in evidence if one.strength > SURE]
+    asked = max(strong, key=lambda one: one.share * (FLEXIBLE if one.suspect.term in REPEATED else 1.0), default=None)
+    if asked is None or asked.share < EXPLAINS:
+        cause = "no term that was tried explains it"
+        if asked is not None:
+            cause += f" (nearest: {describe(asked.suspect.term, asked.suspect.size)}, {100 * asked.share:.0f} % of it)"
+    else:
+        cause = f"the data ask for {describe(asked.suspect.term, asked.suspect.size)}"
+    return f"it leaves {size} that are not white noise; {cause}"

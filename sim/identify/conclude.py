@@ -1,0 +1,225 @@
+"""From a fit to what it tells: estimates with 95 % intervals, and reasons where there are none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.identify.choose import Choice
+from sim.identify.encoder import Encoder, encoder
+from sim.identify.experiment import Experiment
+from sim.identify.identified import Estimate, HeldOut, Identified
+from sim.identify.motion import (
+    DAMPING,
+    DELAY,
+    FREQUENCY,
+    FRICTION,
+    LAG,
+    LOAD,
+    LOSS,
+    MOBILITY,
+    QUADRATIC,
+    SHARE,
+    STIFFNESS,
+)
+from sim.identify.output_error import Fit, own_states
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 0.95
+
+
+def nothing(experiment: Experiment, length: int, why: str) -> Identified:
+    """Tell what a run without a changing force tells: its delays and its encoder."""
+    unknown = Estimate(None, why=why)
+    _, shortest, longest, jitter = _delays(experiment)
+    return Identified(
+        mass=unknown,
+        damping=unknown,
+        friction=unknown,
+        delay=unknown,
+        device_delay=unknown,
+        encoder=_step(encoder(experiment.position[~experiment.missing])),
+        stiffness=unknown,
+        load=unknown,
+        quadratic=unknown,
+        lag=unknown,
+        frequency=unknown,
+        share=unknown,
+        loss=unknown,
+        jitter=jitter,
+        delay_range=(shortest, longest),
+        held=False,
+        residual=math.nan,
+        held_out=HeldOut(),
+        dropped=0,
+        windows=0,
+        ticks=length,
+        axis=experiment.axis,
+        period=experiment.period,
+    )
+
+
+def _step(grid: Encoder) -> Estimate:
+    if grid.step is None:
+        return Estimate(None, why=grid.why)
+    return Estimate(grid.step, grid.step - grid.error, grid.step + grid.error)
+
+
+def covariance_of(found: Fit) -> Array:
+    """Covariance of the unknowns, from how much the windows differ: rounding leaves errors that are not white."""
+    matrix = found.matrices.sum(axis=0)
+    size = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-60))
+    values, vectors = np.linalg.eigh(matrix * np.outer(size, size))
+    # A direction without any information gets an error without bound, not a division by zero.
+    inverse = (vectors / np.maximum(values, 1e-14)) @ vectors.T * np.outer(size, size)
+    windows, p = len(found.starts), len(found.free)
+    # Each window's score without its own pull on the estimate (the jackknife's correction, to first order).
+    scores = np.empty((windows, p))
+    identity = np.eye(p)
+    for w in range(windows):
+        leverage = found.matrices[w] @ inverse
+        scores[w] = np.linalg.lstsq(identity - leverage, found.sides[w], rcond=None)[0]
+    between = inverse @ (scores.T @ scores) @ inverse * (windows - 1) / windows
+    white = inverse * max(found.rms, 1e-12) ** 2
+    # Neither may promise more than the other: take the larger variance of each unknown.
+    wider = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(between), 1e-12 * np.diag(white)), 1.0))
+    return np.asarray(between * np.outer(wider, wider), dtype=np.float64)
+
+
+def conclude(experiment: Experiment, choice: Choice, grid: Encoder) -> Identified:
+    """Turn what was chosen into estimates; a refuted model gives its parameters no value."""
+    from scipy.stats import t
+
+    found, test = choice.model, choice.test
+
+    covariance = covariance_of(found)
+    quantile = float(t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, len(found.starts) - len(found.free))))
+    index = {int(which): i for i, which in enumerate(found.free)}
+    g = float(found.theta[MOBILITY])
+    force = float(np.std(experiment.force)) if len(experiment.force) else 0.0
+
+    def per_mass(which: int) -> tuple[float, float]:
+        """Value and half width of an unknown times mass."""
+        value = float(found.theta[which]) / g
+        slope = np.zeros(len(found.free))
+        slope[index[which]] = 1.0 / g
+        slope[index[MOBILITY]] -= value / g
+        return value, quantile * math.sqrt(max(float(slope @ covariance @ slope), 0.0))
+
+    def direct(which: int, unit: float = 1.0) -> tuple[float, float]:
+        """Value and half width of an unknown as it stands."""
+        width = quantile * math.sqrt(covariance[index[which], index[which]])
+        return float(found.theta[which]) * unit, width * unit
+
+    relative = quantile * math.sqrt(covariance[0, 0]) / g
+    speeds = np.diff(experiment.position) / experiment.period
+    speed = float(np.sqrt(np.mean(speeds**2)))
+    if relative > 0.5 or force == 0.0:
+        why = "no force was given: nothing tells the mass" if force == 0.0 else (
+            f"its error would be {100 * relative:.0f} %: push with forces that change more, or record longer"
+        )  # fmt: skip
+        mass = Estimate(None, why=why)
+        damping = friction = stiffness = load = Estimate(None, why=f"the mass is not known ({why})")
+    else:
+        # An interval of 1/m is one of m, and not symmetric.
+        mass = Estimate(1.0 / g, 1.0 / (g * (1.0 + relative)), 1.0 / (g * (1.0 - relative)))
+        damping = _bounded(*per_mass(DAMPING), max(float(found.theta[DAMPING]) / g, force / speed if speed else 0.0))
+        friction = _bounded(*per_mass(FRICTION), 0.5 * force)
+        load_value, load_width = per_mass(LOAD)
+        load = Estimate(load_value, load_value - load_width, load_value + load_width)
+        stiffness = Estimate(0.0, 0.0, 0.0)
+        if STIFFNESS in index:
+            stiffness = _bounded(*per_mass(STIFFNESS), math.inf)
+    late, late_width = direct(DELAY)
+    # Nobody knows how late an unsteady sample is on average; evenly spread from 0 on it is 1.7 of its standard deviations.
+    late_width += 2.0 * choice.unsteady / experiment.period
+    if late_width > 0.5 or force == 0.0:
+        why = f"its error would be {late_width:.2g} ticks: the force must change often, by much more than friction"
+        own = Estimate(None, why="no force was given" if force == 0.0 else why)
+    else:
+        own = Estimate(late, max(late - late_width, 0.0), late + late_width)
+    median, shortest, longest, jitter = _delays(experiment)
+    if own.value is None:
+        total = own
+    else:
+        _, low, high = own.known()
+        total = Estimate(own.value + median, low + median, high + median)
+        shortest, longest = shortest + low, longest + high
+    terms: dict[str, Estimate] = {}
+    for name, which, least in (
+        ("quadratic", QUADRATIC, choice.quadratic_bound / g),
+        ("lag", LAG, choice.lag_bound),
+    ):
+        terms[name] = Estimate(0.0, 0.0, least)
+        if which in index:
+            value, width = per_mass(which) if which == QUADRATIC else direct(which, experiment.period)
+            terms[name] = Estimate(value, max(value - width, 0.0), value + width)
+    seen = (
+        f"none seen; one above {choice.mode_bound:.0f} Hz, with a quarter of the mass, would not show"
+        if choice.mode_bound > 0.0
+        else "none seen, and none with a quarter of the mass would show: push longer, or faster"
+    )
+    for name, which in (("frequency", FREQUENCY), ("share", SHARE), ("loss", LOSS)):
+        terms[name] = Estimate(None, choice.mode_bound if name == "frequency" else None, why=seen)
+        if which in index:
+            value, width = direct(which)
+            terms[name] = Estimate(value, max(value - width, 0.0), value + width)
+    estimates = {
+        "mass": mass, "damping": damping, "friction": friction, "delay": total, "device_delay": own,
+        "stiffness": stiffness, "load": load, **terms,
+    }  # fmt: skip
+    unbelieved = {}
+    if choice.why:
+        unbelieved, unknown = estimates, Estimate(None, why=f"the model is refuted: {choice.why}")
+        estimates = dict.fromkeys(estimates, unknown)
+    return Identified(
+        **estimates,
+        encoder=_step(grid),
+        jitter=jitter,
+        delay_range=(shortest, longest),
+        held=STIFFNESS in index and float(found.theta[STIFFNESS]) > 0.0,
+        residual=found.rms,
+        held_out=HeldOut(
+            # The middle one: a window that a stall spoilt says nothing about the model.
+            math.sqrt(float(np.median(test.errors)) / (test.length - own_states(test.theta))),
+            choice.whiteness,
+        ),
+        dropped=choice.dropped,
+        windows=len(found.starts),
+        ticks=found.length,
+        axis=experiment.axis,
+        period=experiment.period,
+        terms=(*choice.terms, *(["sampling jitter"] if choice.unsteady else [])),
+        refuted=bool(choice.why),
+        why=choice.why,
+        unbelieved=unbelieved,
+    )
+
+
+def _bounded(value: float, width: float, too_wide: float) -> Estimate:
+    """Estimate what cannot be negative; None when its error is as large as what it is told from."""
+    if width > too_wide:
+        return Estimate(None, why=f"its error would be {width:.2g}, as large as what it is told from ({too_wide:.2g})")
+    return Estimate(value, max(value - width, 0.0), value + width)
+
+
+def _delays(experiment: Experiment) -> tuple[float, float, float, Estimate]:
+    """Median, shortest and longest delay of the loop, and its jitter with an interval from halves of the run."""
+    delay = experiment.delay
+    if len(delay) < 100:
+        return 0.0, 0.0, 0.0, Estimate(None, why=f"{len(delay)} ticks were answered in time, at least 100 are needed")
+    median = float(np.median(delay))
+    shortest, longest = (float(q) for q in np.quantile(delay, (0.001, 0.999)))
+    blocks = np.array_split(delay, 10)
+    rng = np.random.default_rng(1)
+    spreads = []
+    for _ in range(200):
+        again = np.concatenate([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))])
+        low, high = np.quantile(again, (0.001, 0.999))
+        spreads.append(high - low)
+    low, high = (float(q) for q in np.quantile(spreads, (0.025, 0.975)))
+    value = longest - shortest
+    return median, shortest, longest, Estimate(value, min(low, value), max(high, value))

@@ -1,0 +1,192 @@
+"""What a device may have beyond the model: for each such term, what it would move the recorded positions by.
+
+A term that acts as a force moves the device as any force does; one that the encoder adds is seen as it stands. The shape
+of each is known up to a factor (how strong it is) and a size or two, which are tried on a grid. `sim.identify.judge` compares
+the shapes with what a fit leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from nodes.stability.held_plant import held_plant
+from sim.identify.experiment import Experiment
+from sim.identify.motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
+from sim.identify.output_error import Fit
+
+Array = NDArray[np.float64]
+
+LOWEST = 8.0
+"""Of a joint [Hz]; what is slower is a hand."""
+HIGHEST = 0.9
+"""Of a joint, as a part of half the rate: faster ones cannot be told from slow ones."""
+LOSSES = (0.02, 0.08)
+"""Damping ratios of a joint."""
+LAGS = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Of the actuator [ticks]."""
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A term of one size.
+
+    Attributes
+    ----------
+    term : str
+        Its name.
+    size : float
+        What is tried on a grid, in the unit of `SIZES`.
+    shapes : ndarray, shape (g, W, L)
+        What it moves the positions by, up to a factor for each of g parts.
+    start : tuple of float
+        Sizes to begin a fit with.
+    """
+
+    term: str
+    size: float
+    shapes: Array
+    start: tuple[float, ...] = ()
+
+
+SIZES: dict[str, tuple[str, float]] = {
+    "flexible mode": ("a second mode at {:.0f} Hz", 1.0),
+    "actuator lag": ("an actuator lag of about {:.1f} ms", 1.0),
+    "quadratic damping": ("damping that grows with the square of the speed", 1.0),
+    "spring": ("a spring of the device that hardens or pulls unevenly", 1.0),
+    "presliding": ("friction that builds up over {:.0f} µm (presliding)", 1e6),
+    "backlash": ("a backlash of about {:.2g} mm", 1e3),
+    "stribeck": ("friction that falls with the speed", 1.0),
+    "cogging": ("a force that repeats every {:.2g} mm", 1e3),
+    "encoder ripple": ("an encoder error that repeats every {:.2g} mm", 1e3),
+    "drift": ("friction or damping that changes during the run", 1.0),
+    "deadband": ("a force that the motor does not give as told: a dead band, or a gain that depends on the force", 1.0),
+}
+"""How each term is told, and the factor of its size."""
+
+
+def describe(term: str, size: float) -> str:
+    """Tell a term in words."""
+    words, factor = SIZES[term]
+    return words.format(size * factor)
+
+
+class Shapes:
+    """Shapes of all suspects for one fit."""
+
+    def __init__(self, experiment: Experiment, found: Fit, modelled: Array) -> None:
+        """Take the motion from the model (W, L): smooth, and free of the encoder's rounding."""
+        theta, period = found.theta, experiment.period
+        self._period, self._length = period, found.length
+        self._rows = found.starts[:, None] + np.arange(found.length)
+        self._x = modelled
+        self._v = np.gradient(modelled, period, axis=1)
+        self._theta = theta
+        ticks = np.arange(len(experiment.position), dtype=np.float64)
+        impulse = np.concatenate([[0.0], np.cumsum(experiment.force[:-1] * np.diff(experiment.at))])
+
+        def pushed(until: Array) -> Array:
+            """Integral of the force up to an instant [N ticks]."""
+            then = np.interp(until, experiment.at, impulse)
+            return np.asarray(then + experiment.force[-1] * np.maximum(until - experiment.at[-1], 0.0))
+
+        # Mean of the force that acts during each tick, per mass.
+        self._force = theta[MOBILITY] * (pushed(ticks + 1.0 - theta[DELAY]) - pushed(ticks - theta[DELAY]))
+        direction = np.sign(np.gradient(np.convolve(experiment.position, np.ones(5) / 5.0, "same")))
+        self._net = self._force - theta[FRICTION] * direction + theta[LOAD]
+
+    def _moved_by(self, force: Array) -> Array:
+        """Motion of the model by a force per mass (W, L), from rest in each window."""
+        plant = held_plant(1.0, float(self._theta[DAMPING]), self._period, 0.0, float(self._theta[STIFFNESS]))
+        return np.asarray(lfilter([0.0, *plant.numerator[:2]], plant.denominator, force, axis=-1))
+
+    def all(self) -> Iterator[Suspect]:
+        """Give every suspect at every size."""
+        for part in (self._modes, self._lags, self._frictions, self._springs, self._gaps, self._repeated, self._others):
+            yield from part()
+
+    def _modes(self) -> Iterator[Suspect]:
+        highest = HIGHEST * 0.5 / self._period
+        # 3 % apart: a joint that rings for some ten periods is not missed between two of them.
+        for frequency in np.geomspace(LOWEST, highest, 1 + int(np.log(highest / LOWEST) / 0.03)).tolist():
+            pulse = 2.0 * np.pi * frequency
+            for loss in LOSSES:
+                plant = held_plant(1.0, 2.0 * loss * pulse, self._period, 0.0, pulse * pulse)
+                swing = lfilter([0.0, *plant.numerator[:2]], plant.denominator, self._net)
+                yield Suspect("flexible mode", frequency, swing[self._rows][None], (0.3, frequency, loss))
+
+    def _lags(self) -> Iterator[Suspect]:
+        for lag in LAGS:
+            decay = np.exp(-1.0 / lag)
+            mean = (1.0 - decay) * lag
+            late = lfilter([1.0 - mean, mean - decay], [1.0, -decay], self._force)
+            # The same mean delay without a lag is what the model has already.
+            shape = self._moved_by((late - self._force)[self._rows])
+            yield Suspect("actuator lag", lag * self._period * 1e3, shape[None], (lag,))
+
+    def _frictions(self) -> Iterator[Suspect]:
+        v, sign = self._v, np.sign(self._v)
+        yield Suspect("quadratic damping", 0.0, self._moved_by(-v * np.abs(v))[None], (1.0,))
+        for speed in (0.01, 0.03):
+            yield Suspect("stribeck", speed, self._moved_by(-sign * np.exp(-((v / speed) ** 2)))[None])
+        for reach in (2e-5, 5e-5, 1e-4, 2e-4, 5e-4):
+            yield Suspect("presliding", reach, self._moved_by(sign - self._bristle(reach) / reach)[None])
+
+    def _bristle(self, reach: float) -> Array:
+        """Deflection of something that is dragged along, and slips beyond its reach."""
+        steps = np.diff(self._x, axis=1)
+        out = np.zeros_like(self._x)
+        z = reach * np.sign(steps[:, 0])
+        for k in range(self._length):
+            out[:, k] = z
+            if k < self._length - 1:
+                z = np.clip(z + steps[:, k], -reach, reach)
+        return out
+
+    def _springs(self) -> Iterator[Suspect]:
+        x = self._x - np.median(self._x)
+        powers = np.stack([self._moved_by(-(x**n)) for n in (1, 2, 3)])
+        yield Suspect("spring", 0.0, powers)
+
+    def _gaps(self) -> Iterator[Suspect]:
+        for gap in (5e-5, 1e-4, 2e-4, 4e-4, 8e-4):
+            yield Suspect("backlash", gap, self._loose(gap)[None])
+
+    def _loose(self, gap: float) -> Array:
+        """Where a second mass is in its gap: it flies freely between two impacts, and goes along after each."""
+        x, v = self._x, self._v * self._period
+        out = np.zeros_like(x)
+        y = 0.5 * gap * np.sign(v[:, 0])
+        speed = v[:, 0].copy()
+        for k in range(self._length):
+            out[:, k] = y
+            y = y + v[:, k] - speed
+            hit = np.abs(y) > 0.5 * gap
+            y = np.clip(y, -0.5 * gap, 0.5 * gap)
+            speed = np.where(hit, v[:, k], speed)
+        return out
+
+    def _repeated(self) -> Iterator[Suspect]:
+        for pitch in np.geomspace(4e-4, 3e-2, 40).tolist():
+            around = 2.0 * np.pi * self._x / pitch
+            waves = np.stack([np.sin(around), np.cos(around)])
+            yield Suspect("encoder ripple", pitch, waves)
+            if pitch > 1e-3:
+                yield Suspect("cogging", pitch, np.stack([self._moved_by(wave) for wave in waves]))
+
+    def _others(self) -> Iterator[Suspect]:
+        along = np.broadcast_to((self._rows / self._rows.max() - 0.5)[:, :1], self._x.shape)
+        yield Suspect(
+            "drift", 0.0, np.stack([self._moved_by(-along * self._v), self._moved_by(-along * np.sign(self._v))])
+        )
+        force = self._force[self._rows]
+        strongest = np.abs(force).max() or 1.0
+        yield Suspect(
+            "deadband",
+            0.0,
+            np.stack([self._moved_by(np.tanh(force / (0.1 * strongest))), self._moved_by(force * np.abs(force))]),
+        )

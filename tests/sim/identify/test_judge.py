@@ -1,0 +1,130 @@
+"""Devices outside the model of a rigid one: what the data ask for is in the model, and what it cannot have refutes it."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import pytest
+
+from nodes.laws import CompiledLaw
+from nodes.stability.flexible import flexible_radius
+from sim.device.model import DeviceModel
+from sim.identify.identified import Estimate, Identified, refusal
+from sim.identify.identify import identify
+from sim.identify.report import figures, from_figures, text
+from sim.population.outside import Outside, excite_outside
+
+T = 0.002
+RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6)
+TRUTH = {"mass": 0.1, "damping": 1.0, "friction": 0.03, "delay": 1.2}
+
+
+def pushed(rigid: DeviceModel = RIGID, **odd: Any) -> Identified:
+    return identify(excite_outside(Outside(rigid, **odd), T, 4.0, seed=1))
+
+
+def far(estimate: Estimate, truth: float) -> float:
+    """Distance from the truth in half widths of the 95 % interval."""
+    value, low, high = estimate.known()
+    return abs(value - truth) / (0.5 * (high - low))
+
+
+RICHER: dict[str, dict[str, Any]] = {
+    "quadratic damping": {"quadratic": 2.0},
+    "flexible mode": {"share": 0.5, "frequency": 30.0, "loss": 0.02},
+    "actuator lag": {"lag": 3e-3},
+}
+
+
+@pytest.mark.parametrize("term", RICHER)
+def test_the_term_that_the_data_ask_for_is_identified(term: str) -> None:
+    """A rigid model was believed: damping +126 %, mass +2 %, delay off by 140 half widths, and nothing said so."""
+    odd = RICHER[term]
+    found = pushed(**odd)
+    assert found.terms == (term,)
+    assert not found.refuted
+    assert refusal(found) is None
+    for name, truth in {**TRUTH, **odd}.items():
+        # 2 half widths of 95 %: one chance in ten thousand for each.
+        assert far(getattr(found, name), truth) < 2.0, name
+    assert from_figures(json.loads(json.dumps(figures(found)))) == found
+    assert f"a rigid device with {term}" in text(found).splitlines()[0]
+
+
+def test_a_joint_that_hides_in_the_residual_is_found() -> None:
+    """120 Hz leaves 0.6 steps in all; a law for the rigid device is unstable with it, and the poles now say so."""
+    found = pushed(share=0.5, frequency=120.0, loss=0.02)
+    assert found.terms == ("flexible mode",)
+    assert found.frequency.value == pytest.approx(120.0, rel=5e-3)
+    assert far(found.mass, 0.1) < 2.0
+    law = CompiledLaw((8000.0, -7400.0))
+    assert flexible_radius(law, T, found.plant()) > 1.0
+    assert flexible_radius(law, T, pushed().plant()) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("odd", "named"),
+    [
+        ({"hardening": 3e5}, "a spring of the device"),
+        ({"presliding": 5e-5}, "presliding"),
+        ({"cogging": 0.02}, r"a force that repeats every (7\.\d|8(\.\d)?) mm"),
+        ({"warming": 0.5}, "changes during the run"),
+        ({"gap": 5e-4, "share": 0.3, "frequency": 150.0, "loss": 0.05}, "not white noise"),
+    ],
+)
+def test_what_no_model_explains_is_refused_by_name(odd: dict[str, Any], named: str) -> None:
+    found = pushed(**odd)
+    assert found.refuted
+    assert re.search(named, found.why)
+    for name in TRUTH:
+        estimate: Estimate = getattr(found, name)
+        assert estimate.value is None
+        assert "refuted" in estimate.why
+    assert found.encoder.value == pytest.approx(23e-6)
+    assert refusal(found) is not None
+    assert text(found).startswith("REFUTED")
+    # Told to, a designer can still have the best fit; it stays refuted.
+    assert found.anyway().mass.value is not None
+    assert found.anyway().refuted
+    assert from_figures(json.loads(json.dumps(figures(found)))) == found
+
+
+def test_no_more_than_the_scene_needs() -> None:
+    found = pushed()
+    assert found.terms == ()
+    assert not found.refuted
+    assert found.quadratic.value == 0.0
+    assert found.lag.value == 0.0
+    assert found.frequency.value is None
+    # Noise that is white is no other device: larger intervals, and the model holds.
+    noisy = pushed(noise=4e-5)
+    assert noisy.terms == ()
+    assert not noisy.refuted
+    assert noisy.residual_steps == pytest.approx((1.0 / 12.0 + (40.0 / 23.0) ** 2) ** 0.5, rel=0.05)
+    assert max(far(getattr(noisy, name), truth) for name, truth in TRUTH.items()) < 2.0
+
+
+def test_unsteady_samples_widen_the_delay() -> None:
+    """The mean instant of the samples is not known: a delay of 1.10 ± 0.006 was told for 1.2."""
+    found = pushed(jitter=0.2)
+    assert found.terms == ("sampling jitter",)
+    assert not found.refuted
+    assert far(found.delay, 1.2) < 1.0
+
+
+def test_the_edge_of_what_is_seen() -> None:
+    """A coarse encoder and a small mass beyond the joint: found below the bound that a run names, unseen well above it."""
+    coarse = DeviceModel(mass=0.2, damping=1.0, friction=0.03, delay=1.2, resolution=2e-4)
+    bound = pushed(rigid=coarse).frequency.low
+    assert bound is not None
+    assert 20.0 < bound < 200.0
+    joint = {"share": 0.25, "loss": 0.08}
+    seen = pushed(rigid=coarse, frequency=0.85 * bound, **joint)
+    assert seen.terms == ("flexible mode",)
+    unseen = pushed(rigid=coarse, frequency=3.0 * bound, **joint)
+    assert unseen.terms == ()
+    assert not unseen.refuted
+    # What is not seen hides in nothing that is told.
+    assert far(unseen.mass, 0.2) < 2.0
