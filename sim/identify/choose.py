@@ -27,9 +27,8 @@ QUARTER = 1.0 / 3.0
 """A quarter of the mass beyond a joint, as a ratio of the two: what a bound on joints is told for."""
 EXPLAINS = 0.27
 """Part of what is left that a suspect must take up to be named."""
-REPEATED = ("cogging", "encoder ripple")
-FLEXIBLE = 0.8
-"""Waves of any length and phase fit anything a little: so much of their part counts."""
+FLEXIBLE = 0.6
+"""A suspect of several shapes fits anything a little: so much of its part counts when one is named."""
 PROMISES = 0.15
 """Part that a term must take up by the scan to be fitted in full."""
 
@@ -120,7 +119,10 @@ def _judged(
     if not undisturbed.all():
         model = fit(experiment, model.starts[undisturbed], length, model.theta, free, scale, model.states[undisturbed])
         windows = windows.kept(model.starts)
-        test = fit(experiment, windows.unseen, length, found.theta, (), scale)
+    # The search may have stopped short: from where all windows lead, and again without those that judge.
+    seen = np.isin(model.starts, windows.seen)
+    again = fit(experiment, model.starts[seen], length, model.theta, free, scale, model.states[seen])
+    test = fit(experiment, windows.unseen, length, again.theta, (), scale, model.states[~seen])
     what = left(experiment, model, step)
     evidence = scan(experiment, model, what)
     spread, sure = unsteady(experiment, what)
@@ -183,7 +185,7 @@ def _richer(
         error = float(fit(experiment, windows.unseen, windows.length, found.theta, (), scale).errors.sum())
         if best is None or error < best[0]:
             best = error, found, term
-    if best is None or best[0] >= float(choice.test.errors.sum()):
+    if best is None or best[0] > 1.02 * float(choice.test.errors.sum()):
         return None
     return best[1], best[2]
 
@@ -203,7 +205,7 @@ def _why(found: Fit, evidence: list[Evidence], step: float | None) -> str:
     """Say what refutes a model and what the data ask for."""
     size = f"{found.rms * 1e6:.3g} µm" if step is None else f"{found.rms / step:.2f} encoder steps (rounding: 0.29)"
     strong = [one for one in evidence if one.strength > SURE]
-    asked = max(strong, key=lambda one: one.share * (FLEXIBLE if one.suspect.term in REPEATED else 1.0), default=None)
+    asked = max(strong, key=lambda one: one.share * (FLEXIBLE if len(one.suspect.shapes) > 1 else 1.0), default=None)
     if asked is None or asked.share < EXPLAINS:
         cause = "no term that was tried explains it"
         if asked is not None:

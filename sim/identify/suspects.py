@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from nodes.stability.held_plant import held_plant
+from nodes.stability.plant import Plant, held_plant
 from sim.identify.experiment import Experiment
 from sim.identify.motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
 from sim.identify.output_error import Fit
@@ -101,7 +101,7 @@ class Shapes:
 
     def _moved_by(self, force: Array) -> Array:
         """Motion of the model by a force per mass (W, L), from rest in each window."""
-        plant = held_plant(1.0, float(self._theta[DAMPING]), self._period, 0.0, float(self._theta[STIFFNESS]))
+        plant = held_plant(Plant(self._period, 1.0, float(self._theta[DAMPING]), 0.0, float(self._theta[STIFFNESS])))
         return np.asarray(lfilter([0.0, *plant.numerator[:2]], plant.denominator, force, axis=-1))
 
     def all(self) -> Iterator[Suspect]:
@@ -115,7 +115,7 @@ class Shapes:
         for frequency in np.geomspace(LOWEST, highest, 1 + int(np.log(highest / LOWEST) / 0.03)).tolist():
             pulse = 2.0 * np.pi * frequency
             for loss in LOSSES:
-                plant = held_plant(1.0, 2.0 * loss * pulse, self._period, 0.0, pulse * pulse)
+                plant = held_plant(Plant(self._period, 1.0, 2.0 * loss * pulse, 0.0, pulse * pulse))
                 swing = lfilter([0.0, *plant.numerator[:2]], plant.denominator, self._net)
                 yield Suspect("flexible mode", frequency, swing[self._rows][None], (0.3, frequency, loss))
 

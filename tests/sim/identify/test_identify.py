@@ -59,9 +59,9 @@ def test_a_hand_is_found_and_told_apart() -> None:
 
 
 def test_intervals_hold_the_truth() -> None:
-    """16 devices, 80 intervals: at 95 % fewer than 90 % hold with a probability below 2 %; at 80 % nearly always."""
+    """12 devices, 60 intervals: at 95 % fewer than 90 % hold with a probability below 2 %; at 80 % nearly always."""
     kept = []
-    for number in range(16):
+    for number in range(12):
         model = draw(number, seed=5, held=number % 2 == 1)
         found = identify(excite(model, T, 8.0, seed=number))
         assert not found.refuted, f"{number}: {found.why}"
