@@ -22,14 +22,6 @@ from sim.identify.experiment import Experiment, lockstep
 from sim.population.virtual import PUSH, draw
 from sim.scene.compiled import compiled
 
-__all__ = [
-    "KINDS",
-    "UNFORESEEN",
-    "Outside",
-    "draw_outside",
-    "excite_outside",
-]
-
 Array = NDArray[np.float64]
 
 SUBSTEPS = 64
