@@ -1,17 +1,31 @@
-"""The coupling's compiled ticks: a law of taps and sections, alone. Swaps, fades and laws with code of their own are plain."""
+"""The coupling's compiled ticks: laws of taps and sections, alone or in a cross-fade. A law with code of its own is plain."""
 
 from __future__ import annotations
 
 from array import array
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from messages import topics
 from nodes.base.setup import Setup
-from nodes.coupling.law_on_axis import History
+from nodes.coupling.law_on_axis import MAX_LEAVING, Fade, History, LawOnAxis
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.tick.answering import NEVER, CompiledTicks, Node
-from nodes.tick.layout import CouplingState
+from nodes.tick.layout import LEAVING, CouplingState
 from nodes.tick.library import Kernel
+
+STANDBY_TICKS = 64
+"""After how many ticks the kernel stops for laws that stand by, whose sections run along."""
+
+assert MAX_LEAVING <= LEAVING  # noqa: S101  # what a kernel has room for
+
+
+class _Numbers(NamedTuple):
+    """A law as a kernel finds it: its numbers, and their addresses and counts."""
+
+    taps: array[float]
+    sections: array[float]
+    law: LawOnAxis
+    told: tuple[int, int, int, int, int]
 
 
 class SharedHistory(History):
@@ -87,39 +101,69 @@ class CouplingTicks(CompiledTicks):
         # A longer gap is more than the history remembers.
         shared.bears_gap = shared.length - 2
         self._law: ActiveLaw | None = None
+        self._fades: list[Fade] = []
         self._known = False
+        self._longest = self._most
 
     def enter(self) -> bool:
-        """Take over law, conventions and schedule."""
+        """Take over law, fades, conventions and schedule."""
         node, state = self._coupling, self.state
         renderer = node._renderer
-        if not renderer.alone:
+        if renderer.watched:
             return False
-        if renderer.law is not self._law:
-            self._law, self._known = renderer.law, self._take_over(renderer.law)
+        if renderer.law is not self._law or renderer.fades is not self._fades:
+            self._law, self._fades = renderer.law, renderer.fades
+            self._known = self._take_over(renderer.law, renderer.fades)
+        fade = renderer.fades[0] if renderer.fades else None
+        state.fade_ramp, state.fade_done = (fade.ramp, fade.done) if fade else (0, 0)
         state.raw, state.clamp = renderer.raw, renderer.clamp
         state.revision, state.delay = node._revision, node._delay
         state.until = node._schedule[0][0] if node._schedule else NEVER
+        # Laws that stand by must see what is pushed before the history forgets it.
+        self._most = min(self._longest, STANDBY_TICKS) if renderer.standby else self._longest
         return self._known
 
-    def _take_over(self, law: ActiveLaw) -> bool:
+    def _take_over(self, law: ActiveLaw, fades: list[Fade]) -> bool:
         state: Any = self.state
-        self._taps = array("d", law.compiled.taps)
-        self._sections = array("d", [number for section in law.compiled.sections for number in section])
-        # Six: two numbers of a section on three axes.
-        self._undo = array("d", [0.0]) * (6 * len(law.compiled.sections))
-        self.keep("taps", self._taps)
-        self.keep("sections", self._sections)
-        self.keep("undo", self._undo)
-        state.taps_count, state.sections_count = len(self._taps), len(law.compiled.sections)
-        for n, axis in enumerate(law.axes):
-            state.sections_state[n] = axis.state.buffer_info()[0]
+        kept = [self._numbers(axis) for axis in law.axes]
+        state.taps, state.taps_count, state.sections, state.sections_count, _ = kept[0].told
+        for n, numbers in enumerate(kept):
+            state.sections_state[n] = numbers.told[4]
+        state.leaving = len(fades[0].leaving) if fades else 0
+        for n, fade in enumerate(fades):
+            for m, (leaving, weight) in enumerate(fade.leaving, LEAVING * n):
+                numbers = self._numbers(leaving)
+                kept.append(numbers)
+                state.leaving_weight[m] = weight
+                (
+                    state.leaving_taps[m],
+                    state.leaving_taps_count[m],
+                    state.leaving_sections[m],
+                    state.leaving_sections_count[m],
+                    state.leaving_state[m],
+                ) = numbers.told
+        state.undo_count = sum(2 * numbers.told[3] for numbers in kept)
+        undo = array("d", [0.0]) * state.undo_count
+        self.keep("undo", undo)
+        # What the kernel reads lives as long as it may.
+        self._kept_laws = kept, undo
         return self.say_text(law.name)
+
+    @staticmethod
+    def _numbers(law: LawOnAxis) -> _Numbers:
+        taps, sections = array("d", law.taps), array("d", law.coefficients)
+        told = (
+            taps.buffer_info()[0],
+            len(taps),
+            sections.buffer_info()[0],
+            len(sections) // 4,
+            law.state.buffer_info()[0],
+        )
+        return _Numbers(taps, sections, law, told)
 
     def leave(self, done: int) -> None:
         """Let the node know what the kernel did."""
         del done
-        node = self._coupling
-        node._delay = self.state.delay
-        for axis in node._renderer.law.axes:
-            axis.seen()
+        node, state = self._coupling, self.state
+        node._delay = state.delay
+        node._renderer.went_on(state.fade_done)

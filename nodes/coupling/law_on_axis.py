@@ -130,6 +130,8 @@ class LawOnAxis:
     ----------
     taps : tuple of float, shape (n + 1,)
         Its taps [N/m].
+    coefficients : tuple of float, shape (4 * s,)
+        Of its sections: see `nodes.kernels.sections`.
     state : array of float, shape (2 * s,)
         State of the sections [N]; a compiled tick goes on from it.
     plain : bool
@@ -147,7 +149,7 @@ class LawOnAxis:
         if len(law.taps) > history.length:
             raise ValueError(f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory")
         self._history = history
-        self._coefficients = tuple(c for section in law.sections for c in section)
+        self.coefficients = tuple(c for section in law.sections for c in section)
         self.state = array("d", [0.0]) * (2 * len(law.sections))
         self._pushes = history.pushes
         self.taps = law.taps
@@ -163,7 +165,7 @@ class LawOnAxis:
         """Bring the sections to where they would be had the law run all the time."""
         if self.state:
             self.state[:] = array("d", [0.0]) * len(self.state)
-            warm_up(self._coefficients, self.state, history.values, history.head, history.known)
+            warm_up(self.coefficients, self.state, history.values, history.head, history.known)
         self._pushes = history.pushes
 
     def catch_up(self) -> None:
@@ -173,7 +175,7 @@ class LawOnAxis:
             unseen = min(history.pushes - self._pushes, history.length - 1)
             for age in range(unseen - 1, -1, -1):
                 at = history.head + age
-                sections(self._coefficients, self.state, history.values[at], history.values[at + 1])
+                sections(self.coefficients, self.state, history.values[at], history.values[at + 1])
         self._pushes = history.pushes
 
     def seen(self) -> None:
@@ -190,7 +192,7 @@ class LawOnAxis:
         head = history.head
         force = self.sum_of_taps(head)
         if self.state:
-            force = force + sections(self._coefficients, self.state, history.values[head], history.values[head + 1])
+            force = force + sections(self.coefficients, self.state, history.values[head], history.values[head + 1])
             self._pushes = history.pushes
         if self._own is not None:
             force = force + self._own(history.values, head)
@@ -242,25 +244,32 @@ class Fade:
         The laws that leave and their weights, which add up to 1: several when a swap came during another's fade.
     ramp : int
         Length [ticks].
+
+    Attributes
+    ----------
+    leaving : list of tuple of LawOnAxis and float
+        The same.
+    ramp, done : int
+        Its length, and how much of it is done [ticks].
     """
 
     def __init__(self, leaving: list[tuple[LawOnAxis, float]], ramp: int) -> None:
         self.leaving = leaving
-        self._ramp = ramp
-        self._done = 0
+        self.ramp = ramp
+        self.done = 0
 
     def mix(self, new: float) -> float:
         """Blend the leaving laws into the new one's force; once per tick."""
         old = 0.0
         for law, weight in self.leaving:
             old += weight * law.force()
-        force = cross_fade(old, new, self._done, self._ramp)
-        self._done += 1
+        force = cross_fade(old, new, self.done, self.ramp)
+        self.done += 1
         return force
 
     def shares(self, new: LawOnAxis) -> list[tuple[LawOnAxis, float]]:
         """Tell what the force of the last tick was mixed of, to let just that fade out."""
-        weight = min(self._done / self._ramp, 1.0)
+        weight = min(self.done / self.ramp, 1.0)
         shares = [(law, share * (1.0 - weight)) for law, share in self.leaving] + [(new, weight)]
         shares = [share for share in shares if share[1] > 0.0]
         return shares if len(shares) <= MAX_LEAVING else _joined(shares)
@@ -268,4 +277,4 @@ class Fade:
     @property
     def over(self) -> bool:
         """Whether the new law has all the weight."""
-        return self._done >= self._ramp
+        return self.done >= self.ramp

@@ -110,9 +110,22 @@ class Renderer:
         self.clamp = True
 
     @property
-    def alone(self) -> bool:
-        """Whether a tick is the law's taps and sections and nothing else: no code of its own, no fade, no law standing by."""
-        return not (self.watched or self._fades or self.standby)
+    def fades(self) -> list[Fade]:
+        """The cross-fade under way, axis by axis; empty without one."""
+        return self._fades
+
+    def went_on(self, faded: int) -> None:
+        """Note what compiled ticks did: histories and sections are theirs too, and the fades have come so far [ticks]."""
+        for n, axis in enumerate(self._law.axes):
+            axis.seen()
+            if self._fades:
+                self._fades[n].done = faded
+                for leaving, _ in self._fades[n].leaving:
+                    leaving.seen()
+        if self._fades and self._fades[0].over:
+            self._end_fades()
+        for waiting in self.standby:
+            waiting.catch_up()
 
     @property
     def law(self) -> ActiveLaw:

@@ -219,13 +219,16 @@ class CompiledTicks:
             state.seq, state.ticks, state.clock_offset = node.followed, node.ticks, node.clock_offset
             state.gaps = node.gaps
             done = self.go()
-            if state.seq != node.followed:
+            went_on = state.seq != node.followed
+            if went_on:
                 node.seq = node.followed = node.answered = state.seq
                 node.gaps = state.gaps
             if done:
                 node.answer = self.last_sent()
                 node.ticks = state.ticks
                 node.ticks_compiled += done
+            if went_on:
+                # Also when all that was done is the bridge over a gap.
                 self.leave(done)
             if not state.frames:
                 return None

@@ -23,6 +23,9 @@ LONGEST_MAIL: Final = 4096
 LONGEST_TEXT: Final = 128
 """Longest text in a message sent, encoded [bytes]."""
 
+LEAVING: Final = 8
+"""Room for laws that fade out together."""
+
 FREE: Final = 0
 PLANE: Final = 1
 ANCHOR: Final = 2
@@ -155,7 +158,19 @@ class CouplingState(Structure):
         ("taps_count", c_int64),
         ("sections", c_int64),
         ("sections_count", c_int64),
+        # the cross-fade under way, 0 ticks for none: its length, how much of it is done, and the laws that leave, those of the
+        # axis n from n LEAVING on
+        ("fade_ramp", c_int64),
+        ("fade_done", c_int64),
+        ("leaving", c_int64),
+        ("leaving_weight", c_double * (3 * LEAVING)),
+        ("leaving_taps", c_int64 * (3 * LEAVING)),
+        ("leaving_taps_count", c_int64 * (3 * LEAVING)),
+        ("leaving_sections", c_int64 * (3 * LEAVING)),
+        ("leaving_sections_count", c_int64 * (3 * LEAVING)),
+        ("leaving_state", c_int64 * (3 * LEAVING)),
         # what a tick overwrites, for one that must be undone
         ("undo", c_int64),
+        ("undo_count", c_int64),
         ("oldest", c_double * 3),
     ]

@@ -33,9 +33,6 @@ Array = NDArray[np.float64]
 STILL = Criterion().tolerance
 """Largest motion over the last quarter of a run that counts as settled: that of the drop test [m]."""
 
-WORTH_COMPILING = 1_000_000
-"""From so many ticks on compiling the loop takes less time than interpreting it once."""
-
 
 @dataclass(frozen=True)
 class Felt:
@@ -92,7 +89,8 @@ def replay(
     # In lockstep the recorded delay is that of the rule.
     arrivals = None if recorded.lockstep else (recorded.came, recorded.answers, recorded.given)
     given = Given(force=external, target=recorded.target, arrivals=arrivals, nudged=nudged)
-    trace = run(played.scene, first, ticks, swaps, played.memory, ticks < WORTH_COMPILING, given)
+    # Interpreted: compiling the loop takes as long as a million ticks of it.
+    trace = run(played.scene, first, ticks, swaps, played.memory, True, given)
     return _judged(recorded, first, trace.measured, trace.force)
 
 

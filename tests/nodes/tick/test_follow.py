@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import pytest
 
@@ -22,6 +23,7 @@ from tests.support.setups import setup_of
 LAWS = {
     "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0},
     "pd_filtered": {"kind": "pd_filtered", "stiffness": 500.0, "damping": 3.0, "cutoff": 60.0},
+    "stiff": {"kind": "pd", "stiffness": 800.0, "damping": 3.0},
 }
 MEMORY = 64
 
@@ -41,8 +43,17 @@ def proxy_of(seq: int, stamp: float) -> Proxy:
     )
 
 
+Feed: TypeAlias = Callable[[Publisher, Callable[[int], Force]], None]
+
+
 def answered(
-    place: Path, tick: str, law: str, pace: str, feed: Callable[[Publisher, Callable[[int], Force]], None]
+    place: Path,
+    tick: str,
+    law: str,
+    pace: str,
+    feed: Feed,
+    schedule: Sequence[dict[str, Any]] = (),
+    made: list[Coupling] | None = None,
 ) -> tuple[list[Force], Coupling]:
     """Run a coupling on this thread while another one feeds it; what it answered."""
     assert choose(tick, [Coupling.kernel_module], print) == tick  # type: ignore[arg-type]
@@ -55,9 +66,18 @@ def answered(
             tick=tick,
             pace=pace,
             sources={topics.PROXY: source},
-            parameters={"law": law, "laws": LAWS, "memory": MEMORY, "stability": "off", "figures": False},
+            parameters={
+                "law": law,
+                "laws": LAWS,
+                "memory": MEMORY,
+                "stability": "off",
+                "figures": False,
+                "schedule": list(schedule),
+            },
         )
     )
+    if made is not None:
+        made.append(node)
     node.load_kernel()
     node.configure()
     proxies, node.publisher = Publisher(context, source), Publisher(context, sink)
@@ -140,3 +160,31 @@ def test_of_messages_that_are_too_late_the_newest_is_answered(tmp_path: Path, ti
     assert node.received == node.skipped
     if tick == "compiled":
         assert node.ticks_compiled == len(forces)
+
+
+def test_swaps_and_fades_stay_compiled_with_the_same_bits(tmp_path: Path) -> None:
+    """Swaps hard and faded, recursive laws that come and go, a gap in mid-fade, and swaps that come during a fade."""
+    schedule = [
+        {"at": 0.020, "law": "pd_filtered", "ramp": 12},
+        {"at": 0.060, "law": "pd", "ramp": 9},
+        {"at": 0.100, "law": "pd_filtered"},
+    ]
+    ticks = [*range(14), *range(17, 33), *range(36, 90)]
+    runs, nodes = {}, {}
+    for tick in ("plain", "compiled"):
+        node: list[Coupling] = []
+
+        def feed(proxies: Publisher, force_of: Callable[[int], Force], node: list[Coupling] = node) -> None:
+            for seq in ticks:
+                proxies.send_hop(topics.PROXY.encode(), encode(proxy_of(seq, 0.002 * seq)))
+                force_of(seq)
+                # Each during the fade of the one before.
+                if law := {60: "pd", 63: "pd_filtered", 70: "stiff"}.get(seq):
+                    node[0]._switch_law(law, ramp=11)
+
+        forces, made = answered(tmp_path, tick, "pd", "lockstep", feed, schedule, node)
+        runs[tick], nodes[tick] = [(force.force, force.law, force.revision) for force in forces], made
+    assert runs["compiled"] == runs["plain"]
+    assert {law for _, law, _ in runs["plain"]} == {"pd", "pd_filtered", "stiff"}
+    # Plain are the ticks of the three scheduled swaps and no other; a request is taken up between two ticks.
+    assert nodes["compiled"].ticks_compiled == len(ticks) - 3

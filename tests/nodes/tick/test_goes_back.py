@@ -1,0 +1,175 @@
+"""What sends a compiled tick back to the interpreter: the table of nodes/README.md, row by row, and nothing else."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import pytest
+
+from messages.codec import encode
+from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.types import DeviceState, Message, Proxy
+from nodes.base.node import Node
+from nodes.coupling.node import Coupling
+from nodes.environment.node import Environment
+from nodes.environment.surfaces import Plane
+from nodes.tick.choose import choose
+from sim.measure.launches import wait_for
+from tests.support import ROOT
+from tests.support.setups import setup_of
+
+TICKS = 12
+
+
+class Bowl(Plane, frozen=True, kw_only=True):
+    """A surface that answers as it likes."""
+
+
+PD = {"kind": "pd", "stiffness": 500.0, "damping": 3.0}
+
+
+def state_of(seq: int, **changes: Any) -> DeviceState:
+    return DeviceState(
+        **{"seq": seq, "stamp": 0.002 * seq, "position": (0.0, 0.0, -1e-3), "force": (0.0, 0.0, 0.0), **changes}
+    )
+
+
+def proxy_of(seq: int, depth: float = -1e-3) -> Proxy:
+    position = (0.0, 0.0, depth)
+    return Proxy(
+        seq=seq,
+        stamp=0.002 * seq,
+        position=position,
+        proxy=(0.0, 0.0, 0.0),
+        normal=(0.0, 0.0, 1.0),
+        distance=depth,
+        contact=True,
+    )
+
+
+class Case(NamedTuple):
+    """A node, what it gets (bytes are refused), what is asked of it after the tick 5, and which ticks are plain."""
+
+    kind: type[Node]
+    parameters: dict[str, Any]
+    sent: Sequence[Message | bytes]
+    plain: int
+    ask: Callable[[Any], Any] = lambda _: None
+
+
+def environment(sent: Sequence[Message | bytes], plain: int, **surface: Any) -> Case:
+    return Case(Environment, {"surface": surface or {"kind": "plane"}}, sent, plain)
+
+
+def coupling(
+    sent: Sequence[Message | bytes], plain: int, ask: Callable[[Any], Any] = lambda _: None, **more: Any
+) -> Case:
+    laws = {"pd": PD, "soft": {**PD, "stiffness": 400.0}, "own": {"kind": "excitation"}}
+    return Case(Coupling, {"law": "pd", "laws": laws, "memory": 16, "stability": "off", **more}, sent, plain, ask)
+
+
+STATES = [state_of(seq) for seq in range(TICKS)]
+PROXIES = [proxy_of(seq) for seq in range(TICKS)]
+CASES = {
+    ("environment", "a surface of another package"): environment(STATES, TICKS),
+    ("environment", "a driver in any state but `active`"): environment(
+        [*STATES[:4], *(state_of(seq, safety="ramp") for seq in range(4, 7)), *STATES[7:]], 3
+    ),
+    ("coupling", "the tick of a scheduled swap"): coupling(
+        PROXIES, 2, schedule=[{"at": 0.006, "law": "soft"}, {"at": 0.012, "law": "pd", "ramp": 3}]
+    ),
+    ("coupling", "a law with code of its own"): coupling(PROXIES, TICKS, law="own"),
+    ("coupling", "a gap longer than the memory"): coupling([*PROXIES[:6], proxy_of(40), proxy_of(41)], 1),
+    ("coupling", "a force that is not finite"): coupling([*PROXIES[:6], proxy_of(6, -1e306), *PROXIES[7:]], 1),
+    ("all", "a message that is refused, or comes once more"): coupling(
+        [*PROXIES[:4], b"no message", PROXIES[4], PROXIES[4], *PROXIES[5:]], 0
+    ),
+    ("all", "a request, between two ticks"): coupling(PROXIES, 0, lambda node: node._switch_law("soft", ramp=4)),
+}
+STAYS = {
+    "a hard surface, and one for both sides": environment(STATES, 0, kind="anchor", position=[0.0, 0.0, 0.01]),
+    "nothing to touch": environment(STATES, 0, kind="free"),
+    "a gap": coupling([*PROXIES[:3], *PROXIES[6:]], 0),
+    "a recursive law": coupling(
+        PROXIES, 0, law="filtered", laws={"filtered": {**PD, "kind": "pd_filtered", "cutoff": 60.0}}
+    ),
+}
+
+
+def played(place: Path, case: Case) -> tuple[Node, int]:
+    """Run a node in lockstep on this thread while another one feeds it; the node, and how often it answered."""
+    context = new_context()
+    source, sink = f"ipc://{place}/in", f"ipc://{place}/out"
+    heard = case.kind.listens_to[0]
+    name = "coupling" if case.kind is Coupling else "environment"
+    setup = setup_of(
+        name=name, kind=name, tick="compiled", pace="lockstep", sources={heard: source}, parameters=case.parameters
+    )
+    node: Any = case.kind(setup)
+    node.load_kernel()
+    node.configure()
+    feed, node.publisher = Publisher(context, source), Publisher(context, sink)
+    node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))
+    inbox = Subscription(context, [sink], [case.kind.publishes[0]])
+    wait_for(lambda: feed.listeners() and node.publisher.listeners(), "both subscriptions")
+    answers: list[bytes] = []
+
+    def work() -> None:
+        try:
+            for message in case.sent:
+                feed.send_hop(heard.encode(), message if isinstance(message, bytes) else encode(message))
+                if isinstance(message, bytes):
+                    wait_for(lambda: node.refused, "the refusal")
+                else:
+                    frames = inbox.receive(20_000)
+                    assert frames is not None, f"no answer to {message}"
+                    answers.append(frames[1])
+                    if message.seq == 5:
+                        case.ask(node)
+        finally:
+            node.stopping = True
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    node.loop()
+    thread.join()
+    for socket in (inbox, feed, node.publisher, node.inbox):
+        socket.close()
+    context.term()
+    seqs = [msgspec.msgpack.decode(answer)["seq"] for answer in answers]
+    assert seqs == [message.seq for message in case.sent if not isinstance(message, bytes)]
+    return node, len(set(seqs))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_before() -> None:
+    kernels = [Coupling.kernel_module, Environment.kernel_module]
+    assert choose("compiled", kernels, print) == "compiled"
+
+
+@pytest.mark.parametrize("row", CASES, ids=": ".join)
+def test_what_goes_back_does_and_the_rest_of_the_run_does_not(
+    row: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if row[1] == "a surface of another package":
+        monkeypatch.setattr("nodes.environment.node.parse_surface", lambda *_: Bowl())
+    node, ticks = played(tmp_path, CASES[row])
+    assert node.ticks == ticks
+    assert ticks - node.ticks_compiled == CASES[row].plain
+
+
+@pytest.mark.parametrize("row", STAYS)
+def test_what_is_not_in_the_table_stays_compiled(row: str, tmp_path: Path) -> None:
+    node, ticks = played(tmp_path, STAYS[row])
+    assert (node.ticks, node.ticks_compiled) == (ticks, ticks)
+
+
+def test_the_page_has_these_rows() -> None:
+    text = (ROOT / "nodes" / "README.md").read_text(encoding="utf-8")
+    table = text.partition("| node | what goes back to the interpreter |")[2].partition("\n\n")[0]
+    rows = [tuple(cell.strip() for cell in line.split("|")[1:3]) for line in table.splitlines()[2:]]
+    assert {row for row in rows if row[0] != "driver"} == set(CASES)
