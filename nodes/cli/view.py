@@ -22,6 +22,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_run_name(parser)
     parser.add_argument("--replay", type=Path, metavar="FILE", help="a recording instead of a running launch")
+    parser.add_argument("--over", type=Path, metavar="FILE", help="with --replay: another recording, drawn over it")
     parser.add_argument("--port", type=int, default=0, help="port of the page (default: a free one)")
     parser.add_argument(
         "--address", default="127.0.0.1", help="only 127.0.0.1; others are refused with what to do instead"
@@ -102,7 +103,7 @@ def _replay(arguments: argparse.Namespace, ended: list[int]) -> int:
     from nodes.view.replay import ReplayPages
 
     try:
-        pages = ReplayPages(arguments.replay)
+        pages = ReplayPages(arguments.replay, arguments.over)
     except RecordError as error:
         raise UsageError(str(error)) from error
 

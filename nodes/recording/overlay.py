@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
+from nodes.recording.figure_style import COLOURS, LINES
 from nodes.recording.plot import COLORS, form_of, head, new_figure, render, style
 from nodes.recording.reader import Recording
 from nodes.recording.series import Line, Lines
@@ -37,9 +38,12 @@ def _labels(recordings: Sequence[Recording], lines: Sequence[Lines]) -> list[str
 
 
 def _colors(count: int) -> list[Any]:
-    from matplotlib import colormaps
+    return [COLOURS[number % len(COLOURS)] for number in range(count)]
 
-    return [colormaps["tab10"](number) for number in range(count)]
+
+def _line_style(number: int) -> Any:
+    """Line style: after all colours the same ones come with other lines."""
+    return LINES[(number + number // len(COLOURS)) % len(LINES)]
 
 
 def _width(number: int, count: int) -> float:
@@ -76,7 +80,12 @@ def overlay(recordings: Sequence[Recording], start: float | None = None, stop: f
         for axes, line, scale in ((panels[0], one.position, 1e3), (panels[1], one.force, 1.0)):
             time, values = line.arrays()
             axes.plot(
-                time - one.begin, values[:, axis] * scale, color=color, lw=_width(number, len(lines)), label=label
+                time - one.begin,
+                values[:, axis] * scale,
+                color=color,
+                lw=_width(number, len(lines)),
+                ls=_line_style(number),
+                label=label,
             )
     level = _surface(lines[0], axis)
     if level is not None:

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLORS = {
-    "device": "#1f5fa8",
-    "asked": "#d9730d",
+    "device": "#0072B2",
+    "asked": "#D55E00",
     "surface": "#8a8f98",
     "late": "#c0262d",
-    "switch": "#2b8a57",
+    "switch": "#009E73",
 }
 """What each colour of a plot stands for."""
 

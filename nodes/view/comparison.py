@@ -54,6 +54,8 @@ class Comparison:
     ----------
     law : str
         Name of B; empty for none.
+    later : float
+        How much later B answers than the launch's loop does [ticks].
     """
 
     def __init__(self, run: RunInfo, driver: str, put: Callable[[str, dict[str, Any]], None]) -> None:
@@ -71,15 +73,16 @@ class Comparison:
         self._job: asyncio.Task[None] | None = None
         self._played_at = 0.0
         self.law = ""
+        self.later = 0.0
 
     @property
     def there(self) -> bool:
         """Whether this launch can be compared: a virtual device on one axis."""
         return self._kind in PLAYERS.names()
 
-    def choose(self, law: str, described: Mapping[str, Any]) -> None:
+    def choose(self, law: str, described: Mapping[str, Any], later: float = 0.0) -> None:
         """Play another law beside the launch, or none."""
-        self.law, self._described = law, described
+        self.law, self._described, self.later = law, described, later
         self._restart()
         self._put("beside", {"law": law})
 
@@ -118,7 +121,9 @@ class Comparison:
         busy = self._job is not None and not self._job.done()
         if self.law and self._targets and not busy and now - self._played_at > PERIOD:
             self._played_at = now
-            self._job = asyncio.get_running_loop().create_task(self._play_on(round(max(0.0, delay - self._late), 2)))
+            self._job = asyncio.get_running_loop().create_task(
+                self._play_on(round(max(0.0, delay - self._late) + self.later, 2))
+            )
 
     async def _play_on(self, late: float) -> None:
         law, begun = self.law, self._from
@@ -140,6 +145,7 @@ class Comparison:
             "t": (begun + first) * self._period,
             "period": self._period,
             "late": late,
+            "later": self.later,
             "position": [round(float(x), 8) for x in position[first:]],
             "force": [round(float(f), 5) for f in force[first:]],
         }

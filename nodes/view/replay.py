@@ -19,6 +19,7 @@ import msgspec
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
 from messages.types import DeviceState, Receipt
+from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.parameters.store import ParameterError, convert
@@ -29,6 +30,9 @@ from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, Facts, LiveRun
 from nodes.view.server import PageServer
 from nodes.view.stability_map import drawn_map
+
+OVER = 20_000
+"""Most points of another recording that is drawn over this one."""
 
 SCENES = 60.0
 """Pictures of the scene that are kept per second of the run."""
@@ -81,6 +85,8 @@ class ReplayPages:
     ----------
     path : Path
         An MCAP file.
+    over : Path or None
+        Another one, whose position and force are drawn over it, both from their first tick on.
 
     Attributes
     ----------
@@ -95,7 +101,7 @@ class ReplayPages:
         When it cannot be read, or holds no ticks.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, over: Path | None = None) -> None:
         recording = Recording(path)
         if DEVICE_STATE not in recording.topics:
             raise RecordError(f"{path}: holds nothing on {DEVICE_STATE}, so there is nothing to replay")
@@ -123,6 +129,7 @@ class ReplayPages:
             "fields": all_law_fields(),
         }
         self.hello = msgspec.json.encode({"type": "hello", **self._facts.hello(), **told}).decode()
+        self.over = "" if over is None else self._read_over(over)
         self.server = PageServer(lambda: ReplayPage(self))
         self._mapping = ThreadPoolExecutor(1, "map")
         self._maps: dict[str, dict[str, Any]] = {}
@@ -161,6 +168,21 @@ class ReplayPages:
                 self.statuses.add(at, texts[0])
         live.feed.file(all_of_them=True)
         self._delay = delays / states if states else 0.0
+
+    def _read_over(self, path: Path) -> str:
+        recording = Recording(path)
+        if DEVICE_STATE not in recording.topics:
+            raise RecordError(f"{path}: holds nothing on {DEVICE_STATE}, so there is nothing to draw over")
+        facts, axis = _facts(recording), AXIS_INDEX[self._facts.axes[0]]
+        states = [one for one in recording.messages(DEVICE_STATE) if isinstance(one, DeviceState)]
+        shown = states[:: 1 + len(states) // OVER]
+        begin = states[0].seq * facts.period
+        told = {
+            "times": [round(self.begin + state.seq * facts.period - begin, 6) for state in shown],
+            "position": [round(state.position[axis], 8) for state in shown],
+            "force": [round(state.force[axis], 5) for state in shown],
+        }
+        return msgspec.json.encode({"type": "over", "name": path.stem, **told}).decode()
 
     def _read_parameters(self, recording: Recording) -> None:
         """Take the laws that the run began with from what was recorded with it."""
@@ -237,7 +259,7 @@ class ReplayPage:
         self._since = time.monotonic()
         self._speed = 1.0
         self._playing = True
-        self._told: list[str | bytes] = [pages.hello]
+        self._told: list[str | bytes] = [pages.hello, *([pages.over] if pages.over else [])]
         self._go(pages.begin)
 
     def _go(self, at: float) -> None:

@@ -21,7 +21,7 @@ from nodes.view.live import HISTORY, LiveRun, facts_of
 from nodes.view.pointer import pointer_file
 from nodes.view.server import PageServer
 from nodes.view.shared_hand import SharedHand
-from nodes.view.stability_map import drawn_map
+from nodes.view.stability_map import MOST_DELAY, drawn_map
 
 if TYPE_CHECKING:
     from nodes.view.foxglove import Bridge
@@ -147,7 +147,7 @@ class RunPages:
         if self.live.ended:
             raise CommandError(f"view: the run has ended: {self.live.ended}")
         if request.get("op") == "compare":
-            return self._compare(request.get("law"))
+            return self._compare(request.get("law"), request.get("late", 0.0))
         # Who stops the run does not stand in line behind a node that does not answer.
         thread = None if request.get("op") == "stop" else self._asking
         result = await asyncio.get_running_loop().run_in_executor(thread, self._commander.do, request)
@@ -156,7 +156,7 @@ class RunPages:
         self.live.changed = True
         return result
 
-    def _compare(self, law: Any) -> dict[str, Any]:
+    def _compare(self, law: Any, later: Any) -> dict[str, Any]:
         """Choose the law that is played beside the launch; an empty name for none."""
         laws = self._laws.get("laws", {})
         if not self._comparison.there:
@@ -165,7 +165,10 @@ class RunPages:
             )
         if law != "" and (not isinstance(law, str) or law not in laws):
             raise CommandError(f"view: compare: no law is named {str(law)[:100]!r}; there is: {', '.join(laws)}")
-        self._comparison.choose(law, laws.get(law, {}))
+        if not isinstance(later, int | float) or not 0.0 <= later <= MOST_DELAY:
+            raise CommandError(f"view: compare: late is {str(later)[:40]}, expected 0 to {MOST_DELAY:g} ticks")
+        self._comparison.choose(law, laws.get(law, {}), float(later))
+        self._mapped = ("", -1.0)
         return {"law": law}
 
     def bridge(self, port: int) -> int:
@@ -301,4 +304,8 @@ class RunPages:
         driver = self._run.nodes[self._commander.driver].parameters
         draw = partial(drawn_map, described, self._period, self._laws.get("plant"), driver, delay)
         found = await asyncio.get_running_loop().run_in_executor(self._mapping, draw)
+        if self._comparison.law and self._comparison.later:
+            # Where the edge comes to when the answer is later: the map's second line.
+            late = partial(draw.func, *draw.args[:-1], delay + self._comparison.later)
+            found["later"] = (await asyncio.get_running_loop().run_in_executor(self._mapping, late)).get("edge")
         self.live.board.put("map", {"law": self._laws["active"], **found})

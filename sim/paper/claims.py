@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nodes.recording.figure_style import save_figure
 from sim.results import fresh
 
 if TYPE_CHECKING:
@@ -55,8 +56,8 @@ def save(
     name: str, figures: Mapping[str, Any], claims: Sequence[Claim], picture: Figure, folder: Path
 ) -> dict[str, Any]:
     """Write a study's figures and picture."""
-    plot, data = fresh(folder / f"{name}.png"), fresh(folder / f"{name}.json")
-    picture.savefig(plot, dpi=150)
+    plot, data = folder / f"{name}.png", fresh(folder / f"{name}.json")
+    save_figure(picture, plot, fresh)
     whole = {**figures, "claims": [asdict(claim) for claim in claims]}
     data.write_text(json.dumps(whole, indent=1, allow_nan=False) + "\n")
     return {**whole, "plot": str(plot), "data": str(data)}

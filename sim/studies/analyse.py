@@ -11,6 +11,7 @@ from typing import Any
 from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import LawRefusedError, compile_law
+from nodes.recording.figure_style import OMEGA, save_figure, styled, threshold
 from nodes.stability.closed_loop import law_figures
 from nodes.stability.every_delay import every_delay
 from nodes.stability.k_max import edge_of, k_max, tolerance, without_spring
@@ -162,6 +163,7 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
     return lines
 
 
+@styled
 def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> Path:
     import numpy as np
     from matplotlib.figure import Figure
@@ -170,17 +172,19 @@ def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> Pat
 
     period, theta = device.period, np.linspace(0.0, np.pi, 801)
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.add_subplot(xlabel="ω/ω_N", ylabel="[N s/m]", title=f"f(ω) of {arguments.law}")
+    axes = figure.add_subplot(
+        xlabel=OMEGA, ylabel=r"$f(\omega)$  [N s/m]", title=f"effective damping of {arguments.law}"
+    )
     spring = 0.5 * period * law.h1
-    axes.plot(theta / np.pi, effective_damping(law, period, theta / period), label="f(ω)")
+    axes.plot(theta / np.pi, effective_damping(law, period, theta / period), label="without delay")
     whole = int(device.delay)
     if whole:
         axes.plot(
-            theta / np.pi, effective_damping(law, period, theta / period, whole), label=f"f(ω), {whole} ticks late"
+            theta / np.pi,
+            effective_damping(law, period, theta / period, whole),
+            label=f"late by {whole} T",
         )
-    axes.axhline(device.damping - spring, color="k", linestyle="--", label="passive below b − H(1)T/2")
+    limit = device.damping - spring
+    threshold(axes, limit, f"b − H(1)T/2 = {limit:.3g} N s/m: passive below")
     axes.legend()
-    axes.grid(alpha=0.3)
-    path: Path = fresh(arguments.out / "analyse.png")
-    figure.savefig(path, dpi=150)
-    return path
+    return save_figure(figure, arguments.out / "analyse.png", fresh)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.cli.main import UsageError, answer
+from nodes.recording.figure_style import COLOURS, INK, save_figure, styled, threshold
 from sim.measure.sweep import add_cluster
 from sim.results import fresh
 from sim.studies import arguments as shared
@@ -90,6 +91,7 @@ def _text(found: Mapping[str, Any], ledger: Path, picture: Path) -> str:
     return "\n".join([*lines, str(ledger), str(picture)])
 
 
+@styled
 def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Draw estimates against the truth, and errors in units of their own interval."""
     from matplotlib.figure import Figure
@@ -100,25 +102,31 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     panels = figure.subplots(2, len(named), height_ratios=(1.4, 1.0))
     for column, (name, unit) in enumerate(named.items()):
         top, bottom = panels[0][column], panels[1][column]
-        for held, colour in ((False, "tab:blue"), (True, "tab:orange")):
+        for held, colour, mark in ((False, COLOURS[0], "o"), (True, COLOURS[1], "x")):
             known = [row[name] for row in rows if row["held"] == held and row[name]["value"] is not None]
             if not known:
                 continue
             label = "held" if held else "free"
             top.plot(
-                [one["truth"] for one in known], [one["value"] for one in known], ".", color=colour, ms=3, label=label
+                [one["truth"] for one in known],
+                [one["value"] for one in known],
+                mark,
+                color=colour,
+                ms=2.5,
+                label=label,
             )
             half = [max(0.5 * (one["high"] - one["low"]), 1e-300) for one in known]
             off = [(one["value"] - one["truth"]) / h for one, h in zip(known, half, strict=True)]
-            bottom.hist(off, bins=25, range=(-2.5, 2.5), histtype="step", color=colour)
+            bottom.hist(off, bins=25, range=(-2.5, 2.5), histtype="step", color=colour, ls="--" if held else "-")
         ends = top.get_xlim()
-        top.plot(ends, ends, "k-", lw=0.5)
-        top.set(title=f"{name} [{unit}]", xlabel="truth", ylabel="identified" if column == 0 else "")
+        top.plot(ends, ends, color=INK, ls="-", lw=0.5)
+        top.set(title=name, xlabel=f"truth  [{unit}]", ylabel=f"identified  [{unit}]")
         if name in ("mass", "damping"):
             top.set(xscale="log", yscale="log")
             for axis in (top.xaxis, top.yaxis):
                 axis.set_minor_formatter(NullFormatter())
         bottom.axvspan(-1.0, 1.0, alpha=0.12)
-        bottom.set(xlabel="error / half interval", ylabel="devices" if column == 0 else "")
-    panels[0][0].legend(fontsize=8)
-    figure.savefig(fresh(path), dpi=110)
+        threshold(bottom, 1.0, "95 %", vertical=True)
+        bottom.set(xlabel="error over half interval  [1]", ylabel="devices" if column == 0 else "")
+    panels[0][0].legend()
+    save_figure(figure, path, fresh)

@@ -12,6 +12,7 @@ from typing import Any
 
 from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
+from nodes.recording.figure_style import OMEGA, save_figure, styled, threshold
 from nodes.recording.writer import RecordError
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
@@ -361,6 +362,7 @@ def _verdict(demand: Demand, laws: list[dict[str, Any]], lines: list[str]) -> di
     return {"demand": _wanted(demand), "laws": laws, "best_other": rival, "gain": gain}
 
 
+@styled
 def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | None) -> None:
     import numpy as np
     from matplotlib.figure import Figure
@@ -389,12 +391,10 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
         )
         right.plot(theta / np.pi, needed, label=label)
     plain_log(left.xaxis, float(masses[0]), float(masses[-1]))
-    left.axhline(demand.radius, color="k", linestyle="--")
-    left.axvspan(*demand.mass, alpha=0.1)
-    left.set(xlabel="mass [kg]", ylabel="pole radius", title=f"delay {demand.delay[1]:.3g} ticks")
-    right.axhline(demand.damping, color="k", linestyle="--", label="damping of the device")
-    right.set(xlabel="ω/ω_N", ylabel="damping needed [N s/m]", title=f"passivity, {whole} ticks late")
-    for axes in (left, right):
-        axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
-    figure.savefig(path, dpi=150)
+    threshold(left, demand.radius, f"{demand.radius:g}: demanded at most")
+    left.axvspan(*demand.mass, alpha=0.1, lw=0)
+    left.set(xlabel="mass  [kg]", ylabel="pole radius  [1]", title=f"delay {demand.delay[1]:.3g} ticks")
+    threshold(right, demand.damping, f"b = {demand.damping:g} N s/m of the device")
+    right.set(xlabel=OMEGA, ylabel="damping needed  [N s/m]", title=f"passivity, {whole} ticks late")
+    left.legend()
+    save_figure(figure, path)

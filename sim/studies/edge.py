@@ -10,6 +10,7 @@ from typing import Any
 
 from nodes.cli.main import UsageError, answer
 from nodes.laws.parse import LawRefusedError, parse_law
+from nodes.recording.figure_style import COLOURS, INK, MARKERS, save_figure, styled, threshold
 from nodes.recording.writer import RecordError
 from nodes.stability.k_max import edge_of, k_max, without_spring
 from sim.studies import arguments as shared
@@ -111,6 +112,7 @@ def _predict(arguments: argparse.Namespace) -> int:
     return 0
 
 
+@styled
 def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: float, period: float) -> Path:
     from matplotlib.figure import Figure
 
@@ -119,20 +121,25 @@ def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: fl
     for i, name in enumerate(LAWS):
         mine = [row for row in rows if row["law"] == name]
         k = [row["k_max_n_per_m"] for row in mine]
-        left.plot([row["f_n_s_per_m"] for row in mine], k, f"C{i}o", ms=4, label=name)
-        right.plot([row["omega_rad_per_s"] / (2.0 * math.pi) for row in mine],
-                   [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in mine], f"C{i}o", ms=4, label=name)  # fmt: skip
+        look: Any = {"ls": "none", "marker": MARKERS[i], "color": COLOURS[i], "label": name}
+        left.plot([row["f_n_s_per_m"] for row in mine], k, **look)
+        hertz = [row["omega_rad_per_s"] / (2.0 * math.pi) for row in mine]
+        right.plot(hertz, [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in mine], **look)
     span = sorted(row["f_n_s_per_m"] for row in rows)
-    left.plot(span, [2.0 * (damping - f) / period for f in span], "k-", linewidth=0.8, label="2(b − f)/T")
-    left.set(xlabel="f(ω_c) [N s/m]", ylabel="K_max [N/m]", title="the smaller f where it rings, the stiffer")
-    right.set(xlabel="ω_c/2π [Hz]", ylabel="2(b − f(ω_c))/T over K_max", title="Colgate at ω_c alone, without R")
-    for axes in (left, right):
-        axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
+    left.plot(span, [2.0 * (damping - f) / period for f in span], color=INK, ls="-", lw=0.8, label="$2(b-f)/T$")
+    left.set(
+        xlabel=r"$f(\omega_c)$  [N s/m]",
+        ylabel=r"$K_\mathrm{max}$  [N/m]",
+        title="the smaller f where it rings, the stiffer",
+    )
+    right.set(
+        xlabel=r"$\omega_c/2\pi$  [Hz]",
+        ylabel=r"$2(b-f(\omega_c))/T$ over $K_\mathrm{max}$  [1]",
+        title=r"Colgate at $\omega_c$ alone, without R",
+    )
+    threshold(right, 1.0, "1: as predicted")
+    left.legend()
     figure.suptitle(
         f"m = {arguments.mass:g} kg, b = {damping:g} N s/m, d = {arguments.delay:g}, {arguments.rate:g} Hz", fontsize=9
     )
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    path: Path = arguments.out / "edge.png"
-    figure.savefig(path, dpi=150)
-    return path
+    return save_figure(figure, arguments.out / "edge.png")

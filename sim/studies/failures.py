@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from nodes.cli.main import answer
+from nodes.recording.figure_style import COLOURS, GREY, styled, threshold
 from sim.studies import arguments as shared
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if all(edge.agreed for edge in found) else 1
 
 
+@styled
 def _draw(edges: list[Edge], bias: dict[int, tuple[float, float]]) -> Figure:
     from matplotlib.figure import Figure
 
@@ -63,20 +65,21 @@ def _draw(edges: list[Edge], bias: dict[int, tuple[float, float]]) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     for row, edge in enumerate(edges):
         for radius, settled in ((edge.inside, edge.settled_inside), (edge.outside, edge.settled_outside)):
-            left.plot(radius - 1.0, row, "o" if settled else "x", color="C0" if settled else "C3")
-    left.axvline(0.0, color="0.5")
+            left.plot(radius - 1.0, row, "o" if settled else "x", color=COLOURS[0] if settled else COLOURS[1])
+    threshold(left, 0.0, "pole radius 1", vertical=True)
     left.set_xscale("symlog", linthresh=1e-5)
     left.set_yticks(range(len(edges)), [edge.name for edge in edges], fontsize=7)
+    left.grid(visible=False, axis="y")
     left.invert_yaxis()
     left.margins(x=0.1)
     left.set_xlabel("pole radius − 1 [1]")
-    left.set_title("just inside and outside: ● simulation settled, × it did not", fontsize=9)
+    left.set_title("just inside and outside: ● simulation settled, × it did not")
     counts = sorted(bias)
-    right.plot(counts, [bias[n][1] for n in counts], "0.5", label="1/(1 − 1/n_sub)")
-    right.plot(counts, [bias[n][0] for n in counts], "C1o", label="semi-implicit Euler, heavy device")
-    right.set(xscale="log", xlabel="sub-steps per tick", ylabel="K_max over the exact one [1]")
+    right.plot(counts, [bias[n][1] for n in counts], color=GREY, label=r"$1/(1-1/n_\mathrm{sub})$")
+    right.plot(counts, [bias[n][0] for n in counts], "o", color=COLOURS[1], label="semi-implicit Euler, heavy device")
+    right.set(xscale="log", xlabel="sub-steps per tick  [1]", ylabel=r"$K_\mathrm{max}$ over the exact one  [1]")
     right.set_xticks(counts, [str(n) for n in counts])
     right.minorticks_off()
-    right.set_title("what an integrator adds to K_max", fontsize=9)
+    right.set_title("what an integrator adds to $K_\\mathrm{max}$")
     legend_below(figure, right)
     return figure

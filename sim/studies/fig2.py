@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from nodes.cli.main import UsageError, answer
+from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, OMEGA, styled
 from sim.studies import arguments as shared
 
 
@@ -17,6 +18,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
+@styled
 def run(arguments: argparse.Namespace) -> int:
     """Draw the figure and check the claims."""
     from matplotlib.figure import Figure
@@ -31,14 +33,14 @@ def run(arguments: argparse.Namespace) -> int:
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     share = theta / theta[-1]
     for axes, name, terms in zip(figure.subplots(1, 2), "ab", (low, high), strict=True):
-        axes.set(xlabel="ω/ω_N", ylabel="f(ω), 1 at ω_N", ylim=(-2.5, 1.2))
+        axes.set(xlabel=OMEGA, ylabel=r"$f(\omega)$ over $f(\omega_\mathrm{N})$  [1]", ylim=(-2.5, 1.2))
         for i, term in enumerate(terms):
-            axes.plot(share, term.curve, f"C{i}", label=f"α = {term.order:g}")
-            axes.plot(share, term.unlimited, f"C{i}", linestyle=":", linewidth=1.0)
-            axes.plot(term.zero, 0.0, f"C{i}", marker="o", markersize=4)
-        axes.axhline(0.0, color="0.6", linewidth=0.8)
-        axes.set_title(f"({name}) f of one term, {arguments.taps} taps (full), unlimited memory (dotted)", fontsize=9)
-        axes.legend(fontsize=8)
+            axes.plot(share, term.curve, color=COLOURS[i], ls=LINES[i], label=f"α = {term.order:g}")
+            axes.plot(share, term.unlimited, color=COLOURS[i], ls="-", lw=0.6, alpha=0.7)
+            axes.plot(term.zero, 0.0, color=COLOURS[i], marker=MARKERS[i])
+        axes.axhline(0.0, color=GREY, lw=0.8)
+        axes.set_title(f"({name}) f of one term, {arguments.taps} taps (thick), unlimited memory (thin)")
+        axes.legend()
     curves = [
         {"figure": name, "order": t.order, "zero": t.zero, "f": t.curve.tolist(), "f_unlimited": t.unlimited.tolist()}
         for name, terms in (("a", low), ("b", high))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from nodes.cli.main import UsageError, answer
+from nodes.recording.figure_style import COLOURS, GREY, OMEGA, label_ends, styled
 from sim.studies import arguments as shared
 
 
@@ -16,6 +17,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
+@styled
 def run(arguments: argparse.Namespace) -> int:
     """Draw the figure and check the claims."""
     from matplotlib.figure import Figure
@@ -29,15 +31,16 @@ def run(arguments: argparse.Namespace) -> int:
     claims = claims_3(arguments.taps, 1.0 / arguments.rate)
     share = curves["theta"] / curves["theta"][-1]
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-    axes = figure.add_subplot(xlabel="ω/ω_N", ylabel="f(ω), each term 1 at ω_N")
-    axes.plot(share, curves["optimum"], "C0", label="paper's optimum")
-    axes.plot(share, curves["pd"], "C1", label="PD")
-    for i, label in enumerate(("1.69 D^1.50", "1.32 D^3.47")):
-        axes.plot(share, curves["terms"][i], "C0", linestyle=("--", ":")[i], linewidth=0.9, label=label)
-    axes.axhline(-1.0, color="0.6", linewidth=0.8)
-    axes.axhline(0.0, color="0.6", linewidth=0.8)
-    axes.set_title(f"f of the paper's optimum, {arguments.taps} taps per term", fontsize=9)
-    axes.legend(fontsize=8)
+    axes = figure.add_subplot(xlabel=OMEGA, ylabel=r"$f(\omega)$, each term 1 at $\omega_\mathrm{N}$  [1]")
+    axes.plot(share, curves["optimum"], color=COLOURS[0], ls="-", label="paper's optimum")
+    axes.plot(share, curves["pd"], color=COLOURS[1], ls="--", label="PD")
+    for i, label in enumerate((r"$1.69\,D^{1.50}$", r"$1.32\,D^{3.47}$")):
+        axes.plot(share, curves["terms"][i], color=COLOURS[2 + i], ls=("-.", ":")[i], lw=1.0, label=label)
+    for level in (-1.0, 0.0):
+        axes.axhline(level, color=GREY, lw=0.8)
+    axes.set_title(f"f of the paper's optimum, {arguments.taps} taps per term")
+    axes.set_xlim(0.0, 1.0)
+    label_ends(axes)
     figures = {
         "taps": arguments.taps,
         "frequency_nyquist": share.tolist(),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nodes.cli.main import UsageError, answer
+from nodes.recording.figure_style import COLOURS, MARKERS, styled, threshold
 from sim.studies import arguments as shared
 
 if TYPE_CHECKING:
@@ -80,6 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if complete else 130
 
 
+@styled
 def _draw(setting: Setting, curves: list[Curve]) -> Figure:
     from matplotlib.figure import Figure
 
@@ -91,25 +93,25 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
     for column, delay in enumerate(DELAYS):
         stiffness, frequency = axes[0][column], axes[1][column]
         for curve in (c for c in curves if c.delay == delay):
-            color = f"C{LAWS.index(curve.law)}"
+            i = LAWS.index(curve.law)
+            color: Any = {"color": COLOURS[i]}
             gains = setting.gains[: len(curve.found)]
             felt = [f.h1_max_n_per_m or float("nan") for f in curve.found]
             if curve.touch:
-                stiffness.plot(gains, felt, color, marker="x", linestyle="none", markersize=4)
+                stiffness.plot(gains, felt, **color, marker="x", ls="none")
                 continue
             nominal = [f.k_max_n_per_m or float("nan") for f in curve.found]
-            stiffness.plot(gains, nominal, color, label=curve.law)
-            stiffness.plot(gains, felt, color, linestyle="--", linewidth=0.9)
+            stiffness.plot(gains, nominal, **color, ls="-", marker=MARKERS[i], ms=3.5, label=curve.law)
+            stiffness.plot(gains, felt, **color, ls="--", lw=0.9)
             swings = [f.frequency_hz or float("nan") for f in curve.found]
-            frequency.plot(gains, swings, color)
-        stiffness.axhline(2.0 * setting.damping / setting.period, color="0.5", linestyle=":", label="2b/T")
-        stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles [N/m]")
-        stiffness.set_title(f"d = {delay:g}: nominal K full, felt H(1) dashed, Touch X sensor × (H(1))", fontsize=9)
+            frequency.plot(gains, swings, **color, ls="-", marker=MARKERS[i], ms=3.5)
+        stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles  [N/m]")
+        stiffness.set_title(f"d = {delay:g}: nominal K full, felt H(1) dashed, Touch X sensor × (H(1))")
+        edge = 2.0 * setting.damping / setting.period
+        threshold(stiffness, edge, f"2b/T = {edge:.4g} N/m: passive for any hand")
         plain_log(stiffness.yaxis, *stiffness.get_ylim())
         plain_log(stiffness.xaxis, setting.gains[0], setting.gains[-1])
-        frequency.set(xlabel="B [N s/m]", ylabel="measured swing at the limit [Hz]")
-    for axis in axes.flat:
-        axis.grid(alpha=0.3)
+        frequency.set(xlabel="B  [N s/m]", ylabel="measured swing at the limit  [Hz]")
     legend_below(figure, axes[0][0])
     figure.suptitle(
         f"Drop of {setting.mass:g} kg, b = {setting.damping:g} N s/m, {1.0 / setting.period:g} Hz, "

@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from nodes.cli.main import UsageError, add_json, answer
 from nodes.driver.passivity import PassivityParameters
 from nodes.laws.pd import PD
+from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, save_figure, styled
 from sim.device.model import DeviceModel
 from sim.experiments.guarded_drop import Drop, compare
 from sim.results import fresh
@@ -76,34 +78,30 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+@styled
 def _draw(arguments: argparse.Namespace, drops: list[Drop]) -> Path:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 7.5), layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)
-    for guarded, color, label in ((False, "#c0262d", "without the guard"), (True, "#1f5fa8", "with the guard")):
+    for guarded, i, label in ((False, 1, "without the guard"), (True, 0, "with the guard")):
+        look: Any = {"color": COLOURS[i], "marker": MARKERS[i], "ls": LINES[i], "ms": 3.5}
         chosen = [drop for drop in drops if drop.guarded is guarded]
         stiffness = [drop.stiffness for drop in chosen]
         # Zero has no place on a logarithmic axis: a nanojoule stands for less.
-        panels[0].plot(
-            stiffness, [max(drop.energy_max_j * 1e3, 1e-6) for drop in chosen], "o-", ms=3, color=color, label=label
-        )
-        panels[1].plot(stiffness, [max(drop.unrest_m * 1e3, 1e-6) for drop in chosen], "o-", ms=3, color=color)
+        panels[0].plot(stiffness, [max(drop.energy_max_j * 1e3, 1e-6) for drop in chosen], label=label, **look)
+        panels[1].plot(stiffness, [max(drop.unrest_m * 1e3, 1e-6) for drop in chosen], **look)
         felt = [float("nan") if drop.felt_n_per_m is None else drop.felt_n_per_m for drop in chosen]
-        panels[2].plot(stiffness, felt, "o-", ms=3, color=color)
+        panels[2].plot(stiffness, felt, **look)
     nominal = [drop.stiffness for drop in drops]
-    panels[2].plot(nominal, nominal, ":", color="#8a8f98", label="nominal")
+    panels[2].plot(nominal, nominal, ls=":", color=GREY, label="felt = nominal")
     for axes, label in zip(panels, ("given out [mJ]", "unrest [mm]", "felt stiffness [N/m]"), strict=True):
         axes.set(xscale="log", yscale="log", ylabel=label)
-        axes.grid(alpha=0.3)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(fontsize=8)
+            axes.legend()
     panels[2].set_xlabel("nominal stiffness K [N/m]")
     panels[0].set_title(
         f"Drop of {arguments.mass:g} kg from {arguments.height * 1e3:g} mm, PD with B = {arguments.gain:g} N s/m, "
         f"{arguments.rate:g} Hz, delay {int(arguments.next_tick)} tick",
-        fontsize=9,
     )
-    path: Path = fresh(arguments.out / "guard.png")
-    figure.savefig(path, dpi=130)
-    return path
+    return save_figure(figure, arguments.out / "guard.png", fresh)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
+from nodes.recording.figure_style import label_ends, save_figure, styled
 from nodes.stability.k_max import KMax, k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
@@ -196,21 +197,20 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     return 0
 
 
+@styled
 def _draw(arguments: argparse.Namespace, points: list[dict[str, Any]]) -> Path:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.add_subplot(xlabel="gain B [N s/m]", ylabel="stiffness [N/m]")
+    axes = figure.add_subplot(xlabel="gain B  [N s/m]", ylabel="stiffness  [N/m]")
     gains = [point["gain"] for point in points]
     for key, label, style in (("k_max_n_per_m", "nominal K", "--"), ("h1_max_n_per_m", "felt, H(1)", "-")):
-        axes.plot(gains, [float("nan") if point[key] is None else point[key] for point in points], style, label=label)
+        axes.plot(
+            gains, [float("nan") if point[key] is None else point[key] for point in points], ls=style, label=label
+        )
     axes.set_title(
         f"Stability boundary: {arguments.law}, m = {arguments.mass:g} kg, b = {arguments.damping:g} N s/m, "
         f"d = {arguments.delay:g}, {arguments.rate:g} Hz",
-        fontsize=9,
     )
-    axes.legend()
-    axes.grid(alpha=0.3)
-    path: Path = fresh(arguments.out / "kmax.png")
-    figure.savefig(path, dpi=150)
-    return path
+    label_ends(axes)
+    return save_figure(figure, arguments.out / "kmax.png", fresh)

@@ -14,6 +14,7 @@ from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
 from nodes.laws.multi_term import MultiTerm, Term
 from nodes.laws.presets import PRESETS
+from nodes.recording.figure_style import COLOURS, OMEGA, save_figure, styled
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.paper.descent import Descent, Targets, cost, damping_curve, paper_targets, survey
@@ -164,12 +165,13 @@ def _text(figures: dict[str, Any]) -> str:
     return "\n".join([*lines, figures["plot"]])
 
 
+@styled
 def _draw(arguments: argparse.Namespace, descents: dict[float, list[Descent]], rows: list[dict[str, Any]]) -> Path:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
-    colours = [f"C{i}" for i in range(10)]
+    colours = [*COLOURS, *COLOURS]
     for colour, (rate, runs) in zip(colours, descents.items(), strict=False):
         for i, one in enumerate(runs):
             left.loglog(
@@ -177,22 +179,28 @@ def _draw(arguments: argparse.Namespace, descents: dict[float, list[Descent]], r
                 one.cost,
                 color=colour,
                 lw=0.6,
+                ls="-",
                 label=f"rate {rate:g}" if i == 0 else None,
             )
-    left.set(xlabel="step", ylabel="J, eq. (13)", title="steepest descent from a grid of orders", ylim=(1e-7, 1e6))
+    left.set(
+        xlabel="step  [1]", ylabel="J, eq. (13)  [1]", title="steepest descent from a grid of orders", ylim=(1e-7, 1e6)
+    )
     if descents:
-        left.legend()
+        left.legend(title="of descent", title_fontsize=8.0)
     theta = np.linspace(0.0, np.pi, 401)
     for row in rows:
         if "orders" in row:
             curve = damping_curve(theta, np.array(row["gains"]), np.array(row["orders"]), arguments.taps, leak=False)
             bound = row["nyquist_bound"]
             label = row["law"] if bound is None else f"best orders, f(ω_N) ≤ {bound:g}"
-            right.plot(theta / np.pi, curve, label=label, color="k" if bound is None else None)
-    right.set(xlabel="ω/ω_N", ylabel="f, normalised, spring as H(1)", title="shapes of f")
-    right.grid(alpha=0.3)
+            right.plot(
+                theta / np.pi,
+                curve,
+                label=label,
+                color="k" if bound is None else None,
+                **({"ls": "-"} if bound is None else {}),
+            )
+    right.set(xlabel=OMEGA, ylabel="f over the spring as H(1)  [1]", title="shapes of f")
     if rows:
-        right.legend(fontsize=8)
-    path: Path = fresh(arguments.out / "optimise.png")
-    figure.savefig(path, dpi=150)
-    return path
+        right.legend()
+    return save_figure(figure, arguments.out / "optimise.png", fresh)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.laws import CompiledLaw
+from nodes.recording.figure_style import COLOURS, save_figure, styled
 from nodes.stability.k_max import k_max, with_spring
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
@@ -51,6 +52,7 @@ def rest_map(
     }
 
 
+@styled
 def _draw(
     path: Path,
     grid: tuple[Any, Any, Any],
@@ -68,20 +70,21 @@ def _draw(
     resolution, friction = here
     figure = Figure(figsize=(6.6, 4.6), layout="constrained")
     axes = figure.add_subplot(xlabel="dry friction [N]", ylabel="encoder step [µm]", xscale="log", yscale="log")
-    axes.set_title("largest K whose every motion stops", fontsize=10)
+    axes.set_title("largest K whose every motion stops")
+    axes.grid(visible=False)
     shown = np.ma.masked_less_equal(k, 0.0)
     if shown.count():
         norm = LogNorm(max(float(shown.min()), 1e-2 * float(shown.max())), float(shown.max()) * (1.0 + 1e-9))
-        image = axes.pcolormesh(frictions, 1e6 * steps, shown, norm=norm, cmap="viridis", shading="nearest")
+        image = axes.pcolormesh(frictions, 1e6 * steps, shown, norm=norm, cmap="cividis", shading="nearest")
         figure.colorbar(image, ax=axes, label="K [N/m]; blank: none")
     for force, style, label in zip(needed, ("-", "--"), ("bound", "estimate"), strict=True):
         if force:
             axes.plot(
                 force / resolution * steps, 1e6 * steps, "k" + style, lw=1.2, label=f"K = {stiffness:.4g} N/m, {label}"
             )
-    axes.plot(friction, 1e6 * resolution, "o", color="#d9822b", label="this device")
+    axes.plot(friction, 1e6 * resolution, "o", color=COLOURS[1], mec="white", ms=7, label="this device")
     axes.set(xlim=(frictions[0], frictions[-1]), ylim=(1e6 * steps[0], 1e6 * steps[-1]))
     plain_log(axes.xaxis, float(frictions[0]), float(frictions[-1]))
     plain_log(axes.yaxis, 1e6 * float(steps[0]), 1e6 * float(steps[-1]))
-    axes.legend(fontsize=8, loc="lower right")
-    figure.savefig(fresh(path), dpi=150)
+    axes.legend(loc="lower right", frameon=True)
+    save_figure(figure, path, fresh)

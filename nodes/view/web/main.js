@@ -28,11 +28,11 @@ const status = new Status({ words: $("words"), dot: $("dot"), figures: $("figure
 const scene = new Scene($("scene"), $("lens"), $("reading"), (target) => { $("hint").textContent = ""; link.hand(target); });
 const strip = new Strip($("strip"));
 const slow = new SlowMotion();
-const plots = new Plots($("plots"), $("legend"), (live) => {
+const plots = new Plots($("plots"), $("legend"), $("values"), (live) => {
   $("live").hidden = live;
   $("pause").setAttribute("aria-pressed", !live);
   $("pause").textContent = live ? "Pause" : "Paused";
-});
+}, (t) => { if (hello?.replay) replay.go(t); });
 const map = new StabilityMap($("map"), $("margin"), $("far"), (stiffness, damping, beyond) => {
   laws.change("stiffness", Number(stiffness.toPrecision(3)), beyond);
   laws.change("damping", Number(damping.toPrecision(3)), beyond);
@@ -41,7 +41,9 @@ const laws = new Laws({ picker: $("laws"), sliders: $("sliders"), ramp: $("ramp"
 const dial = new Dial({ dial: $("dial"), hardness: $("hardness"), edge: $("edge"), beyond: $("beyond"), allowed: $("beyond-switch") },
   (stiffness, beyond) => laws.change("stiffness", stiffness, beyond));
 
-const beside = scene.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
+const beside = scene.beside = new Beside({ other: $("other"), told: $("b-told"), late: $("late") }, ask);
+let overlaid = null;
+plots.over = () => overlaid ?? (beside.on ? beside : null);
 const sound = new Sound($("sound"));
 
 function refused(text) { log.refused(text, store?.end ?? 0); }
@@ -87,6 +89,7 @@ const link = new Link({
     sound.hear();
     if (!slow.on) scene.show(frame.now);
     replay.at(frame.now.t);
+    plots.at = hello.replay ? frame.now.t : null;
     document.body.dataset.bins = store.head;
   },
   status(found) {
@@ -104,6 +107,7 @@ const link = new Link({
     if (!hello?.replay) open();
   },
   beside(found) { beside.show(found); },
+  over(found) { overlaid = found; plots.dirty = true; },
   map(found) { map.show(found); laws.edge = found.k_max_n_per_m ?? null; laws.fill(); turn(); },
   log(entry) {
     log.add(entry);

@@ -101,6 +101,7 @@ export class StabilityMap {
     g.beginPath();
     stable.forEach(([b, , high], n) => g[n ? "lineTo" : "moveTo"](x(b), y(high ?? most)));
     g.stroke();
+    if (map.later) this.later(g, map.later.filter(([b]) => this.whole || b <= map.near * 1.0001), x, y, most);
     this.frame = { left, bottom, top, end, right, most };
     this.regions(g, stable, x, y, right, most);
     this.where(g, x, y);
@@ -116,6 +117,15 @@ export class StabilityMap {
     g.fillText("rests", x(Math.min(b, right)), y((high ?? most) * 0.45));
     g.fillStyle = colour("bad");
     if ((high ?? most) < 0.9 * most) g.fillText("sings", x(stable[Math.floor(stable.length * 0.3)][0]), y(0.94 * most) + 4);
+  }
+
+  // The edge of B, which answers later.
+  later(g, rows, x, y, most) {
+    g.strokeStyle = colour("beside");
+    g.lineWidth = 1.8;
+    g.beginPath();
+    rows.filter(([, low]) => low !== null).forEach(([b, , high], n) => g[n ? "lineTo" : "moveTo"](x(b), y(high ?? most)));
+    g.stroke();
   }
 
   // Where one was.

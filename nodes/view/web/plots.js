@@ -3,6 +3,7 @@ import { digits, fixed } from "./format.js";
 import { colour, onTheme } from "./theme.js";
 
 const UNIT = { position: ["Position [mm]", 1e3], force: ["Force [N]", 1], energy: ["Energy of the wall [mJ]: + given out, − taken in", 1e3], response: ["Response [µs]", 1e6] };
+const UNITS = { position: "mm", force: "N", energy: "mJ", response: "µs" };
 const PANELS = [
   { unit: "position", height: 170, lines: [["proxy", "proxy", "proxy"], ["target", "target", "hand’s target"], ["position", "device", "device"]] },
   { unit: "force", height: 150, lines: [["law_force", "asked", "law"], ["force", "force", "handed over"]] },
@@ -11,7 +12,9 @@ const PANELS = [
 ];
 
 export class Plots {
-  constructor(place, legend, viewChanged) {
+  // `picked` is called with a time [s] that was clicked on; `over` gives other curves of the same time: times, and values by unit.
+  constructor(place, legend, values, viewChanged, picked) {
+    Object.assign(this, { values, picked, over: null, at: null, fingers: new Map() });
     this.place = place;
     this.legend = legend;
     this.viewChanged = viewChanged;
@@ -50,15 +53,20 @@ export class Plots {
     const range = { low: null, high: null };
     const plot = new uPlot({
       width: 400, height, legend: { show: false }, padding: [6, 10, 0, 0],
-      cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
+      cursor: { sync: { key: "time" }, y: false, drag: { x: true, y: false, setScale: false }, points: { show: false } },
       scales: { x: { time: false, auto: false }, y: { range: (_, low, high) => calm(range, low, high) } },
       axes: [axis(unit === "response"), { ...axis(true), size: 58 }],
       series,
-      hooks: { setSelect: [(u) => this.selected(u)], draw: [(u) => this.drawMarks(u, unit === "position")] },
+      hooks: { setSelect: [(u) => this.selected(u)], setCursor: [(u) => this.read(u)], draw: [(u) => this.drawOver(u, unit), (u) => this.drawMarks(u, unit === "position")] },
     }, [[], ...wanted.map(() => [])], box);
     plot.over.addEventListener("dblclick", () => this.follow());
+    plot.over.addEventListener("click", (event) => { if (Math.abs(event.offsetX - this.pressed) < 4) this.picked(plot.posToVal(event.offsetX, "x")); });
+    plot.over.addEventListener("pointerdown", (event) => { this.pressed = event.offsetX; this.finger(event, plot); });
+    plot.over.addEventListener("pointermove", (event) => this.finger(event, plot));
+    for (const name of ["pointerup", "pointercancel"]) plot.over.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     plot.over.addEventListener("wheel", (event) => this.wheel(event, plot), { passive: false });
-    return { plot, wanted, factor, height: height + (unit === "response" ? 18 : 0) };
+    const names = lines.filter(([name]) => name !== "target" || hand).map(([, , label]) => label || unit);
+    return { plot, wanted, factor, unit, lines: axes.length === 1 ? names : [], height: height + (unit === "response" ? 18 : 0) };
   }
 
   resize() {
@@ -100,6 +108,34 @@ export class Plots {
     this.look(at - (at - from) * factor, at + (to - at) * factor);
   }
 
+  // One finger moves, two zoom.
+  finger(event, plot) {
+    if (event.pointerType !== "touch" || (event.type === "pointermove" && !this.fingers.has(event.pointerId))) return;
+    const before = [...this.fingers.values()];
+    this.fingers.set(event.pointerId, event.offsetX);
+    const now = [...this.fingers.values()];
+    if (before.length !== now.length || now.length > 2) return;
+    const [from, to] = this.sight(), width = plot.over.clientWidth, mean = (all) => all.reduce((sum, each) => sum + each, 0) / all.length;
+    const spread = (all) => Math.max(10, Math.abs(all[0] - (all[1] ?? all[0] + 10)));
+    const scale = now.length === 2 ? spread(before) / spread(now) : 1, middle = from + (mean(before) / width) * (to - from);
+    const begin = middle - (mean(now) / width) * (to - from) * scale;
+    this.look(begin, begin + (to - from) * scale);
+  }
+
+  // What stands under the pointer, in all panels.
+  read(plot) {
+    const { left, idx } = plot.cursor;
+    if (left < 0 || idx === null || idx === undefined || plot !== this.panels[0]?.plot) return;
+    const parts = [`${fixed(plot.data[0][idx] ?? 0, 3)} s`];
+    for (const { plot: { data }, lines, unit } of this.panels) {
+      for (const [k, label] of lines.entries()) {
+        const value = data[k + 1]?.[idx];
+        if (value !== null && value !== undefined) parts.push(`${label} ${fixed(value, unit === "response" ? 0 : 2)} ${UNITS[unit]}`);
+      }
+    }
+    this.values.textContent = parts.join(" · ");
+  }
+
   zoom(factor) {
     const [from, to] = this.sight(), middle = (from + to) / 2, half = ((to - from) / 2) * factor;
     this.look(middle - half, middle + half);
@@ -114,7 +150,8 @@ export class Plots {
 
   draw() {
     if (!this.store || !this.panels.length || document.hidden) return;
-    if (!this.dirty && this.window) return;
+    if (!this.dirty && this.window && this.at === this.drawn) return;
+    this.drawn = this.at;
     this.dirty = false;
     const [from, to] = this.sight();
     for (const { plot, wanted, factor } of this.panels) {
@@ -125,6 +162,35 @@ export class Plots {
         plot.setData(data, false);
         plot.setScale("x", { min: from, max: to });
       });
+    }
+  }
+
+  // Another law, or another recording, over the launch's own curves.
+  drawOver(plot, unit) {
+    const found = this.over?.(), values = found?.[unit];
+    if (values && found.times.length) {
+      const { ctx, bbox } = plot, [from, to] = this.sight(), factor = UNIT[unit][1];
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+      ctx.clip();
+      ctx.strokeStyle = colour("beside");
+      ctx.lineWidth = 1.5 * devicePixelRatio;
+      ctx.beginPath();
+      let pen = false;
+      for (let k = 0; k < values.length; k++) {
+        if (found.times[k] < from || found.times[k] > to) continue;
+        ctx[pen ? "lineTo" : "moveTo"](plot.valToPos(found.times[k], "x", true), plot.valToPos(values[k] * factor, "y", true));
+        pen = true;
+      }
+      ctx.stroke();
+      ctx.restore();
+    }
+    // The moment that the scene shows.
+    if (this.at !== null) {
+      const x = plot.valToPos(this.at, "x", true);
+      plot.ctx.fillStyle = colour("ink");
+      if (x >= plot.bbox.left && x <= plot.bbox.left + plot.bbox.width) plot.ctx.fillRect(x - 1, plot.bbox.top, 2, plot.bbox.height);
     }
   }
 

@@ -12,6 +12,9 @@ export class Replay {
     this.speed.addEventListener("change", () => this.ask({ op: "speed", factor: Number(this.speed.value) }));
   }
 
+  // To a moment that was clicked on.
+  go(t) { this.ask({ op: "seek", t: Math.min(Number(this.seek.max), Math.max(Number(this.seek.min), t)) }); }
+
   start(hello) {
     this.on = hello.replay;
     if (!this.on) return;

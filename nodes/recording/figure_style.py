@@ -1,0 +1,214 @@
+"""One style for every picture: colours that the colour-blind tell apart, line styles for print, PDF and SVG beside PNG.
+
+The colours are those of Okabe and Ito (2008); each comes with a line style and a marker of its own, so that a black and white
+print is read as well. A function that draws is decorated with `styled`; `save_figure` writes all formats.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "BAD",
+    "COLOURS",
+    "GREY",
+    "INK",
+    "LINES",
+    "MARKERS",
+    "OMEGA",
+    "label_ends",
+    "save_figure",
+    "styled",
+    "threshold",
+]
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Blue, vermilion, green, purple, orange, sky and black, in this order."""
+
+LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
+"""Line styles in the same order."""
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+"""Markers in the same order."""
+
+BAD, GREY, INK = "#B22222", "#8A8F98", "#1D252C"
+
+OMEGA = r"$\omega/\omega_\mathrm{N}$  [1]"
+"""Label of an axis of frequency in units of the Nyquist frequency."""
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+def _rc() -> Any:
+    from cycler import cycler
+
+    return {
+        "axes.prop_cycle": cycler(color=COLOURS, linestyle=LINES),
+        "axes.edgecolor": INK,
+        "axes.labelcolor": INK,
+        "axes.labelsize": 9.0,
+        "axes.titlesize": 9.5,
+        "axes.titlelocation": "left",
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.formatter.use_mathtext": True,
+        "grid.color": "#E3E5E8",
+        "grid.linewidth": 0.7,
+        "lines.linewidth": 1.4,
+        "lines.markersize": 4.0,
+        "font.size": 9.0,
+        "legend.fontsize": 8.0,
+        "legend.frameon": False,
+        "xtick.labelsize": 8.0,
+        "ytick.labelsize": 8.0,
+        "mathtext.fontset": "dejavusans",
+        # Letters stay letters: a paper's own font can take their place.
+        "svg.fonttype": "none",
+        "pdf.fonttype": 42,
+    }
+
+
+def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Let a function draw in the project's style.
+
+    Parameters
+    ----------
+    draw : callable
+        Makes and fills figures.
+
+    Returns
+    -------
+    callable
+        The same; no setting of matplotlib's is changed for anybody else.
+    """
+
+    @functools.wraps(draw)
+    def drawn(*words: _P.args, **named: _P.kwargs) -> _T:
+        import matplotlib as mpl
+
+        with mpl.rc_context(_rc()):
+            return draw(*words, **named)
+
+    return drawn
+
+
+@styled
+def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambda path: path) -> Path:
+    """Write a picture as PNG, and beside it as PDF and SVG.
+
+    Parameters
+    ----------
+    figure : Figure
+        The picture.
+    path : Path
+        Its PNG file.
+    room : callable
+        Makes room for a file of that name; see `sim.results.fresh`.
+
+    Returns
+    -------
+    Path
+        The PNG file.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for suffix in (".pdf", ".svg", path.suffix):
+        figure.savefig(room(path.with_suffix(suffix)), dpi=150)
+    return path
+
+
+def label_ends(axes: Axes, size: float = 8.0) -> None:
+    """Write the label of each curve at its right end, in its colour, in place of a legend.
+
+    Parameters
+    ----------
+    axes : Axes
+        With its limits set and its curves labelled.
+    size : float
+        Of the letters [points].
+    """
+    import numpy as np
+
+    low, high = axes.get_xlim()
+    ends: list[tuple[float, float, str, Any]] = []
+    for line in axes.get_lines():
+        name = str(line.get_label())
+        x, y = np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
+        seen = np.flatnonzero((x >= low) & (x <= high) & np.isfinite(y))
+        if name.startswith("_") or not seen.size:
+            continue
+        place = axes.transAxes.inverted().transform(axes.transData.transform((x[seen[-1]], y[seen[-1]])))
+        ends.append((float(np.clip(place[1], 0.0, 1.0)), float(place[0]), name, line.get_color()))
+    ends.sort(key=lambda end: end[0])
+    for (_, at, name, colour), height in zip(ends, _apart([end[0] for end in ends], _height(axes, size)), strict=True):
+        axes.annotate(
+            name,
+            (min(at, 1.0), height),
+            xycoords="axes fraction",
+            xytext=(5, 0),
+            textcoords="offset points",
+            color=colour,
+            fontsize=size,
+            va="center",
+            annotation_clip=False,
+        )
+
+
+def _height(axes: Axes, size: float) -> float:
+    """Height of a line of text, in parts of the panel's."""
+    return 1.25 * size / 72.0 * axes.get_figure(root=True).dpi / axes.get_window_extent().height  # type: ignore[union-attr]
+
+
+def _apart(heights: Sequence[float], least: float) -> list[float]:
+    """Move sorted heights apart, as little as it takes, and down again from the top."""
+    found: list[float] = []
+    for height in heights:
+        found.append(max(height, found[-1] + least) if found else height)
+    most = 1.0
+    for i in range(len(found) - 1, -1, -1):
+        found[i] = min(found[i], most)
+        most = found[i] - least
+    return found
+
+
+def threshold(axes: Axes, value: float, name: str, vertical: bool = False) -> None:
+    """Draw a line that decides something, and name it.
+
+    Parameters
+    ----------
+    axes : Axes
+        With its limits set.
+    value : float
+        Where, in the units of the axis.
+    name : str
+        What it is, value and unit included.
+    vertical : bool
+        Whether it stands at a value of x.
+    """
+    draw = axes.axvline if vertical else axes.axhline
+    draw(value, color=INK, lw=0.9, ls=(0, (1, 1.5)))
+    place: tuple[float, float] = (value, 0.99) if vertical else (0.01, value)
+    # Near the top the name would lie over the title.
+    high = (
+        not vertical
+        and axes.transAxes.inverted().transform(axes.transData.transform((axes.get_xlim()[1], value)))[1] > 0.9
+    )
+    axes.annotate(
+        name,
+        place,
+        xycoords=("data", "axes fraction") if vertical else ("axes fraction", "data"),
+        xytext=(3, -3) if vertical else (0, -3 if high else 3),
+        textcoords="offset points",
+        fontsize=7.5,
+        color=INK,
+        va="top" if vertical or high else "bottom",
+    )

@@ -1,0 +1,55 @@
+"""The pictures' one style: PNG, PDF and SVG, names that do not lie over each other, colours that can be told apart."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from nodes.recording.figure_style import COLOURS, LINES, MARKERS, OMEGA, label_ends, save_figure, styled, threshold
+
+
+@styled
+def drawn() -> Figure:
+    figure = Figure(figsize=(4.0, 3.0), layout="constrained")
+    axes = figure.add_subplot(xlabel=OMEGA, ylabel="force  [N]", xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+    x = np.linspace(0.0, 1.0, 5)
+    for k in range(4):
+        axes.plot(x, 0.5 * x + 0.001 * k, label=f"law {k}")
+    threshold(axes, 0.98, "a limit")
+    label_ends(axes)
+    return figure
+
+
+def test_a_picture_comes_in_three_formats_and_its_names_can_be_read(tmp_path: Path) -> None:
+    before = mpl.rcParams["axes.grid"]
+    figure = drawn()
+    assert mpl.rcParams["axes.grid"] is before, "nobody else's pictures change"
+    path = save_figure(figure, tmp_path / "deep" / "picture.png")
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.with_suffix(".pdf").read_bytes().startswith(b"%PDF")
+    # Letters stay letters.
+    assert ">law 3<" in path.with_suffix(".svg").read_text(encoding="utf-8")
+    figure.draw_without_rendering()
+    notes = [text for text in figure.axes[0].texts if text.get_text().startswith("law")]
+    boxes = [text.get_window_extent() for text in notes]
+    assert len(boxes) == 4
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+
+
+def test_each_curve_has_a_colour_a_line_and_a_marker_of_its_own() -> None:
+    assert len(set(COLOURS)) == len(set(map(str, LINES))) == len(set(MARKERS)) == 7
+
+    def seen_by_a_deuteranope(colour: str) -> np.ndarray:
+        """Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB."""
+        rgb = np.array([int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        matrix = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+        return np.asarray(np.array(matrix) @ linear)
+
+    seen = [seen_by_a_deuteranope(colour) for colour in COLOURS]
+    # Red and green of matplotlib's own cycle (#2ca02c, #d62728) are 0.1 apart, of which no more than a shade is seen.
+    assert min(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(seen, 2)) > 0.1
