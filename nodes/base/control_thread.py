@@ -22,6 +22,7 @@ from messages.transport.endpoints import bind, remove_ipc
 from messages.transport.requests import Reply, Request, decode_request
 from nodes.base import realtime
 from nodes.base.kept import keep
+from nodes.base.leases import Leases
 from nodes.base.report import tick_of
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import WatchedFile
@@ -102,6 +103,8 @@ class ControlServer(threading.Thread):
             ),
             **node.operations(),
         }
+        self._leases = Leases(node.setup.name)
+        self._operations |= self._leases.operations()
 
     def _info(self) -> dict[str, Any]:
         node = self._node
@@ -142,6 +145,16 @@ class ControlServer(threading.Thread):
             reason = f"launcher lost: no request for {lease:g} s"
             self._node.say(f"{reason}; stopping")
             self._node.stop(reason)
+
+    def _put_back(self) -> None:
+        """Do what was agreed for those who are heard of no more."""
+        for name, op, args in self._leases.run_out():
+            try:
+                self._operations[op](**args)
+            except Exception as error:  # noqa: BLE001  # as for requests: told, and served on
+                self._node.announce("lease", f"lease {name!r} has run out, but {op} failed: {error}")
+            else:
+                self._node.announce("lease", f"lease {name!r} has run out, nobody renewed it: {op} {args}"[:4000])
 
     def _answer(self, frames: list[bytes]) -> Reply:
         name = self._node.setup.name
@@ -211,6 +224,7 @@ class ControlServer(threading.Thread):
             self._node.look_after()
             self._keep()
             self._watch_lease(time.monotonic())
+            self._put_back()
             try:
                 self._look_around(time.monotonic())
             except OSError as error:

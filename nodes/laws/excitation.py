@@ -20,6 +20,9 @@ Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Clock = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 
+FADE = 1.0
+"""Time in which the load fades out when the push is over: a force that nobody asks for any more does not stay [s]."""
+
 ASTRAY = 100
 """Ticks in a row beyond twice the reach after which the push ends for good."""
 
@@ -39,6 +42,11 @@ def went_on(k: int, astray: int, deflection: float, reach: float, ticks: int) ->
     if astray < ASTRAY:
         return k + 1, astray
     return ticks, 0
+
+
+def faded(load: float, since: int, fade: int) -> float:
+    """Lower the load so many ticks after the push."""
+    return load * float(fade - since) / fade
 
 
 class Telegraph:
@@ -92,7 +100,7 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     seed : int
         Of the pseudo-random signs; every axis has its own.
     load : float
-        Constant force on every axis, for a device whose weight nothing else carries [N]; stays after the push.
+        Constant force on every axis, for a device whose weight nothing else carries [N]; fades out when the push is over.
     """
 
     kind: ClassVar[str] = "excitation"
@@ -131,11 +139,14 @@ class Push:
         How long it pushes.
     growing : float
         In which time it grows to its full size [ticks].
+    fade : int
+        In which time the load fades out after it [ticks].
     """
 
     def __init__(self, law: Excitation, period: float) -> None:
         self.law, self._period = law, period
         self.ticks, self.growing = max(1, round(law.duration / period)), law.start / period
+        self.fade = max(1, round(FADE / period))
         self._axes: dict[int, list[Any]] = {}
 
     def fresh(self) -> Push:
@@ -155,7 +166,8 @@ class Push:
         k, astray, signal = axis
         load, reach = self.law.load, self.law.reach
         if k >= self.ticks:
-            return load
+            axis[0] = min(k + 1, self.ticks + self.fade)
+            return faded(load, axis[0] - self.ticks, self.fade)
         axis[0], axis[1] = went_on(k, astray, ring[head], reach, self.ticks)
         share = (k + 1) / self.growing if k + 1 < self.growing else 1.0
         return load + share * held_back(signal.next(), ring[head], reach)

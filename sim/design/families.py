@@ -280,12 +280,12 @@ def _numerator(law: CompiledLaw) -> tuple[Vector, float]:
     return np.array([law.taps[0] + b0, law.taps[0] * a1 + b1]), -a1
 
 
-def latest_delay(tuned: Tuned, demand: Demand) -> float | None:
+def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
     """Find the delay up to which a law stays stable at every mass of the range: what the demand did not ask for.
 
     Parameters
     ----------
-    tuned : Tuned
+    law : CompiledLaw
         The law.
     demand : Demand
         What it was tuned to.
@@ -293,15 +293,12 @@ def latest_delay(tuned: Tuned, demand: Demand) -> float | None:
     Returns
     -------
     float or None
-        Delay [ticks], at five masses of the range; None when there is no law or no limit.
+        Delay [ticks], at five masses of the range; None when there is no limit.
     """
-    if tuned.found is None:
-        return None
-    compiled = tuned.found.law
     known = []
     for mass in np.geomspace(*demand.mass, 5).tolist():
         device = Plant(demand.period, mass, demand.damping, demand.delay[1], demand.stiffness[0])
-        limits = tolerance(compiled, device)
+        limits = tolerance(law, device)
         if limits is not None and limits.delay_max_ticks is not None:
             known.append(limits.delay_max_ticks)
     return min(known) if known else None

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.cli.ask import add_run
 from nodes.cli.main import RefusedError, UsageError, add_json, answer
-from sim.measure.launches import HAPTIC
+from sim.identify.progress import say
 
 if TYPE_CHECKING:
+    from sim.identify.borrowed import Loop
     from sim.identify.identified import Identified
-    from sim.identify.push import Loop, Pushed
+    from sim.identify.push import Pushed
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -48,6 +48,13 @@ def add_push(parser: argparse.ArgumentParser) -> None:
         help="push at each of these distances from here, along every axis [m] "
         "(default: -0.02 0 0.02 where the device has three axes, else 0)",
     )
+    parser.add_argument(
+        "--load",
+        type=float,
+        metavar="FORCE",
+        help="the force that carries the device's weight [N] (default: what acts on it at rest, refused above --amplitude: "
+        "it may be a hand's)",
+    )
     hand = parser.add_mutually_exclusive_group()
     hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand holds the device")
     hand.add_argument("--free", dest="held", action="store_false", help="no hand does (default: finds out)")
@@ -72,16 +79,18 @@ def _presets(arguments: argparse.Namespace) -> int:
 
 def _identify(arguments: argparse.Namespace) -> int:
     from nodes.launcher.runs import runs
+    from sim.identify.interrupts import interrupted_once
     from sim.identify.report import figures, text
 
     if ":=" in (arguments.scenario or ""):
         arguments.assignments.insert(0, arguments.scenario)
         arguments.scenario = "identify"
     excitation(arguments)
-    if arguments.scenario is None and (arguments.run_name or runs()):
-        found = identify_running(arguments, say)
-    else:
-        found = identify_scenario(arguments, arguments.scenario or "identify", arguments.assignments)
+    with interrupted_once():
+        if arguments.scenario is None and (arguments.run_name or runs()):
+            found = identify_running(arguments, say)
+        else:
+            found = identify_scenario(arguments, arguments.scenario or "identify", arguments.assignments)
     told = []
     for pushed, one in found:
         told.append(
@@ -101,12 +110,6 @@ def _identify(arguments: argparse.Namespace) -> int:
     return 0 if all(one.mass.value is not None and not one.refuted for _, one in found) else 1
 
 
-def say(words: str) -> None:
-    """Tell how it goes: one line that is written over, on a terminal only."""
-    if sys.stderr.isatty():
-        print(f"\r\x1b[K{words}", end="", file=sys.stderr, flush=True)
-
-
 def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
     """Describe the excitation that was asked for."""
     from nodes.laws.parse import LawRefusedError, parse_law
@@ -122,7 +125,8 @@ def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
 def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pushed, Identified]]:
     """Push the device of a running launch at each place, and identify it there on each axis."""
     from nodes.cli.ask import chosen_run
-    from sim.identify.push import Loop, push
+    from sim.identify.borrowed import Loop
+    from sim.identify.push import push
 
     loop = Loop(chosen_run(arguments))
     law = excitation(arguments)
@@ -133,7 +137,7 @@ def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pus
     for n, offset in enumerate(places):
         centre = [x + offset if i in loop.axes else x for i, x in enumerate(here)]
         out = arguments.out / f"{loop.run.run}-push{n}-{os.getpid()}.mcap"
-        pushed = push(loop, law, out, centre, tell)
+        pushed = push(loop, law, out, centre, tell, arguments.load)
         found += [(pushed, one) for one in _axes(loop, pushed, arguments.held)]
         if pushed.reason != "done":
             break
@@ -145,7 +149,7 @@ def _axes(loop: Loop, pushed: Pushed, held: bool | None) -> list[Identified]:
     from sim.identify.identify import identify
 
     try:
-        return [identify(read(pushed.recording, "xyz"[i]), held) for i in loop.axes]
+        return [identify(read(pushed.recording, "xyz"[i], pushed.ticks), held) for i in loop.axes]
     except ValueError as error:
         raise RefusedError(f"{pushed.recording}: {error} (the push ended: {pushed.reason})") from error
 
@@ -162,6 +166,7 @@ def identify_scenario(
     from sim.identify.experiment import read
     from sim.identify.identify import identify
     from sim.identify.push import Pushed
+    from sim.measure.launches import beside, end
 
     try:
         launch = launch_file.read(scenario, launch_file.parse_assignments(assignments))
@@ -172,15 +177,13 @@ def identify_scenario(
     if scenario == "identify":
         given = {"duration": arguments.duration, "amplitude": arguments.amplitude, "reach": arguments.reach}
         words += [f"{name}:={value}" for name, value in given.items() if name not in named]
-    command = [*HAPTIC, "launch", scenario, *words, "--json", "--no-plot"]
-    # Ctrl-C reaches the launch too, which ends safely; what it recorded until then counts.
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        while True:
-            try:
-                out, _ = process.communicate()
-                break
-            except KeyboardInterrupt:
-                continue
+    process = beside("launch", scenario, *words, "--json", "--no-plot", stdout=subprocess.PIPE, text=True)
+    try:
+        out, _ = process.communicate()
+    except KeyboardInterrupt:
+        # It ends safely; what it recorded until then counts.
+        end(process)
+        out, _ = process.communicate()
     try:
         figures = json.loads(out.splitlines()[-1])
         recording = Path(figures["recording"])

@@ -79,13 +79,13 @@ def lockstep(period: float, position: Array, force: Array, delay: float = 0.0, a
     )
 
 
-def read(path: Path, axis: str | None = None) -> Experiment:
-    """Read one axis of a recording."""
+def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**53)) -> Experiment:
+    """Read one axis of a recording, from a tick to before another."""
     recording = Recording(path)
     rate = float(recording.manifest.get("rate_hz", 0.0))
     if not rate > 0.0:
         raise ValueError(f"{path}: its manifest tells no rate_hz")
-    states = recording.messages(DEVICE_STATE)
+    states = [state for state in recording.messages(DEVICE_STATE) if within[0] <= state.seq < within[1]]
     if len(states) < SHORTEST:
         raise ValueError(f"{path}: {len(states)} ticks recorded, at least {SHORTEST} are needed to identify a device")
     positions = np.array([state.position for state in states])

@@ -7,13 +7,14 @@ once the driver ticks; ``launch("floor_drop", "pace:=lockstep")`` runs one to it
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -21,11 +22,14 @@ from typing import Any, Self
 import msgspec
 import zmq
 
+from messages import topics
 from messages.errors import HapticError
 from messages.transport.requests import ControlError, call
+from messages.transport.sockets import new_context
+from nodes.base.kinds import load
 from nodes.base.realtime import die_with_parent
 from nodes.launcher.child import PYTHON
-from nodes.launcher.runs import RunInfo, alive
+from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs
 from sim.measure import stopwatch
 
 HAPTIC = (*PYTHON, "-m", "nodes.cli.main")
@@ -108,6 +112,66 @@ def launch(scenario: str, *words: str, folder: Path | None = None, timeout: floa
         done = haptic(folder, "launch", scenario, "--json", "--no-plot", *words, timeout=timeout)
         figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
         return figures
+
+
+def beside(*words: str, **options: Any) -> subprocess.Popen[Any]:
+    """Start a ``haptic`` command that ends with this process, however that ends: not even SIGKILL leaves it behind.
+
+    It has a process group of its own, so Ctrl-C is for this process alone. `options` are those of `subprocess.Popen`.
+    """
+    options.setdefault("stdin", subprocess.DEVNULL)
+    return subprocess.Popen(
+        [*HAPTIC, *words], process_group=0, preexec_fn=functools.partial(die_with_parent, os.getpid()), **options
+    )
+
+
+@contextlib.contextmanager
+def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
+    """Start a launch where the user's other verbs find it, wait for its first ticks, and end it afterwards."""
+    words = [scenario, *assignments]
+    with tempfile.TemporaryFile() as told:
+        process = beside("launch", *words, "--json", "--no-plot", stdout=subprocess.DEVNULL, stderr=told)
+
+        def ticking() -> RunInfo | None:
+            with contextlib.suppress(RunError, ControlError):
+                for name in runs():
+                    run = find_run(name)
+                    if run.launcher == process.pid and _ticks(run):
+                        return run
+            return None
+
+        try:
+            found = within(lambda: process.poll() is not None or ticking(), DEADLINE)
+            if not isinstance(found, RunInfo):
+                told.seek(0)
+                errors = told.read().decode(errors="replace")[-1000:].strip()
+                raise MeasurementError(f"haptic launch {' '.join(words)} did not start: {errors}")
+            yield found
+        finally:
+            end(process)
+
+
+def _ticks(run: RunInfo) -> bool:
+    """Whether a launch's driver is past its first ticks."""
+    context = new_context()
+    try:
+        for name, setup in run.nodes.items():
+            if topics.DEVICE_STATE in load(setup.factory).publishes:
+                return bool(call(context, run.nodes[name].control, "status", timeout=1.0)["ticks"] > 10)
+    finally:
+        context.term()
+    return False
+
+
+def end(process: subprocess.Popen[Any], patience: float = DEADLINE) -> None:
+    """End a launch as Ctrl-C does, if it still goes on, and kill it if that takes too long [s]."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(patience)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 class Running:
@@ -193,13 +257,7 @@ class Running:
 
     def interrupt(self, patience: float = DEADLINE) -> None:
         """End the launch as Ctrl-C does, if it still goes on, and kill it if that takes too long [s]."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-            try:
-                self.process.wait(patience)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
+        end(self.process, patience)
 
     def close(self) -> None:
         """End the launch and remove its directories."""

@@ -24,7 +24,7 @@ import nodes.kernels
 import nodes.laws.pd_windowed
 import sim.device.friction
 import sim.device.model
-from nodes.laws.excitation import Push, held_back, went_on
+from nodes.laws.excitation import Push, faded, held_back, went_on
 from nodes.laws.pd_windowed import WindowedDamper
 from nodes.tick import cache
 from nodes.tick.kernels.sources import kernel
@@ -71,6 +71,7 @@ class Pushing(NamedTuple):
     state: Any
     reach: float
     load: float
+    fade: int
 
 
 def numbers_of(own: Callable[[Sequence[float], int], float], ticks: int) -> Any:
@@ -82,7 +83,7 @@ def numbers_of(own: Callable[[Sequence[float], int], float], ticks: int) -> Any:
         signal = own.signal(0)
         shares = [(k + 1) / own.growing if k + 1 < own.growing else 1.0 for k in range(pushed)]
         drawn = np.array([signal.next() for _ in range(pushed)])
-        return Pushing(drawn, np.array(shares), np.zeros(2, dtype=np.int64), own.law.reach, own.law.load)
+        return Pushing(drawn, np.array(shares), np.zeros(2, dtype=np.int64), own.law.reach, own.law.load, own.fade)
     return None
 
 
@@ -100,7 +101,9 @@ def _pushed(own: Any, history: Any, head: int) -> float:
     load: float = own.load
     ticks, k = len(own.signal), own.state[0]
     if k >= ticks:
-        return load
+        own.state[0] = min(k + 1, ticks + own.fade)
+        lowered: float = faded(load, own.state[0] - ticks, own.fade)
+        return lowered
     own.state[0], own.state[1] = went_on(k, own.state[1], history[head], own.reach, ticks)
     force: float = load + own.shares[k] * held_back(own.signal[k], history[head], own.reach)
     return force
@@ -109,6 +112,7 @@ def _pushed(own: Any, history: Any, head: int) -> float:
 _slope = nodes.laws.pd_windowed.windowed_slope
 kernel(held_back)
 kernel(went_on)
+kernel(faded)
 # Compiled, the code of its own is handed over as its numbers.
 overload(own_force)(
     lambda own, history, head: _pushed if getattr(own, "instance_class", None) is Pushing else _windowed  # noqa: ARG005

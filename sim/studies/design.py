@@ -288,7 +288,7 @@ def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
         "h_nyquist_n_per_m": tuned.found.h_nyquist_n_per_m,
         "pole_radius": tuned.found.radius,
         "worst_mass_kg": tuned.found.worst[0],
-        "stable_up_to_delay_ticks": latest_delay(tuned, demand),
+        "stable_up_to_delay_ticks": latest_delay(tuned.found.law, demand),
         "drops_settled": drops(tuned.found.law, demand),
     }
 

@@ -1,45 +1,54 @@
-"""Knock on a held device and see whether it comes to rest: how the edge of stability is approached, in a model and for real.
+"""Knock on a held device and see whether it comes to rest: how the edge of stability is approached, on a model and for real.
 
-The coupling holds the device to a point; the point jumps by a knock, which the law sees as a deflection from nothing. What
-is left of the motion in the last third of the window decides. Both edges, the predicted and the measured one, are found by the
-same steps of stiffness and the same verdict, friction, encoder and limits of the driver included.
+The law on trial feels a step of the deflection from nothing (`nodes.laws.knock`). What is left of the motion at the end of the
+window decides; a motion that is left but goes on dying is watched for longer. Both edges, the predicted and the measured one,
+are found by the same steps of stiffness and the same verdict, friction, encoder and limits of the driver included.
 
-For real the driver's passivity guard watches meanwhile, with an allowance: a knock that dies down never meets it, and a loop
-that gives out more than that is held within a tick, whoever else has stopped looking.
+The steps begin far below the law and go up through it: in large steps where the model sees no danger, in steps of 2 % near the
+law's edge. When a large step does not come to rest, the steps below it are tried from the last that did. When already the first
+one does not, they go down.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from messages.topics import DEVICE_STATE
-from messages.types import DeviceState
-from nodes.cli.ask import ask
-from nodes.cli.listen import listen
-from nodes.cli.main import RefusedError
 from nodes.laws import CompiledLaw
+from nodes.laws.knock import Knock
 from sim.device.model import DeviceModel
-from sim.identify.push import Loop, undisturbed
 from sim.scene.loop import Scene, Surface, run
 
 Array = NDArray[np.float64]
 
 WINDOW = 400
 """Ticks that a knock is watched."""
+LONGEST = 4 * WINDOW
+"""Ticks that a knock is watched whose motion dies slowly."""
 STEP = 1.02
-"""Factor between two stiffnesses that are tried."""
+"""Factor between two stiffnesses near the edge."""
+STRIDE = 10
+"""So many of those steps are one large step, 22 %."""
+LOWEST = -7 * STRIDE
+"""Where the climb begins where the model allows it: a quarter of the law [steps]."""
+DEEPEST = -20 * STRIDE
+"""A law that does not rest at a fiftieth of itself is not tried any lower [steps]."""
+NEAR = 4
+"""So many steps below the predicted edge the small steps begin."""
+BEYOND = 12
+"""So many steps above the predicted edge it is given up: 27 %."""
 LEFT = 0.5
 """Part of the knock that may be left, peak to peak, in the last third of the window."""
-FAR = 4.0
-"""A motion of so many knocks ends the window at once."""
-AGAIN = 10
-"""How often one stiffness is tried when the machine stalls."""
-LAW = "tuned"
-"""Name of the law that is tried."""
+DYING = 0.9
+"""A motion dies when the last third of the longest window has so much of the third before it."""
+GROWING = 1.05
+"""One that has more than this of it grows, and is watched no longer."""
+FAR = 3.0
+"""A deflection of so many knocks ends the trial."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +62,15 @@ class Verdict:
     left : float
         Motion in the last third of the window, as a part of the knock, peak to peak.
     rests : bool
-        Whether that is little enough.
+        Whether that is little enough, or still dying after the longest window.
+    why : str
+        What ended the trial before its time; empty when nothing did.
     """
 
     factor: float
     left: float
     rests: bool
+    why: str = ""
 
 
 @dataclass
@@ -81,158 +93,157 @@ class Edge:
         """Smallest factor that does not come to rest; None when all did."""
         return next((step.factor for step in self.steps if not step.rests), None)
 
+    @property
+    def rested(self) -> float | None:
+        """Largest factor up to which every one came to rest; None when none did."""
+        below = [step.factor for step in self.steps if self.factor is None or step.factor < self.factor]
+        return max(below, default=None)
 
-def judge(position: Array, knock: float, factor: float) -> Verdict:
-    """Judge one window."""
-    last = position[-max(2, len(position) // 3) :]
+    def add(self, verdict: Verdict) -> None:
+        """Take a verdict in, in the order of the stiffness."""
+        self.steps = sorted([*self.steps, verdict], key=lambda step: step.factor)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which steps are tried: n stands for the factor `STEP` to the power of n.
+
+    Attributes
+    ----------
+    first : int
+        Where the climb begins.
+    near : int
+        From here on every step is tried.
+    last : int
+        Where it ends at the latest.
+    """
+
+    first: int
+    near: int
+    last: int
+
+
+def factor_of(step: int) -> float:
+    """Tell the factor of a step."""
+    return STEP**step
+
+
+def judge(position: Array, knock: float, factor: float) -> Verdict | None:
+    """Judge the positions since a knock [m]; None when they are too few to tell."""
     with np.errstate(invalid="ignore", over="ignore"):
-        left = float(np.ptp(last)) / knock
-        far = float(np.max(np.abs(position - position[0]))) / knock
-    return Verdict(factor, left, bool(left < LEFT and far < FAR))
+        away = np.abs(knock - (position - position[:1])) / abs(knock)
+        if position.size and not bool(np.all(away <= FAR)):
+            return Verdict(factor, float(np.max(np.nan_to_num(away, nan=np.inf))), False, f"went {FAR:g} knocks far")
+        for ticks in (WINDOW, 2 * WINDOW, LONGEST):
+            if position.size < ticks:
+                return None
+            third = ticks // 3
+            middle, last = (
+                float(np.ptp(part)) for part in (position[third : 2 * third], position[ticks - third : ticks])
+            )
+            left = last / abs(knock)
+            if left < LEFT or last > GROWING * middle:
+                return Verdict(factor, left, left < LEFT)
+    return Verdict(factor, left, last < DYING * middle)
 
 
-def factors(low: float, high: float) -> list[float]:
-    """List the steps of stiffness."""
-    count = max(1, int(np.ceil(np.log(high / low) / np.log(STEP))) + 1)
-    return [low * STEP**n for n in range(count)]
+def climb(plan: Plan, knock: Callable[[int], Verdict], steps: Edge | None = None) -> Edge:
+    """Go up in steps until one does not come to rest, and find between which two that is.
+
+    `steps` takes the verdicts as they come, for who interrupts the climb.
+    """
+    edge = Edge() if steps is None else steps
+
+    def rests(step: int) -> bool:
+        edge.add(knock(step))
+        return edge.steps[[one.factor for one in edge.steps].index(factor_of(step))].rests
+
+    here = plan.first
+    while not rests(here):
+        # Down in large steps until one rests, then up again in small ones.
+        here -= STRIDE
+        if here < DEEPEST:
+            edge.ended = f"nothing came to rest, down to {factor_of(here + STRIDE):.2g} times the law"
+            return edge
+    known = edge.factor
+    top = plan.last if known is None else round(math.log(known) / math.log(STEP)) - 1
+    while here < top:
+        large = known is None and here + STRIDE <= plan.near
+        step = here + (STRIDE if large else 1)
+        if here < 0 < step:
+            # The law itself is never passed over.
+            step = 0
+        if not rests(step):
+            if not large:
+                break
+            # Somewhere in this large step: again from the last that rested, by small ones.
+            known, top = factor_of(step), step - 1
+            continue
+        here = step
+    found = edge.factor
+    edge.ended = (
+        "every factor came to rest"
+        if found is None
+        else f"the device does not come to rest at {found:.3f} times the law"
+    )
+    return edge
 
 
-def predicted_edge(
-    law: CompiledLaw,
-    model: DeviceModel,
-    period: float,
-    knock: float,
-    tried: Sequence[float],
-    peak: float | None,
-    slew: float | None,
-) -> Edge:
-    """Knock on a model at rising stiffness until it does not come to rest."""
+def scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
+    """Multiply the taps of a law."""
+    return CompiledLaw(tuple(factor * tap for tap in law.taps))
+
+
+def knocked(
+    law: CompiledLaw, model: DeviceModel, period: float, knock: float, peak: float | None, slew: float | None
+) -> Callable[[int], Verdict]:
+    """Make knocks on a model."""
     import msgspec
 
     device = msgspec.structs.replace(model, position=-knock, velocity=0.0, gravity=None)
     scene = Scene(device=device, surface=Surface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew)
-    edge = Edge(ended="every factor came to rest")
-    for factor in tried:
-        scaled = CompiledLaw(tuple(factor * tap for tap in law.taps))
-        edge.steps.append(judge(run(scene, scaled, WINDOW).measured, knock, factor))
+
+    def once(step: int) -> Verdict:
+        factor = factor_of(step)
+        verdict = judge(run(scene, scaled(law, factor), LONGEST).measured, knock, factor)
+        assert verdict is not None  # noqa: S101  # the longest window decides
+        return verdict
+
+    return once
+
+
+def planned(knock: Callable[[int], Verdict], linear: float) -> tuple[Plan, Edge]:
+    """Knock on a model at every step about the edge that its poles have, and plan the climb on the device by it."""
+    top = math.floor(math.log(linear) / math.log(STEP)) + BEYOND
+    edge = Edge()
+    for step in range(LOWEST, top + 1):
+        edge.add(knock(step))
+        # Far below a law a light damper may take longer than any window: the climb begins where the model rests.
         if not edge.steps[-1].rests:
-            edge.ended = f"the model does not come to rest at {factor:.3f} times the law"
-            break
-    return edge
+            if step >= 0:
+                break
+            edge.steps = []
+    if not edge.steps:
+        raise ValueError("the law does not come to rest on the identified model")
+    found = edge.factor
+    edge.ended = (
+        "every factor came to rest"
+        if found is None
+        else f"the model does not come to rest at {found:.3f} times the law"
+    )
+    first = round(math.log(edge.steps[0].factor) / math.log(STEP))
+    last = top if found is None else round(math.log(found) / math.log(STEP)) + BEYOND
+    return Plan(min(first, 0), (top if found is None else last - BEYOND) - NEAR, last), edge
 
 
-def measured_edge(
-    loop: Loop,
-    taps: Sequence[float],
-    place: Sequence[float],
-    knock: float,
-    tried: Sequence[float],
-    say: Callable[[str], None],
-    steps: list[Verdict],
-) -> str:
-    """Knock on the device of a running launch at rising stiffness; stop at the first sign."""
-    axis = loop.axes[0]
-    centre = list(place)
-    knocks = 0
-    # A launch that has a guard of its own keeps it.
-    own = ask(loop.run, loop.driver, "param.get", name="passivity")
-    guard = None if own and own["guard"] == "on" else {"allowance": _allowed(loop, knock)}
-
-    def render(factor: float) -> None:
-        # Beyond the law that was designed stability is what is looked for, not what is taken for granted.
-        law = {"kind": "fir", "taps": [factor * tap for tap in taps], "period": loop.period}
-        ask(loop.run, loop.coupling, "param.set", values={f"laws.{LAW}": law}, force=True)
-
-    try:
-        for factor in tried:
-            doubted = False
-            for _ in range(AGAIN):
-                render(factor)
-                knocks += 1
-                centre[axis] = place[axis] + (knock if knocks % 2 else 0.0)
-                if guard is not None:
-                    # Afresh: every knock has the whole allowance.
-                    ask(loop.run, loop.driver, "param.set", values={"passivity": guard})
-                position, reason, disturbed = _window(loop, centre, knock)
-                verdict = judge(position, knock, factor)
-                if not verdict.rests or reason:
-                    # The first sign: back at once to the law that was designed.
-                    render(1.0)
-                    loop.wait(WINDOW // 2)
-                if not disturbed and (verdict.rests or doubted):
-                    break
-                # A machine that stalls shakes the device once, unseen perhaps; a loop that is unstable does it each time.
-                doubted = doubted or not disturbed
-                say(f"{factor:.3f} times the law: again, {disturbed or 'to be sure'}")
-            else:
-                reason = reason or f"the machine stalled {AGAIN} times in a row: {disturbed}"
-            steps.append(verdict)
-            say(f"{factor:.3f} times the law: {100 * verdict.left:.0f} % of the knock left")
-            if not verdict.rests:
-                return f"the device does not come to rest at {factor:.3f} times the law" + (
-                    f": {reason}" if reason else ""
-                )
-            if reason:
-                return reason
-    finally:
-        with undisturbed():
-            render(1.0)
-            if guard is not None:
-                ask(loop.run, loop.driver, "param.set", values={"passivity": own})
-    return "every factor came to rest"
-
-
-def _window(loop: Loop, centre: Sequence[float], knock: float) -> tuple[Array, str, str]:
-    """Jump, and collect positions for a window; break off when the device goes far, energy runs out or forces end."""
-    axis = loop.axes[0]
-    positions: list[float] = []
-    jumped = -1
-    energy, late, overruns = 0.0, 0, 0
-
-    def told(late: int) -> str:
-        return f"{late} ticks were answered late" if late else ""
-
-    heard = listen(loop.run, [DEVICE_STATE], 30.0)
-    try:
-        for message in heard:
-            if message is None or not isinstance(message.message, DeviceState):
-                continue
-            state = message.message
-            if jumped < 0:
-                receipt = ask(
-                    loop.run,
-                    loop.environment,
-                    "param.set",
-                    values={"surface": {"kind": "anchor", "position": list(centre)}},
-                )
-                jumped, energy, overruns = int(receipt["seq"]), state.energy, state.overruns
-                continue
-            if state.seq < jumped:
-                continue
-            positions.append(state.position[axis])
-            if state.safety == "fault":
-                return np.array(positions), "the driver took the force away: the device left its workspace", ""
-            if state.age > 0 or state.safety != "active" or state.overruns > overruns:
-                late += 1
-            if abs(positions[-1] - positions[0]) > FAR * knock:
-                return np.array(positions), f"the device went {FAR:g} knocks far", told(late)
-            # A spring that was stretched by the knock holds ½ F x; far more than that was made by the loop.
-            if state.energy - energy > _allowed(loop, knock):
-                return (
-                    np.array(positions),
-                    f"the loop gave out {state.energy - energy:.2g} J after one knock",
-                    told(late),
-                )
-            if state.seq >= jumped + WINDOW:
-                return np.array(positions), "", told(late)
-    finally:
-        heard.close()  # type: ignore[attr-defined]
-    if len(positions) < WINDOW // 2:
-        raise RefusedError(f"{loop.driver}: {len(positions)} ticks were heard within 30 s; does the launch tick?")
-    return np.array(positions), "", told(late)
-
-
-def _allowed(loop: Loop, knock: float) -> float:
-    """Energy that one knock may set free [J]: four times what the strongest force of the driver does over it."""
-    peak = loop.peak if loop.peak is not None else 20.0
-    return 4.0 * peak * knock
+def law_of(taps: list[float], factor: float, knock: float, load: float, axes: int) -> dict[str, object]:
+    """Describe a law on trial, as a coupling takes it."""
+    return {
+        "kind": Knock.kind,
+        "taps": [factor * tap for tap in taps],
+        "step": knock,
+        "ticks": LONGEST,
+        "far": FAR,
+        "load": load,
+        "axes": axes,
+    }

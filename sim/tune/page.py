@@ -1,4 +1,4 @@
-"""A tuning told on one page: the device with its intervals, the law, what was predicted, what was measured."""
+"""A tuning told on one page: the verdict first, then device, law, what was predicted, what was measured."""
 
 from __future__ import annotations
 
@@ -9,46 +9,45 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sim.identify.report import ROWS
+from sim.tune.knock import LEFT
+from sim.tune.words import SECTIONS, Row, number
+
+STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem;color-scheme:light dark}"
+    "table{border-collapse:collapse}td,th{padding:.15rem .8rem .15rem 0;text-align:left;border-bottom:1px solid #8884;"
+    "vertical-align:top}img{max-width:100%}.verdict{font-size:1.2rem;border-left:.4rem solid #c33;padding-left:.8rem}"
+    ".holds{border-color:#393}.by{opacity:.75}"
+)
 
 
 def page(told: Mapping[str, Any]) -> str:
     """Write a tuning as HTML that needs no other file."""
-    parts = ["<h1>From a device to its law</h1>"]
+    holds = " holds" if told.get("verified", {}).get("holds") else ""
+    parts = [f'<h1>From a device to its law</h1><p class="verdict{holds}"><b>{_plain(told["headline"])}</b></p>']
+    by = [("device", told.get("device")), ("date", told.get("date")), ("command", told.get("command"))]
+    parts.append(f'<p class="by">{"<br>".join(f"{name}: {_plain(value)}" for name, value in by if value)}</p>')
     if told.get("interrupted"):
-        parts.append(
-            f"<p><b>Interrupted during {html.escape(str(told['interrupted']))}</b>: what follows is what was known.</p>"
-        )
+        parts.append(f"<p><b>Interrupted during {_plain(told['interrupted'])}</b>: what follows is what was known.</p>")
+    if told.get("not_put_back"):
+        parts.append(f"<p><b>Not put back</b>: {_plain(told['not_put_back'])}</p>")
     if "identified" in told:
-        parts += ["<h2>Device</h2>", _device(told["identified"])]
-    if "designed" in told:
-        parts += ["<h2>Law</h2>", _table([(key, value) for key, value in told["designed"].items() if key != "law"])]
-    if "predicted" in told:
-        parts += ["<h2>Predicted</h2>", _table(list(told["predicted"].items()))]
-    if "verified" in told:
-        known = [(key, value) for key, value in told["verified"].items() if key != "steps"]
-        parts += ["<h2>Measured on the real loop</h2>", _table(known)]
+        parts += ["<h2>The device</h2>", _device(told["identified"])]
+    for title, key, rows in SECTIONS:
+        if key in told:
+            parts += [f"<h2>{title}</h2>", _table(rows(told[key]))]
     picture = _picture(told)
     if picture:
         parts.append(f'<img alt="what is left of each knock" src="data:image/png;base64,{picture}">')
-    style = (
-        "body{font:15px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem;color-scheme:light dark}"
-        "table{border-collapse:collapse}td,th{padding:.15rem .8rem .15rem 0;text-align:left;border-bottom:1px solid #8884}"
-        "img{max-width:100%}"
-    )
-    head = f'<meta charset="utf-8"><title>haptic tune</title><style>{style}</style>'
+    head = f'<meta charset="utf-8"><title>haptic tune</title><style>{STYLE}</style>'
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
 
 
-def _shown(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.5g}"
-    if isinstance(value, list):
-        return ", ".join(_shown(one) for one in value)
-    return "—" if value is None else html.escape(str(value))
+def _plain(value: object) -> str:
+    return html.escape(str(value))
 
 
-def _table(rows: Sequence[tuple[str, Any]]) -> str:
-    lines = "".join(f"<tr><td>{html.escape(name)}</td><td>{_shown(value)}</td></tr>" for name, value in rows)
+def _table(rows: Sequence[Row]) -> str:
+    lines = "".join(f"<tr><td>{_plain(name)}</td><td>{_plain(value)}</td></tr>" for name, value in rows)
     return f"<table>{lines}</table>"
 
 
@@ -57,35 +56,36 @@ def _device(told: Mapping[str, Any]) -> str:
     for key, _, name, unit in ROWS:
         one = told[key]
         if one["value"] is None:
-            lines.append(f"<tr><td>{name}</td><td colspan=3>cannot tell: {html.escape(one['why'])}</td></tr>")
+            lines.append(f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>")
         else:
-            interval = f"{_shown(one['low'])} to {_shown(one['high'])}"
-            lines.append(f"<tr><td>{name}</td><td>{_shown(one['value'])}</td><td>{interval}</td><td>{unit}</td></tr>")
+            interval = f"{number(one['low'])} to {number(one['high'])}"
+            lines.append(f"<tr><td>{name}</td><td>{number(one['value'])}</td><td>{interval}</td><td>{unit}</td></tr>")
+    refuted = f"<p><b>The recording refutes this model: {_plain(told['why'])}</b></p>" if told.get("refuted") else ""
     steps = told["residual_steps"]
-    return f"<table>{''.join(lines)}</table><p>Residual {_shown(steps)} encoder steps; rounding alone leaves 0.29.</p>"
+    ended = f"The push ended: {_plain(told['stopped'])}. "
+    residual = f"Residual {number(steps)} encoder steps; rounding alone leaves 0.29."
+    return f"{refuted}<table>{''.join(lines)}</table><p>{ended}{residual}</p>"
 
 
 def _picture(told: Mapping[str, Any]) -> str:
     """Draw what is left of each knock against the stiffness; empty before anything was knocked on."""
-    if "predicted" not in told or "steps" not in told["predicted_steps"]:
+    if "predicted" not in told:
         return ""
     from matplotlib.figure import Figure
 
     h1 = told["predicted"]["h1_n_per_m"]
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    runs = [("predicted", told["predicted_steps"]["steps"], "o-")]
-    if "verified" in told:
-        runs.append(("measured", told["verified"]["steps"], "s-"))
+    runs = [
+        ("predicted", told["predicted_steps"]["steps"], "o-"),
+        ("measured", told.get("verified", {}).get("steps"), "s-"),
+    ]
     for name, steps, style in runs:
-        axes.plot(
-            [h1 * step["factor"] for step in steps],
-            [max(step["left"], 1e-3) for step in steps],
-            style,
-            ms=4,
-            label=name,
-        )
-    axes.axhline(0.5, color="k", linestyle="--", lw=0.8)
+        if steps:
+            stiffness = [h1 * step["factor"] for step in steps]
+            axes.plot(stiffness, [max(step["left"], 1e-3) for step in steps], style, ms=4, label=name)
+    axes.axhline(LEFT, color="k", linestyle="--", lw=0.8)
+    axes.axvline(h1, color="k", linestyle=":", lw=0.8, label="the law")
     axes.axvline(
         told["predicted"]["edge_linear_h1_n_per_m"], color="k", lw=0.8, alpha=0.4, label="pole on the unit circle"
     )

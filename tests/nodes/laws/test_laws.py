@@ -39,6 +39,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "pd_filtered": {"stiffness": 1200.0, "damping": 3.0, "cutoff": 30.0},
     "pd_windowed": {"stiffness": 1200.0, "damping": 3.0, "resolution": 2.3e-5, "window": 9},
     "excitation": {"amplitude": 0.5, "stiffness": 30.0, "damping": 0.2},
+    "knock": {"taps": [5000.0, -3000.0, 500.0], "step": 1e-4, "stiffness": 30.0, "damping": 0.2},
 }
 
 CASES = [pytest.param({"kind": kind, **values}, id=kind) for kind, values in EXAMPLES.items()]

@@ -165,7 +165,10 @@ def test_every_axis_has_a_push_of_its_own() -> None:
     assert [second for _, second in both] != alone
 
 
-def test_the_weight_goes_on_being_carried() -> None:
-    forces = pushes(compiled(duration=0.1, load=0.98), [0.0, 0.0], 80)
-    assert set(forces[50:]) == {0.98}
+def test_the_weight_is_carried_during_the_push_and_let_go_after_it() -> None:
+    forces = pushes(compiled(duration=0.1, amplitude=1e-9, load=0.98), [0.0, 0.0], 600)
+    assert forces[:50] == pytest.approx([0.98] * 50, abs=1e-8)
+    # A second of fading: steps of 1/500 of it, down to nothing.
+    assert max(abs(b - a) for a, b in pairwise(forces[50:])) <= 0.98 / 500 * (1.0 + 1e-9)
+    assert set(forces[550:]) == {0.0}
     assert Excitation().load == 0.0

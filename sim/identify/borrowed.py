@@ -1,0 +1,259 @@
+"""A running launch whose law and surface are borrowed for a while, and put back whatever happens to who borrowed them.
+
+The surface goes back first and the law after it: at no time does a stiff law meet a point that has jumped. What is borrowed
+stands under leases of the nodes themselves. They are renewed from here several times a second; when this process is gone,
+killed or stopped, environment and coupling put surface and law back on their own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from messages import topics
+from messages.types import DeviceState
+from nodes.base.kinds import load
+from nodes.cli.ask import ask
+from nodes.cli.listen import listen
+from nodes.cli.main import RefusedError, UsageError
+from nodes.launcher.runs import RunInfo
+from sim.identify.interrupts import undisturbed
+
+RAMP = 100
+"""Cross-fade from and to the law that was there [ticks]."""
+SURFACE_LEASE, LAW_LEASE = 2.0, 3.0
+"""So long after the last renewal surface and law are put back; the law later, as it is the stiffer one [s]."""
+RENEWED = 0.4
+"""How often leases are renewed [s]."""
+SOFT_LAW, SOFT = "soft", {"kind": "knock", "taps": [0.0], "step": 1e-9, "ticks": 1}
+"""What holds the device between pushes and knocks: its name, and a trial that is over at once, which leaves the spring."""
+SOFT_RAMP = 250
+"""Cross-fade to it [ticks]."""
+REST = 0.2
+"""The force of a device at rest is averaged over so long [s]."""
+STILL = 1e-4
+"""A device that moves less than this is at rest [m]."""
+SETTLING = 3.0
+"""A device that does not come to rest within so long goes on moving [s]."""
+LEASE = "borrowed"
+"""Name of the leases."""
+
+
+@dataclass
+class Loop:
+    """The nodes of a running launch that are needed to push its device.
+
+    Attributes
+    ----------
+    run : RunInfo
+        The run.
+    driver, environment, coupling : str
+        Names of its nodes.
+    period : float
+        Sampling period [s].
+    axes : tuple of int
+        Axes that the scene computes.
+    peak, slew : float or None
+        The driver's limits, by `read_limits`: force [N], change per tick [N].
+    """
+
+    run: RunInfo
+    driver: str = ""
+    environment: str = ""
+    coupling: str = ""
+    period: float = 0.0
+    axes: tuple[int, ...] = field(default=())
+    peak: float | None = None
+    slew: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, setup in self.run.nodes.items():
+            publishes = load(setup.factory).publishes
+            if topics.DEVICE_STATE in publishes:
+                self.driver, self.period = name, setup.period
+                self.axes = tuple("xyz".index(axis) for axis in setup.axes)
+            elif topics.PROXY in publishes:
+                self.environment = name
+            elif topics.FORCE in publishes:
+                self.coupling = name
+        if not (self.driver and self.environment and self.coupling):
+            raise UsageError(f"{self.run.run}: has no driver, environment and coupling that could push a device")
+
+    def read_limits(self) -> None:
+        """Ask the driver for its limits."""
+        safety = ask(self.run, self.driver, "param.get", name="safety")
+        self.peak = safety["peak_force"]
+        self.slew = None if safety["slew"] is None else safety["slew"] * self.period
+
+    def progress(self) -> dict[str, Any]:
+        """Ask the driver how it goes."""
+        told: dict[str, Any] = ask(self.run, self.driver, "progress")
+        return told
+
+    def ready(self) -> None:
+        """Refuse a driver that gives no force."""
+        state = self.progress()["safety"]
+        if state == "stopped":
+            raise RefusedError(f"{self.driver}: has stopped for good ({self.why_stopped()}); launch again")
+        if state == "fault":
+            raise RefusedError(f"{self.driver}: the device is outside its workspace; bring it back first")
+
+    def why_stopped(self) -> str:
+        """Ask the driver for the newest change of its safety state."""
+        reasons = ask(self.run, self.driver, "report").get("safety", {}).get("reasons", [])
+        return str(reasons[-1]) if reasons else "the driver gives no reason"
+
+    def wait(self, ticks: int) -> None:
+        """Wait for some ticks."""
+        first = self.progress()["tick"]
+        while self.progress()["tick"] < first + ticks:
+            time.sleep(0.02)
+
+    def states(self, silence: float = 30.0) -> Iterator[DeviceState]:
+        """Hear every tick of the driver; one that says nothing for so long [s] is an error."""
+        heard = listen(self.run, [topics.DEVICE_STATE])
+        last = time.monotonic()
+        try:
+            for message in heard:
+                if message is not None and isinstance(message.message, DeviceState):
+                    last = time.monotonic()
+                    yield message.message
+                elif time.monotonic() - last > silence:
+                    raise RefusedError(f"{self.driver}: nothing was heard within {silence:g} s; does the launch tick?")
+            raise RefusedError(f"{self.run.run}: the launch has ended")
+        finally:
+            heard.close()  # type: ignore[attr-defined]
+
+    def soften(self, load: float) -> None:
+        """Let a soft spring hold the device, whatever the surface is."""
+        law = {**SOFT, "load": load, "axes": len(self.axes)}
+        ask(self.run, self.coupling, "param.set", values={f"laws.{SOFT_LAW}": law})
+        ask(self.run, self.coupling, "law.switch", law=SOFT_LAW, ramp=SOFT_RAMP)
+        self.wait(SOFT_RAMP)
+
+    def anchor(self, place: Sequence[float]) -> int:
+        """Let the coupling pull the device to a point [m]; from which tick on."""
+        surface = {"kind": "anchor", "position": list(place)}
+        return int(ask(self.run, self.environment, "param.set", values={"surface": surface})["seq"])
+
+
+def carried(loop: Loop, amplitude: float, given: float | None) -> float:
+    """Find the force that carries the device's weight [N]: what is given, else what acts on it at rest.
+
+    A force above the amplitude of the push is refused: it may as well be a hand that presses, and would go on without it.
+    """
+    strongest = loop.peak if loop.peak is not None else 20.0
+    weight = given
+    if weight is None:
+        weight = _at_rest(loop, amplitude)
+    if abs(weight) + amplitude > strongest:
+        raise RefusedError(
+            f"{loop.driver}: a load of {weight:.3g} N and a push of {amplitude:g} N are more than {strongest:g} N, the largest "
+            "force of the driver; lower --amplitude"
+        )
+    return weight
+
+
+def _at_rest(loop: Loop, amplitude: float) -> float:
+    ticks = max(10, round(REST / loop.period))
+    states: list[DeviceState] = []
+    for state in loop.states():
+        states.append(state)
+        if len(states) % ticks:
+            continue
+        last = states[-ticks:]
+        means = [sum(one.force[i] for one in last) / ticks for i in loop.axes]
+        spans = [max(one.position[i] for one in last) - min(one.position[i] for one in last) for i in loop.axes]
+        moves = max(spans) > STILL
+        if moves and len(states) * loop.period < SETTLING:
+            continue
+        pressed = max(means, key=abs)
+        if abs(pressed) > amplitude:
+            raise RefusedError(
+                f"{loop.driver}: a force of {pressed:.3g} N acts on the device, more than the push of {amplitude:g} N: let go "
+                f"first. If it carries the device's weight, say so: --load {pressed:.3g}"
+            )
+        # Of a device that moves the force tells no weight; with several axes nobody knows which way is down.
+        return 0.0 if moves or len(loop.axes) > 1 else means[0]
+    raise RefusedError(f"{loop.run.run}: the launch has ended")
+
+
+class Borrowed:
+    """Law and surface of a launch in other hands.
+
+    Parameters
+    ----------
+    loop : Loop
+        The launch.
+
+    Attributes
+    ----------
+    law : str
+        The law that comes back at the end.
+    not_put_back : str
+        Why law or surface could not be put back; empty when they were.
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self.law = str(ask(loop.run, loop.coupling, "law.list")["active"])
+        self._surface = ask(loop.run, loop.environment, "param.get", name="surface")
+        self.not_put_back = ""
+        self._lost = ""
+        self._over = threading.Event()
+        self._renewing = threading.Thread(target=self._renew, name="leases", daemon=True)
+
+    def take(self) -> None:
+        """Take the leases."""
+        loop = self._loop
+        back = {"law": self.law, "ramp": RAMP, "force": True}
+        surface = {"values": {"surface": self._surface}}
+        take = {"name": LEASE, "seconds": LAW_LEASE, "then": "law.switch", "args": back}
+        ask(loop.run, loop.coupling, "lease.take", **take)
+        take = {"name": LEASE, "seconds": SURFACE_LEASE, "then": "param.set", "args": surface}
+        ask(loop.run, loop.environment, "lease.take", **take)
+        self._renewing.start()
+
+    def _renew(self) -> None:
+        while not self._over.wait(RENEWED):
+            try:
+                for node in (self._loop.environment, self._loop.coupling):
+                    if ask(self._loop.run, node, "lease.renew", names=[LEASE])["run_out"]:
+                        held_up = f"this process was held up for longer than {SURFACE_LEASE:g} s"
+                        self._lost = f"{node}: {held_up}, and the launch took law and surface back"
+            except RefusedError as error:
+                self._lost = self._lost or str(error)
+
+    def check(self) -> None:
+        """Raise when the launch has taken back what was borrowed."""
+        if self._lost:
+            raise RefusedError(self._lost)
+
+    def give_back(self) -> None:
+        """Put surface and law back; a launch that has ended meanwhile has nothing to put back."""
+        self._over.set()
+        with undisturbed():
+            self._renewing.join()
+            loop = self._loop
+            try:
+                ask(loop.run, loop.environment, "param.set", values={"surface": self._surface})
+                ask(loop.run, loop.coupling, "law.switch", law=self.law, ramp=RAMP, force=True)
+                for node in (loop.environment, loop.coupling):
+                    ask(loop.run, node, "lease.end", names=[LEASE])
+            except RefusedError as error:
+                self.not_put_back = str(error)
+
+
+@contextlib.contextmanager
+def borrowed(loop: Loop) -> Iterator[Borrowed]:
+    """Borrow law and surface for the length of a with block."""
+    held = Borrowed(loop)
+    held.take()
+    try:
+        yield held
+    finally:
+        held.give_back()

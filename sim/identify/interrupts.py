@@ -1,0 +1,45 @@
+"""Leaving in order: the first Ctrl-C, SIGTERM or SIGHUP lets a verb put back what it borrowed; no later one disturbs that."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""What ends a verb: Ctrl-C, a polite kill, and a terminal that is closed."""
+
+
+@contextlib.contextmanager
+def _handled(handler: Callable[..., Any] | signal.Handlers) -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, former in before.items():
+            signal.signal(number, former)
+
+
+def undisturbed() -> contextlib.AbstractContextManager[None]:
+    """Ignore signals while a launch is put back: an impatient second one must not leave it half-way."""
+    return _handled(signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def interrupted_once() -> Iterator[Callable[[], int]]:
+    """Take the first signal as the order to leave, those after it as nothing; yields a question for its number, 0 for none."""
+    first: list[int] = []
+
+    def leave(number: int, _: object) -> None:
+        for known in SIGNALS:
+            signal.signal(known, signal.SIG_IGN)
+        first.append(number)
+        raise KeyboardInterrupt
+
+    with _handled(leave):
+        yield lambda: first[0] if first else 0

@@ -1,0 +1,159 @@
+"""Knock on the device of a running launch: each trial ends by itself, and everything is put back whatever happens.
+
+The law on trial is a law of the coupling that gives up after its ticks, or as soon as the device swings far
+(`nodes.laws.knock`): counted by the loop itself, so in lockstep too, where thousands of ticks pass before anybody could ask
+for an end. The driver's passivity guard watches meanwhile, with an allowance: a knock that dies down never meets it, and a
+loop that gives out more than that is held within a tick. A driver that stopped the loop has given its verdict: it does not
+rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from nodes.cli.ask import ask
+from nodes.cli.main import RefusedError
+from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, Borrowed, Loop
+from sim.identify.interrupts import undisturbed
+from sim.tune.knock import LONGEST, WINDOW, Array, Edge, Plan, Verdict, climb, factor_of, judge, law_of
+
+AGAIN = 10
+"""How often one stiffness is tried when the machine stalls."""
+HOLDS = 3
+"""How often the far end of the soft spring is put where the device is, which still creeps towards it."""
+TRIAL = "trial"
+"""Name that the coupling gets for the law on trial."""
+
+
+class StalledError(RefusedError):
+    """The machine did not answer in time, again and again; nothing can be said of the loop."""
+
+
+class Trials:
+    """Knocks on one device.
+
+    Parameters
+    ----------
+    loop : Loop
+        The launch; its limits are known.
+    held : Borrowed
+        Its law and surface.
+    taps : sequence of float
+        The law, as it was designed [N/m].
+    knock : float
+        Size of a knock [m].
+    load : float
+        The force that carries the device's weight [N].
+    say : callable
+        Told how it goes.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        held: Borrowed,
+        taps: Sequence[float],
+        knock: float,
+        load: float,
+        say: Callable[[str], None],
+    ) -> None:
+        self._loop, self._held, self._say = loop, held, say
+        self._taps, self._knock, self._load = list(taps), knock, load
+        # A launch that has a guard of its own keeps it.
+        self._own = ask(loop.run, loop.driver, "param.get", name="passivity")
+        self._guarded = not (self._own and self._own["guard"] == "on")
+        self._allowance = {"allowance": 4.0 * (loop.peak if loop.peak is not None else 20.0) * knock}
+
+    def climb(self, plan: Plan, steps: Edge) -> Edge:
+        """Try the law from far below up to its edge; `steps` takes the verdicts as they come."""
+        loop = self._loop
+        try:
+            self.hold()
+            return climb(plan, self._verdict, steps)
+        finally:
+            if self._guarded:
+                with undisturbed():
+                    self._put_back_guard(loop)
+
+    def _put_back_guard(self, loop: Loop) -> None:
+        try:
+            ask(loop.run, loop.driver, "param.set", values={"passivity": self._own})
+        except RefusedError as error:
+            self._held.not_put_back = str(error)
+
+    def hold(self) -> None:
+        """Hold the device softly where it is."""
+        loop = self._loop
+        loop.soften(self._load)
+        for _ in range(HOLDS):
+            loop.anchor([float(x) for x in loop.progress()["position_m"]])
+            loop.wait(SOFT_RAMP)
+
+    def _verdict(self, step: int) -> Verdict:
+        """Knock until one verdict was not disturbed; one that does not rest is confirmed by another."""
+        factor, doubted, disturbed = factor_of(step), False, ""
+        for _ in range(AGAIN):
+            verdict, disturbed = self._try(factor)
+            if verdict.why.startswith("the driver stopped"):
+                return verdict
+            if not disturbed and (verdict.rests or doubted):
+                self._say(f"{factor:.3f} times the law: {100 * verdict.left:.0f} % of the knock left")
+                return verdict
+            # A machine that stalls shakes the device once, unseen perhaps; a loop that is unstable does it each time.
+            doubted = doubted or not disturbed
+            self._say(f"{factor:.3f} times the law: again, {disturbed or 'to be sure'}")
+        raise StalledError(f"at {factor:.3f} times the law the machine stalled {AGAIN} times in a row: {disturbed}")
+
+    def _try(self, factor: float) -> tuple[Verdict, str]:
+        """Knock once, and tell what disturbed it."""
+        loop = self._loop
+        self._held.check()
+        law = law_of(self._taps, factor, self._knock, self._load, len(loop.axes))
+        ask(loop.run, loop.coupling, "param.set", values={f"laws.{TRIAL}": law})
+        if self._guarded:
+            # Afresh: every knock has the whole allowance.
+            ask(loop.run, loop.driver, "param.set", values={"passivity": self._allowance})
+        position, why, disturbed = self._window(factor)
+        verdict = judge(position, self._knock, factor)
+        if why or verdict is None:
+            left = float(np.ptp(position[-len(position) // 3 :])) / self._knock if len(position) else 0.0
+            verdict = Verdict(factor, left, False, why)
+        left = ask(loop.run, loop.coupling, "law.switch", law=SOFT_LAW, ramp=0)["from"]
+        if left != TRIAL:
+            disturbed = disturbed or f"the law overran its time budget: {left} rendered"
+        loop.wait(WINDOW // 2)
+        return verdict, disturbed
+
+    def _window(self, factor: float) -> tuple[Array, str, str]:
+        """Let the law on trial take over, and hear the positions until they tell: with why it ended, and what disturbed it."""
+        loop = self._loop
+        axis = loop.axes[0]
+        positions: list[float] = []
+        began, late, energy, overruns = -1, 0, 0.0, 0
+        for state in loop.states():
+            if state.safety == "stopped":
+                return np.array(positions), f"the driver stopped the loop: {loop.why_stopped()}", ""
+            if began < 0:
+                receipt = ask(loop.run, loop.coupling, "law.switch", law=TRIAL, ramp=0)
+                began, energy, overruns = int(receipt["seq"]), state.energy, state.overruns
+                continue
+            if state.seq < began:
+                continue
+            positions.append(state.position[axis])
+            if state.safety == "fault":
+                return np.array(positions), "the driver took the force away: the device left its workspace", ""
+            if state.age > 1 or state.safety != "active" or state.overruns > overruns:
+                late += 1
+            if state.energy - energy > self._allowance["allowance"]:
+                # A spring that was stretched by the knock holds ½ F x; far more than that was made by the loop.
+                return np.array(positions), f"the loop gave out {state.energy - energy:.2g} J after one knock", ""
+            # Judged when a window is full, or each tick once it is far; the longest window always decides.
+            if len(positions) % WINDOW == 0 or abs(positions[-1] - positions[0]) > 2.0 * self._knock:
+                verdict = judge(np.array(positions), self._knock, factor)
+                if verdict is not None:
+                    break
+            if state.seq >= began + LONGEST:
+                break
+        return np.array(positions), "", f"{late} ticks were answered late" if late else ""

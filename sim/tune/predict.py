@@ -1,0 +1,171 @@
+"""What a designed law will do on the device as identified: its edge by poles and by knocks, drops, delays, rest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nodes.laws import CompiledLaw
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.every_delay import every_delay
+from nodes.stability.plant import Plant
+from nodes.stability.rest import rest
+from sim.design.demand import Demand
+from sim.design.families import latest_delay
+from sim.design.landing import drops
+from sim.identify.identified import Identified
+from sim.tune.design import model
+from sim.tune.knock import Edge, Plan, knocked, planned, scaled
+
+__all__ = [
+    "knock_size",
+    "linear_edge",
+    "plant_of",
+    "predict",
+]
+
+
+def plant_of(found: Identified) -> Plant:
+    """Put the identified device into a plant.
+
+    Parameters
+    ----------
+    found : Identified
+        The device.
+
+    Returns
+    -------
+    Plant
+        With the whole delay of the loop.
+    """
+    values = (found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
+    return Plant(found.period, *values, found.stiffness.value or 0.0)
+
+
+def knock_size(taps: tuple[float, ...], edge: float, found: Identified, peak: float | None) -> float:
+    """Choose a knock that the encoder sees well and the driver does not limit.
+
+    Parameters
+    ----------
+    taps : tuple of float
+        The law [N/m].
+    edge : float
+        Largest factor that is tried.
+    found : Identified
+        The device.
+    peak : float or None
+        Largest force of the driver [N].
+
+    Returns
+    -------
+    float
+        At most 1 mm, at least eight encoder steps [m].
+    """
+    strongest = 0.5 * (peak or 6.0) / (edge * max(map(abs, taps)))
+    return max(min(1e-3, strongest), 8.0 * (found.encoder.value or 1e-6))
+
+
+def linear_edge(law: CompiledLaw, plant: Plant) -> float:
+    """Find the factor of all taps at which a pole of the loop reaches the unit circle.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps.
+    plant : Plant
+        The device and its loop.
+
+    Returns
+    -------
+    float
+        Above 1, at most 100; 1 for a law that is not stable itself.
+    """
+    low, high = 1.0, 1.0
+    while high < 100.0 and pole_radius(scaled(law, high), plant) < 1.0:
+        low, high = high, high * 1.1
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if pole_radius(scaled(law, middle), plant) < 1.0 else (low, middle)
+    return low
+
+
+def predict(
+    law: CompiledLaw, asked: Demand, found: Identified, peak: float | None, slew: float | None
+) -> tuple[dict[str, Any], Edge, Plan]:
+    """Tell what a law will do on the identified device.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps.
+    asked : Demand
+        What it was designed for.
+    found : Identified
+        The device.
+    peak, slew : float or None
+        Limits of the driver: force [N], change per tick [N].
+
+    Returns
+    -------
+    tuple of dict, Edge and Plan
+        Figures; the knocks on the model; the steps to be tried for real.
+
+    Raises
+    ------
+    ValueError
+        When the law does not come to rest on the model.
+    """
+    plant = plant_of(found)
+    linear = linear_edge(law, plant)
+    knock = knock_size(law.taps, linear, found, peak)
+    plan, edge = planned(knocked(law, model(found), found.period, knock, peak, slew), linear)
+    dropped = drops(law, asked)
+    figures: dict[str, Any] = {
+        "h1_n_per_m": law.h1,
+        "h_nyquist_n_per_m": law.h_nyquist,
+        "pole_radius": pole_radius(law, plant),
+        "edge_linear_factor": linear,
+        "edge_linear_h1_n_per_m": linear * law.h1,
+        "edge_factor": edge.factor,
+        "edge_h1_n_per_m": None if edge.factor is None else edge.factor * law.h1,
+        "knock_m": knock,
+        "stable_up_to_delay_ticks": latest_delay(law, asked),
+        "drops_settled": sum(dropped.values()),
+        "drops": len(dropped),
+        **_every_delay(law, asked),
+        **_at_rest(law, found, plant),
+    }
+    return figures, edge, plan
+
+
+def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
+    """Certify lightest and heaviest device for every sequence of delays, where the range is within a tick."""
+    low, high = asked.delay
+    if high > low + 1.0:
+        return {
+            "every_delay_stable": None,
+            "every_delay_why": f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart",
+        }
+    told = [
+        every_delay(law, Plant(asked.period, mass, asked.damping, stiffness=grip), (low, high)).stable
+        for mass in asked.mass
+        for grip in sorted(set(asked.stiffness))
+    ]
+    return {"every_delay_stable": False if False in told else None if None in told else True}
+
+
+def _at_rest(law: CompiledLaw, found: Identified, plant: Plant) -> dict[str, Any]:
+    """Compare the friction with what rest takes: a proof where it is above the bound, an estimate below."""
+    if found.encoder.value is None or found.friction.value is None:
+        return {"limit_cycle_free": None}
+    told = rest(law, plant, found.encoder.value)
+    friction, estimated = found.friction.value, told.friction_estimated_n
+    free: bool | str | None = True if friction >= told.friction_bound_n else None
+    if free is None and estimated is not None:
+        free = "estimated" if friction >= estimated else False
+    return {
+        "friction_n": friction,
+        "friction_for_rest_bound_n": told.friction_bound_n,
+        "friction_for_rest_estimated_n": estimated,
+        "limit_cycle_free": free,
+        "buzz_hz": told.buzz_hz,
+    }

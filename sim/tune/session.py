@@ -1,0 +1,298 @@
+"""One tuning: its steps, what they told, and what is left behind. A step that is done anew drops all that rested on it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from nodes.cli.ask import ask
+from nodes.cli.main import RefusedError
+
+if TYPE_CHECKING:
+    from sim.identify.borrowed import Loop
+    from sim.identify.identified import Identified
+
+STEPS = ("identify", "design", "predict", "verify", "apply")
+OVERTAKES = {
+    "identify": ("identified", "limits", "designed", "predicted", "predicted_steps", "verified", "applied"),
+    "design": ("designed", "predicted", "predicted_steps", "verified", "applied"),
+    "predict": ("predicted", "predicted_steps"),
+    "verify": ("verified", "applied"),
+    "apply": ("applied",),
+}
+"""What each step does anew; the rest of it was another law's, or another device's."""
+RAMP = 250
+"""Cross-fade to the tuned law [ticks]."""
+LAW = "tuned"
+"""Name of the law that is delivered."""
+NYQUIST = (1e3, 1e4)
+"""The bound on |H(−1)| that friction asks for is kept within these [N/m]."""
+
+
+class Options(msgspec.Struct, frozen=True, kw_only=True):
+    """What a tuning is asked for.
+
+    Attributes
+    ----------
+    out : Path
+        Folder of what it leaves.
+    taps : int
+        Length of the law.
+    spread, radius : float
+        Factor by which the mass may be off; largest pole radius.
+    nyquist : float or None
+        Largest |H(−1)| [N/m]; None for what friction quiets.
+    land : bool
+        Whether every drop must settle.
+    refuted : bool
+        Whether to design on a model that the recording refutes.
+    amplitude : float
+        Of the push [N]: a force above it is taken for a hand's.
+    load : float or None
+        The force that carries the device's weight [N]; None for what acts at rest.
+    command : str
+        What was typed.
+    """
+
+    out: Path
+    taps: int = 4
+    spread: float = 1.25
+    radius: float = 0.99
+    nyquist: float | None = None
+    land: bool = True
+    refuted: bool = False
+    amplitude: float = 0.7
+    load: float | None = None
+    command: str = ""
+
+
+class Tuning:
+    """The steps, each a method; a launch is asked for when one needs it.
+
+    Parameters
+    ----------
+    options : Options
+        What is asked for.
+    running : callable
+        Finds the launch.
+    identified : callable
+        Pushes and identifies: the recording, why the push ended, the device.
+    say : callable
+        Told how it goes.
+    fresh : bool
+        Whether nothing of an earlier tuning counts.
+
+    Attributes
+    ----------
+    told : dict
+        What is known.
+    files : dict of str to str
+        What was written.
+    """
+
+    def __init__(
+        self,
+        options: Options,
+        running: Callable[[], Loop],
+        identified: Callable[[], tuple[Path, str, Identified]],
+        say: Callable[[str], None],
+        fresh: bool,
+    ) -> None:
+        self._options, self._find, self._identified, self._say = options, running, identified, say
+        self._file = options.out / "tune.json"
+        self.files = {"html": str(options.out / "tune.html"), "json": str(self._file)}
+        self.told: dict[str, Any] = {}
+        if not fresh and self._file.exists():
+            self.told = json.loads(self._file.read_text(encoding="utf-8"))
+            for key in ("interrupted", "refused", "headline", "not_put_back"):
+                self.told.pop(key, None)
+        self._loop: Loop | None = None
+
+    def _running(self) -> Loop:
+        if self._loop is None:
+            self._loop = self._find()
+            self._loop.read_limits()
+        return self._loop
+
+    def _need(self, key: str) -> Any:
+        if key not in self.told:
+            raise RefusedError(f"{self._file}: holds no {key!r}; run that step first")
+        return self.told[key]
+
+    @property
+    def _tuned(self) -> Path:
+        return self._options.out / "tuned.yaml"
+
+    @property
+    def _designed(self) -> Path:
+        return self._options.out / "designed.yaml"
+
+    def do(self, step: str) -> None:
+        """Do one step, after dropping what it overtakes."""
+        for key in OVERTAKES[step]:
+            self.told.pop(key, None)
+        if step in ("identify", "design", "verify"):
+            # A law that was delivered before is not this one.
+            self._tuned.unlink(missing_ok=True)
+        getattr(self, f"_{step}")()
+
+    def _identify(self) -> None:
+        from sim.identify.report import figures
+
+        recording, ended, found = self._identified()
+        self.told["identified"] = {"recording": str(recording), "stopped": ended, **figures(found)}
+        loop = self._running()
+        self.told["limits"] = {"peak_n": loop.peak, "slew_n": loop.slew}
+        if ended == "Ctrl-C":
+            raise KeyboardInterrupt
+
+    def _design(self) -> None:
+        from sim.design.landing import drops
+        from sim.identify.identified import refusal
+        from sim.identify.report import from_figures
+        from sim.tune.design import Wanted, design, to_record
+
+        chosen = self._options
+        found = from_figures(self._need("identified"))
+        refused = refusal(found)
+        if refused and not chosen.refuted:
+            raise RefusedError(
+                f"{refused}. A law for it would be a law for another device; --refuted designs it all the same"
+            )
+        self._say(f"designing {chosen.taps} taps{' that land' if chosen.land else ''}, and PD to compare")
+        wanted = Wanted(chosen.taps, chosen.spread, chosen.radius, self._nyquist(found), chosen.land)
+        law, pd, asked = design(found, wanted)
+        if law.found is None or law.law is None:
+            raise RefusedError("no law keeps the demand: allow a larger --radius, less --spread or more --taps")
+        lands = all(drops(law.found.law, asked).values())
+        # A ratio between a law that lands and one that does not would compare two different things.
+        comparable = pd.found is not None and lands and all(drops(pd.found.law, asked).values())
+        known = pd.found.h1_n_per_m if pd.found is not None and comparable else None
+        self.told["designed"] = {
+            "family": law.family,
+            "law": law.law,
+            "taps_n_per_m": law.found.taps.tolist(),
+            "h1_n_per_m": law.found.h1_n_per_m,
+            "lands": lands,
+            "best_pd_h1_n_per_m": known,
+            "gain_over_pd": None if known is None else law.found.h1_n_per_m / known,
+            "model_refuted": refused,
+            "demand": to_record(asked),
+        }
+        self._write_law(self._designed, "NOT tried on the device: haptic tune --steps predict verify")
+
+    def _nyquist(self, found: Identified) -> float:
+        """Bound encoder noise by what friction swallows: an edge of the encoder crossed to and fro gains Δ²·H(−1)."""
+        if self._options.nyquist is not None:
+            return self._options.nyquist
+        low, high = NYQUIST
+        if not found.encoder.value or found.friction.low is None:
+            return high
+        return min(max(2.0 * found.friction.low / found.encoder.value, low), high)
+
+    def _write_law(self, path: Path, tried: str) -> None:
+        from sim.design.families import to_yaml
+
+        designed = self.told["designed"]
+        low, high = designed["demand"]["mass"]
+        lands = "every drop settles" if designed["lands"] else "it does NOT bear a landing"
+        lines = (f"haptic launch SCENARIO --params {path}", tried, lands, f"m {low:.4g}..{high:.4g} kg")
+        path.write_text(to_yaml(designed["law"], LAW, comment="\n".join(lines)), encoding="utf-8")
+
+    def _predict(self) -> None:
+        from nodes.laws import CompiledLaw
+        from sim.identify.report import from_figures
+        from sim.tune.design import from_record
+        from sim.tune.outcome import compared
+        from sim.tune.predict import predict
+
+        designed = self._need("designed")
+        found, asked = from_figures(self._need("identified")), from_record(designed["demand"])
+        limits = self._need("limits")
+        law = CompiledLaw(tuple(designed["taps_n_per_m"]))
+        figures, edge, plan = predict(law, asked, found, limits["peak_n"], limits["slew_n"])
+        self.told["predicted"] = figures
+        self.told["predicted_steps"] = {
+            "steps": [asdict(step) for step in edge.steps],
+            "ended": edge.ended,
+            "plan": asdict(plan),
+        }
+        if "verified" in self.told:
+            self.told["verified"] |= compared(figures["edge_factor"], self.told["verified"]["edge_factor"])
+
+    def _verify(self) -> None:
+        from sim.identify.borrowed import borrowed, carried
+        from sim.tune.knock import Edge, Plan
+        from sim.tune.live import Trials
+        from sim.tune.outcome import verified
+
+        loop = self._running()
+        designed, predicted = self._need("designed"), self._need("predicted")
+        plan = Plan(**self._need("predicted_steps")["plan"])
+        loop.ready()
+        load = carried(loop, self._options.amplitude, self._options.load)
+        edge = Edge()
+        with borrowed(loop) as held:
+            try:
+                trials = Trials(loop, held, designed["taps_n_per_m"], predicted["knock_m"], load, self._say)
+                trials.climb(plan, edge)
+            except KeyboardInterrupt:
+                edge.ended = edge.ended or "interrupted"
+                raise
+            except RefusedError as error:
+                edge.ended = edge.ended or str(error)
+                raise
+            finally:
+                self.told["verified"] = verified(predicted, edge)
+                if held.not_put_back:
+                    self.told["not_put_back"] = held.not_put_back
+        if held.not_put_back:
+            self.told["not_put_back"] = held.not_put_back
+        if self.told["verified"]["holds"]:
+            most = self.told["verified"]["stiffest_at_rest_n_per_m"]
+            self._write_law(self._tuned, f"tried on the device: knocks came to rest up to {most:.4g} N/m")
+            self._designed.unlink(missing_ok=True)
+
+    def _apply(self) -> None:
+        """Fade to the tuned law in the running coupling: only to one that was tried and held."""
+        designed = self._need("designed")
+        if not self.told.get("verified", {}).get("holds"):
+            raise RefusedError(
+                "apply: the law was not tried on the device, or does not hold; only a law that held is applied"
+            )
+        loop = self._running()
+        loop.ready()
+        law = {"kind": "fir", "taps": designed["taps_n_per_m"], "period": loop.period}
+        ask(loop.run, loop.coupling, "param.set", values={f"laws.{LAW}": law})
+        receipt = ask(loop.run, loop.coupling, "law.switch", law=LAW, ramp=RAMP, force=True)
+        self.told["applied"] = {"seq": receipt["seq"], "ramp_ticks": RAMP, "force_step_n": receipt["force_step_n"]}
+
+    def write(self) -> None:
+        """Write what is known."""
+        from sim.tune.outcome import headline
+        from sim.tune.page import page
+
+        self.files = {name: file for name, file in self.files.items() if name in ("html", "json")}
+        for path in (self._tuned, self._designed):
+            if path.exists():
+                self.files["params"] = str(path)
+                break
+        self.told["headline"] = headline(self.told)
+        self.told["command"], self.told["date"] = self._options.command, time.strftime("%Y-%m-%d %H:%M:%S %z")
+        with contextlib.suppress(RefusedError):
+            self.told["device"] = self.told.get("device") or (self._loop.run.scenario if self._loop else "")
+        self._file.write_text(json.dumps(self.told, indent=1), encoding="utf-8")
+        (self._options.out / "tune.html").write_text(page(self.told), encoding="utf-8")
+
+    @property
+    def came_through(self) -> bool:
+        """Whether a law that was tried holds, and an edge was found."""
+        after = self.told.get("verified")
+        return after is None or bool(after["holds"] and after["edge_factor"] is not None)

@@ -1,0 +1,216 @@
+"""Knocks and the climb: the verdict at its edge, the way up and down, and the edge that the poles have, by another method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from nodes.laws import CompiledLaw
+from nodes.laws.knock import Knock
+from nodes.laws.parse import parse_law
+from nodes.laws.pd import PD
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
+from sim.device.model import DeviceModel
+from sim.tune.knock import (
+    BEYOND,
+    DEEPEST,
+    DYING,
+    FAR,
+    LEFT,
+    LONGEST,
+    LOWEST,
+    NEAR,
+    STEP,
+    WINDOW,
+    Edge,
+    Plan,
+    Verdict,
+    climb,
+    factor_of,
+    judge,
+    knocked,
+    planned,
+)
+from sim.tune.outcome import MARGIN, compared, headline, verified
+from sim.tune.predict import linear_edge
+
+T = 0.002
+KNOCK = 1e-3
+
+
+def swing(radius: float, ticks: int = LONGEST) -> np.ndarray:
+    """A motion that begins at −knock and swings about zero by a pole of this radius, and a frequency that fills each third."""
+    k = np.arange(ticks)
+    return np.asarray(KNOCK - KNOCK * radius**k * np.cos(0.5 * np.pi * k))
+
+
+def test_the_verdict_at_its_edge() -> None:
+    # The last third begins after 2/3 of the window: there the swing is as wide as its radius to that power, times two knocks.
+    begins = WINDOW - WINDOW // 3
+    just = (0.5 * LEFT) ** (1.0 / begins)
+    for radius, rests in ((just * 0.9995, True), (just * 1.0005, None)):
+        verdict = judge(swing(radius, WINDOW), KNOCK, 1.0)
+        assert (verdict and verdict.rests) is rests
+
+
+@pytest.mark.parametrize(("radius", "rests"), [(0.9996, True), (0.9999, False), (1.0, False), (1.0003, False)])
+def test_what_is_left_must_go_on_dying(radius: float, rests: bool) -> None:
+    # A third of the longest window is 533 ticks: a radius of 0.9998 leaves 0.9 of it.
+    assert pytest.approx(0.9998, abs=1e-5) == DYING ** (1.0 / (LONGEST // 3))
+    verdict = judge(swing(radius), KNOCK, 1.0)
+    assert verdict is not None
+    assert verdict.rests is rests
+
+
+def test_far_and_not_finite_do_not_rest() -> None:
+    away = np.zeros(WINDOW)
+    away[5] = -(FAR - 1.0) * KNOCK * 1.001
+    for position in (away, np.full(WINDOW, np.nan)):
+        verdict = judge(position, KNOCK, 1.0)
+        assert verdict is not None
+        assert not verdict.rests
+        assert "far" in verdict.why
+    away[5] = -(FAR - 1.0) * KNOCK * 0.999
+    assert (verdict := judge(away, KNOCK, 1.0)) is not None
+    assert verdict.rests
+    assert judge(away[:10], KNOCK, 1.0) is None
+
+
+def device(edge: int, tried: list[int]) -> Callable[[int], Verdict]:
+    """A device that rests below a step, and notes what it was asked."""
+
+    def knock(step: int) -> Verdict:
+        tried.append(step)
+        return Verdict(factor_of(step), 0.1 if step < edge else 2.0, step < edge)
+
+    return knock
+
+
+@pytest.mark.parametrize("edge", [13, 8, 1, 0, -1, -3, -37, LOWEST, LOWEST - 25])
+def test_the_climb_begins_below_and_finds_the_step(edge: int) -> None:
+    tried: list[int] = []
+    found = climb(Plan(LOWEST, 12 - NEAR, 12 + BEYOND), device(edge, tried))
+    assert found.factor == factor_of(edge)
+    assert found.rested == factor_of(edge - 1)
+    assert tried[0] == LOWEST
+    # Never further beyond what rests than a large step; and the law itself was tried where the way leads past it.
+    assert max(b - max([a for a in tried[:i] if a < edge], default=b) for i, b in enumerate(tried)) <= 10
+    assert edge <= 0 or 0 in tried
+
+
+def test_a_device_that_never_rests_is_left_alone() -> None:
+    tried: list[int] = []
+    found = climb(Plan(LOWEST, 8, 24), device(DEEPEST - 100, tried))
+    assert found.rested is None
+    assert min(tried) >= DEEPEST
+    assert "nothing came to rest" in found.ended
+
+
+def predicted(edge: float, linear: float) -> dict[str, float]:
+    return {"h1_n_per_m": 1000.0, "edge_factor": edge, "edge_linear_factor": linear}
+
+
+def climbed(edge: int) -> Edge:
+    return climb(Plan(LOWEST, 8, 24), device(edge, []))
+
+
+@pytest.mark.parametrize("edge", [1, 0, -20])
+def test_a_law_that_does_not_rest_does_not_hold(edge: int) -> None:
+    told = verified(predicted(1.27, 1.25), climbed(edge))
+    assert not told["holds"]
+    assert "NOT hold" in headline({"designed": {"h1_n_per_m": 1000.0, "lands": True}, "verified": told})
+
+
+def test_a_law_that_only_friction_holds_does_not_hold() -> None:
+    # Knocks on the model see the edge at 1.5 where its poles have it at 1.25: friction. So 1.2 by knocks is 1.0 by poles.
+    assert verified(predicted(1.27, 1.25), climbed(round(math.log(1.2) / math.log(STEP))))["holds"]
+    told = verified(predicted(1.5, 1.25), climbed(round(math.log(1.2) / math.log(STEP))))
+    assert told["edge_by_poles_h1_n_per_m"] == pytest.approx(1000.0, rel=STEP - 1.0)
+    assert told["edge_by_poles_h1_n_per_m"] < 1000.0 * MARGIN
+    assert not told["holds"]
+
+
+def test_an_edge_that_was_not_found_is_not_compared() -> None:
+    told = verified(predicted(1.27, 1.25), climbed(100))
+    assert told["holds"]
+    assert told["edge_factor"] is None
+    assert told["edge_error"] is None
+
+
+def test_two_grids_of_two_per_cent_are_told_as_what_they_are() -> None:
+    assert compared(1.27, 1.27)["edge_compared"] == "the same step of 2 %"
+    assert compared(1.27, 1.27 * STEP)["edge_compared"] == "+2 % from the predicted one"
+    assert compared(None, 1.27)["edge_error"] is None
+
+
+@pytest.mark.parametrize(("preset", "delay"), [("designed_d0", 0.0), ("designed_d1", 1.0)])
+def test_knocking_finds_the_edge_that_the_poles_have(preset: str, delay: float) -> None:
+    """Without friction and encoder the loop is linear, and pole radii tell the edge by another method."""
+    law = parse_law({"kind": preset}).compile(T)
+    linear = linear_edge(law, Plant(T, 0.1, 1.0, delay))
+    bare = DeviceModel(mass=0.1, damping=1.0, delay=delay)
+    plan, edge = planned(knocked(law, bare, T, KNOCK, None, None), linear)
+    assert edge.factor is not None
+    # What hardly dies is not told from what does not: a step or two below the edge, and at most one above it.
+    assert linear / STEP**3 <= edge.factor <= linear * STEP
+    assert climb(plan, knocked(law, bare, T, KNOCK, None, None)).factor == edge.factor
+
+
+def test_the_linear_edge_is_where_a_pole_reaches_the_circle() -> None:
+    law, plant = PD(stiffness=300.0, damping=2.0).compile(T), Plant(T, 0.1, 1.0, 1.3)
+    edge = linear_edge(law, plant)
+    grown = PD(stiffness=300.0 * edge, damping=2.0 * edge)
+    assert k_max(without_spring(grown, T), plant).k_max_n_per_m == pytest.approx(300.0 * edge, rel=1e-6)
+
+
+# -- the law on trial --------------------------------------------------------------------------------------------------
+
+
+def rendered(law: Knock, deflections: list[float], length: int = 16) -> list[float]:
+    """Render as the coupling does: over a ring that holds everything twice, its own code asked twice at the swap."""
+    compiled: CompiledLaw = law.compile(T)
+    assert compiled.evaluate is not None
+    ring, head, forces = [0.0] * (2 * length), 0, []
+    for k, x in enumerate(deflections):
+        head = head - 1 if head > 0 else length - 1
+        ring[head] = ring[head + length] = x
+        own = compiled.evaluate(ring, head)
+        if k == 0:
+            own = compiled.evaluate(ring, head)
+        forces.append(sum(tap * ring[head + m] for m, tap in enumerate(compiled.taps)) + own)
+    return forces
+
+
+TAPS = (5000.0, -3000.0, 500.0)
+
+
+def test_a_trial_is_the_law_felt_from_nothing_and_then_the_soft_spring() -> None:
+    law = Knock(taps=TAPS, step=1e-4, ticks=40, stiffness=20.0, damping=0.5)
+    held = 2e-3
+    forces = rendered(law, [held] * 60)
+    # A step of the deflection over nothing: the sum of the first taps; beside it the force that was there before.
+    steps = [sum(TAPS[: k + 1]) * 1e-4 for k in range(40)]
+    assert forces[1:41] == pytest.approx([20.0 * held + s for s in steps], abs=1e-12)
+    assert forces[41:] == pytest.approx([20.0 * held] * 19, abs=1e-12)
+
+
+def test_a_trial_that_goes_far_is_over_for_good() -> None:
+    law = Knock(taps=TAPS, step=1e-4, ticks=40, far=3.0)
+    for end, over in ((1.9e-4, False), (2.1e-4, True)):
+        # Its deflection is the step, and what the device adds.
+        forces = rendered(law, [0.0, 0.0, end, 0.0, 0.0, 0.0])
+        soft = rendered(Knock(taps=(0.0,), step=1e-12, ticks=1), [0.0, 0.0, end, 0.0, 0.0, 0.0])
+        assert (forces[2:] == pytest.approx(soft[2:], abs=1e-12)) is over
+
+
+def test_a_load_is_carried_before_during_and_after_on_the_first_axis() -> None:
+    law = Knock(taps=TAPS, step=1e-4, ticks=5, load=0.98)
+    assert rendered(law, [0.0] * 10)[0] == rendered(law, [0.0] * 10)[-1] == 0.98
+    compiled = Knock(taps=TAPS, step=1e-4, ticks=5, load=0.98, axes=2).compile(T)
+    assert compiled.evaluate is not None
+    first, second = [0.0] * 32, [0.0] * 32
+    assert (compiled.evaluate(first, 0), compiled.evaluate(second, 0)) == (0.98, 0.0)
