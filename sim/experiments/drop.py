@@ -10,6 +10,7 @@ or the figures do not compare (drop and press read 70–99 % of the linear limit
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Sequence
@@ -238,6 +239,13 @@ def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
     return load / grip if grip > 0.0 else None
 
 
+@functools.cache
+def _threads(process: int) -> ThreadPoolExecutor:
+    """Make threads that stay: a search plays tens of thousands of batches; a forked process has none of its parent's."""
+    del process
+    return ThreadPoolExecutor(len(os.sched_getaffinity(0)), "drops")
+
+
 def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> list[bool]:
     """Play one experiment with each of several laws, spread over the cores.
 
@@ -285,16 +293,19 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     if motion.loads is not None:
         motion = motion._replace(loads=np.array(motion.loads))
     contact = contact_of(scene)
-    cores = min(len(os.sched_getaffinity(0)), len(laws))
+    # To hand over a few runs takes as long as to play them.
+    cores = min(len(os.sched_getaffinity(0)), 1 + len(laws) // 8)
     bounds = [len(laws) * i // cores for i in range(cores + 1)]
 
     def play(part: int) -> None:
         sections = recursive if most else None
         _trials_compiled(bounds[part], bounds[part + 1], ticks, motion, contact, taps, sections, windows, results)
 
-    # Compiled code holds no interpreter lock: threads are cores.
-    with ThreadPoolExecutor(cores) as threads:
-        list(threads.map(play, range(cores)))
+    if cores == 1:
+        play(0)
+    else:
+        # Compiled code holds no interpreter lock: threads are cores.
+        list(_threads(os.getpid()).map(play, range(cores)))
     return [_verdict(scene, law, told, criterion) for law, told in zip(laws, results.tolist(), strict=True)]
 
 

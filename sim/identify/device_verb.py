@@ -126,7 +126,6 @@ def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pus
     """Push the device of a running launch at each place, and identify it there on each axis."""
     from nodes.cli.ask import chosen_run
     from sim.identify.borrowed import Loop
-    from sim.identify.push import push
 
     loop = Loop(chosen_run(arguments))
     law = excitation(arguments)
@@ -137,11 +136,29 @@ def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pus
     for n, offset in enumerate(places):
         centre = [x + offset if i in loop.axes else x for i, x in enumerate(here)]
         out = arguments.out / f"{loop.run.run}-push{n}-{os.getpid()}.mcap"
-        pushed = push(loop, law, out, centre, tell, arguments.load)
-        found += [(pushed, one) for one in _axes(loop, pushed, arguments.held)]
+        pushed, axes = _pushed(loop, law, out, centre, tell, arguments)
+        found += [(pushed, one) for one in axes]
         if pushed.reason != "done":
             break
     return found
+
+
+def _pushed(
+    loop: Loop, law: dict[str, Any], out: Path, centre: list[float], tell: Any, arguments: argparse.Namespace
+) -> tuple[Pushed, list[Identified]]:
+    """Push and identify; in lockstep, where ticks cost no time, again and longer when the recorder lost too many of them."""
+    from sim.identify.push import push
+
+    longer = (1, 4, 16) if loop.run.nodes[loop.driver].pace == "lockstep" else (1,)
+    for times in longer:
+        out.unlink(missing_ok=True)
+        pushed = push(loop, {**law, "duration": times * law["duration"]}, out, centre, tell, arguments.load)
+        try:
+            return pushed, _axes(loop, pushed, arguments.held)
+        except RefusedError:
+            if pushed.reason != "done" or times == longer[-1]:
+                raise
+    raise RefusedError(f"{out}: nothing was identified")
 
 
 def _axes(loop: Loop, pushed: Pushed, held: bool | None) -> list[Identified]:

@@ -24,6 +24,7 @@ LAW = "identify"
 """Name that the excitation gets in the coupling; it stays defined afterwards, inactive."""
 HELD_FAST = 1.5
 """A device that is pushed and has not moved for so many seconds' worth of ticks is held fast [s]."""
+STUCK = f"the device has not moved for {HELD_FAST:g} s though it was pushed: it is held fast, or friction holds it"
 MOVED = 1e-4
 """Less than this is not a motion [m]."""
 ALARM = 1.0
@@ -133,5 +134,5 @@ def _watch(loop: Loop, duration: float, held: Borrowed, say: Callable[[str], Non
         if max(abs(state.position[i] - still_at[i]) for i in loop.axes) > MOVED:
             still_since, still_at = state.seq, state.position
         elif (state.seq - still_since) * loop.period > HELD_FAST:
-            result.reason = f"the device has not moved for {HELD_FAST:g} s though it was pushed: it is held fast, or friction holds it"
+            result.reason = STUCK
             return

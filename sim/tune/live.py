@@ -117,6 +117,8 @@ class Trials:
             ask(loop.run, loop.driver, "param.set", values={"passivity": self._allowance})
         position, why, disturbed = self._window(factor)
         verdict = judge(position, self._knock, factor)
+        if disturbed and verdict is None:
+            verdict = Verdict(factor, 0.0, False, disturbed)
         if why or verdict is None:
             left = float(np.ptp(position[-len(position) // 3 :])) / self._knock if len(position) else 0.0
             verdict = Verdict(factor, left, False, why)
@@ -141,6 +143,8 @@ class Trials:
                 continue
             if state.seq < began:
                 continue
+            if state.seq != began + len(positions):
+                return np.array(positions), "", "ticks went by unheard"
             positions.append(state.position[axis])
             if state.safety == "fault":
                 return np.array(positions), "the driver took the force away: the device left its workspace", ""

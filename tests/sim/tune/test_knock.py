@@ -43,7 +43,7 @@ KNOCK = 1e-3
 
 
 def swing(radius: float, ticks: int = LONGEST) -> np.ndarray:
-    """A motion that begins at −knock and swings about zero by a pole of this radius, and a frequency that fills each third."""
+    """Swing from a knock away about the place that is asked for, by a pole of this radius."""
     k = np.arange(ticks)
     return np.asarray(KNOCK - KNOCK * radius**k * np.cos(0.5 * np.pi * k))
 
@@ -81,7 +81,7 @@ def test_far_and_not_finite_do_not_rest() -> None:
 
 
 def device(edge: int, tried: list[int]) -> Callable[[int], Verdict]:
-    """A device that rests below a step, and notes what it was asked."""
+    """Make a device that rests below a step, and notes what it was asked."""
 
     def knock(step: int) -> Verdict:
         tried.append(step)

@@ -1,4 +1,4 @@
-"""Tuning from end to end on real launches: what is delivered was tried, and whatever ends the verb leaves the device as it was."""
+"""Tuning from end to end on real launches: what is delivered was tried, and whatever ends it leaves the launch as it was."""
 
 from __future__ import annotations
 
