@@ -108,7 +108,7 @@ def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:
     none, positions = np.empty(0, dtype=np.int64), np.empty(ticks)
     taps = np.array(law.taps)
     rendered = Laws(taps, np.array([0, len(taps)]), None, np.zeros(2, dtype=np.int64), none, none)
-    records = Records(positions, None, None, None, None)
+    records = Records(positions, None, None, None, None, None)
 
     def play() -> Array:
         history, commands = np.zeros(2 * len(taps)), np.zeros(motion.waiting)

@@ -200,7 +200,7 @@ def _trials(
             np.zeros(width // 2),
             np.zeros(2 * max(length, 2)),
             np.zeros(motion.waiting),
-            Records(positions, None, None, None, forces),
+            Records(positions, None, None, None, forces, None),
             None,
             _row(windows, p),
         )
