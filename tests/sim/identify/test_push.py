@@ -36,7 +36,15 @@ def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) ->
     (tmp_path / "wide.yaml").write_text("driver: {safety: {workspace: null}}", encoding="utf-8")
     with running(tmp_path, *SCENE, "--params", "wide.yaml") as launch:
         before = parameters(launch)
-        done = launch.haptic("device", "identify", "--duration", "6", "--json")
+        # The floor carries 0.98 N of weight, but that might as well be a hand that presses.
+        refused = launch.haptic("device", "identify", "--duration", "6", code=1)
+        assert "let go first" in refused.stderr
+        # Dry friction of 0.06 N carries a part of it.
+        assert abs(float(refused.stderr.rsplit("--load ", 1)[1]) - 0.981) <= 0.07
+        assert parameters(launch) == before
+        heavy = launch.haptic("device", "identify", "--load", "60", "--amplitude", "50", code=1)
+        assert "more than" in heavy.stderr
+        done = launch.haptic("device", "identify", "--duration", "6", "--load", "0.981", "--json")
         figures = json.loads(done.stdout.splitlines()[-1])
         assert parameters(launch) == before
         assert before[0] == "pd"
@@ -73,7 +81,7 @@ def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> 
     with running(tmp_path, *SCENE) as launch:
         before = parameters(launch)
         process = subprocess.Popen(
-            [*HAPTIC, "device", "identify", "--duration", "600", "--json"],
+            [*HAPTIC, "device", "identify", "--duration", "600", "--load", "0.981", "--json"],
             cwd=tmp_path,
             env=launch.environment,
             stdout=subprocess.PIPE,
