@@ -14,27 +14,6 @@ from nodes.environment.shapes.tables import BOX, CAPSULE, CYLINDER, MESH, PLANE,
 Array = NDArray[np.float64]
 
 
-def icosphere(halvings: int, radius: float) -> Array:
-    """Triangles of a sphere, 20·4ⁿ of them; shape (n, 3, 3)."""
-    golden = (1.0 + 5.0**0.5) / 2.0
-    corners = np.array([(a, b * golden, 0.0) for b in (-1.0, 1.0) for a in (-1.0, 1.0)])
-    corners = np.concatenate([np.roll(corners, n, axis=1) for n in range(3)])
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(corners)
-    triangles = corners[hull.simplices]
-    outward = np.einsum("ij,ij->i", np.cross(*(triangles[:, i] - triangles[:, 0] for i in (1, 2))), triangles[:, 0])
-    triangles[outward < 0.0] = triangles[outward < 0.0][:, ::-1]
-    triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
-    for _ in range(halvings):
-        middle = triangles + np.roll(triangles, -1, axis=1)
-        middle /= np.linalg.norm(middle, axis=2, keepdims=True)
-        (a, b, c), (ab, bc, ca) = np.moveaxis(triangles, 1, 0), np.moveaxis(middle, 1, 0)
-        parts = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
-        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
-    return np.ascontiguousarray(radius * triangles)
-
-
 def box_triangles(size: Any) -> Array:
     """Twelve triangles of a box about the origin; shape (12, 3, 3)."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size

@@ -10,8 +10,9 @@ import pytest
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Friction, Solid, box, capsule, mesh, plane, sphere
 from nodes.environment.shapes.tables import SKIN
+from sim.experiments.proxies import icosphere
 from sim.scene.touch import Touched, touch
-from tests.support.shapes import Array, icosphere, wander
+from tests.support.shapes import Array, wander
 
 CONE = 1e-9
 """How far the deflection may be outside of the cone of friction, as part of its normal part."""

@@ -12,7 +12,8 @@ from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.mesh_file import LARGEST, read_triangles
 from nodes.environment.surfaces import parse_surface
 from nodes.parameters.store import ParameterError
-from tests.support.shapes import Array, box_triangles, icosphere
+from sim.experiments.proxies import icosphere
+from tests.support.shapes import Array, box_triangles
 
 CUBE = box_triangles((0.02, 0.02, 0.02))
 

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Friction, Solid, box, capsule, cylinder, mesh, plane, sphere
 from nodes.environment.shapes.tables import SKIN
+from sim.experiments.proxies import icosphere
 from sim.scene.touch import Touched, touch
 from tests.support.shapes import (
     Array,
     box_triangles,
     distance_to,
-    icosphere,
     out_of_balance,
     turned,
     wander,

@@ -1,0 +1,206 @@
+"""Renderers of proxies compared on paths whose ideal force is a closed form, after Ruffaldi, Morris, Edmunds, Barbagli and Pai.
+
+A tool is led along a surface that a formula describes, a known depth below it, so that the ideal force is known at every tick:
+stiffness times depth, along the normal (Standardized Evaluation of Haptic Rendering Systems, 2006; theirs were scanned paths,
+these are generated). Then the same closed way there and back: whatever the force costs there it must give back, or it is
+friction that nobody asked for. A plate thinner than a step says whether a proxy changes sides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.environment.shapes.mesh import prepare_mesh
+from nodes.environment.shapes.scene import Solid, box, capsule, mesh, plane, sphere
+from sim.scene.touch import Touched, call_times, touch
+
+Array = NDArray[np.float64]
+
+RADIUS = 0.05
+"""Of the sphere that is felt [m]."""
+
+PLATE = (0.2, 0.2, 2e-4)
+"""Size of the plate [m]."""
+
+_TIMED = 4000
+"""Single calls that are timed."""
+
+
+@dataclass(frozen=True)
+class ProxyError:
+    """How a proxy did on one shape.
+
+    Attributes
+    ----------
+    name : str
+        Shape and how it is described.
+    triangles : int
+        0 for a shape of a few floats.
+    rms_n : float
+        Root mean square of the force's error against the closed form [N].
+    max_n : float
+        The largest [N].
+    noise_n : float
+        What of it changes from tick to tick: root mean square of its differences over √2 [N].
+    proxy_um : float
+        Largest distance of the proxy from the closed form [µm].
+    drag : float
+        Work lost on a closed way there and back, over force times way: the apparent coefficient of friction.
+    call_us, call_p99_us : float
+        Time of a call: median and 99th percentile, each with what the interpreter adds to it, under 1 µs [µs].
+    rounds : int
+        Most rounds that a call took.
+    """
+
+    name: str
+    triangles: int
+    rms_n: float
+    max_n: float
+    noise_n: float
+    proxy_um: float
+    drag: float
+    call_us: float
+    call_p99_us: float
+    rounds: int
+
+
+def icosphere(halvings: int, radius: float) -> Array:
+    """Make triangles of a sphere, 20·4ⁿ of them; shape (n, 3, 3)."""
+    from scipy.spatial import ConvexHull
+
+    golden = (1.0 + 5.0**0.5) / 2.0
+    corners = np.array([(a, b * golden, 0.0) for b in (-1.0, 1.0) for a in (-1.0, 1.0)])
+    corners = np.concatenate([np.roll(corners, n, axis=1) for n in range(3)])
+    triangles = corners[ConvexHull(corners).simplices]
+    outward = np.einsum("ij,ij->i", np.cross(*(triangles[:, i] - triangles[:, 0] for i in (1, 2))), triangles[:, 0])
+    triangles[outward < 0.0] = triangles[outward < 0.0][:, ::-1]
+    triangles /= np.linalg.norm(triangles, axis=2, keepdims=True)
+    for _ in range(halvings):
+        middle = triangles + np.roll(triangles, -1, axis=1)
+        middle /= np.linalg.norm(middle, axis=2, keepdims=True)
+        (a, b, c), (ab, bc, ca) = np.moveaxis(triangles, 1, 0), np.moveaxis(middle, 1, 0)
+        parts = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
+    return np.ascontiguousarray(radius * triangles)
+
+
+def ring(ticks: int, speed: float, period: float, radius: float) -> tuple[Array, Array]:
+    """Go round a sphere, in a plane that is none of the axes: points on it [m] and their normals."""
+    angle = 0.1 + np.arange(ticks) * speed * period / radius
+    normal = np.stack([np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)], axis=1)
+    return radius * normal, normal
+
+
+def cases(finest: int, ticks: int, speed: float, period: float) -> list[tuple[str, int, list[Solid], Array, Array]]:
+    """List what is compared: name, triangles, solids, points on the surface [m], normals."""
+    on_ball, outward = ring(ticks, speed, period, RADIUS)
+    flat = np.arange(ticks)[:, None] * speed * period * np.array([1.0, 0.0, 0.0])
+    up = np.tile([0.0, 0.0, 1.0], (ticks, 1))
+    along = np.array([0.6, 0.8, 0.0])
+    turn = np.arange(ticks) * speed * period / RADIUS
+    rod_normal = np.cos(turn)[:, None] * np.array([0.0, 0.0, 1.0]) + np.sin(turn)[:, None] * np.array([0.8, -0.6, 0.0])
+    rod = RADIUS * rod_normal + 0.02 * np.sin(turn)[:, None] * along
+    found = [
+        ("plane", 0, [plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))], flat, up),
+        ("sphere", 0, [sphere((0.0, 0.0, 0.0), RADIUS)], on_ball, outward),
+        ("capsule", 0, [capsule((-0.06, -0.08, 0.0), (0.06, 0.08, 0.0), RADIUS)], rod, rod_normal),
+    ]
+    for halvings in range(2, finest + 1):
+        triangles = icosphere(halvings, RADIUS)
+        solid = mesh(prepare_mesh(triangles, False, "sphere"))
+        found.append((f"sphere of {len(triangles)} triangles", len(triangles), [solid], on_ball, outward))
+    return found
+
+
+def compare_proxies(
+    finest: int = 5,
+    ticks: int = 5000,
+    stiffness: float = 500.0,
+    depth: float = 4e-3,
+    speed: float = 0.2,
+    period: float = 1e-3,
+    tool_radius: float = 0.0,
+) -> list[ProxyError]:
+    """Lead the tool along each surface and compare.
+
+    Parameters
+    ----------
+    finest : int
+        The sphere's finest mesh has 20·4ⁿ triangles.
+    ticks : int
+        Length of each way.
+    stiffness : float
+        K of the force [N/m].
+    depth : float
+        How deep below the surface the tool is led [m]; it swells from nothing, so that the tool enters from outside.
+    speed : float
+        Along the surface [m/s].
+    period : float
+        Time between two calls [s].
+    tool_radius : float
+        Of the ball that touches [m].
+
+    Returns
+    -------
+    list of ProxyError
+        One for each shape.
+    """
+    return [_compared(case, stiffness, depth, period, tool_radius) for case in cases(finest, ticks, speed, period)]
+
+
+def _compared(
+    case: tuple[str, int, list[Solid], Array, Array], stiffness: float, depth: float, period: float, tool_radius: float
+) -> ProxyError:
+    name, triangles, solids, surface, normal = case
+    ticks = len(surface)
+    below = depth * np.minimum(np.arange(ticks) / (0.05 * ticks), 1.0) - 1e-4
+    path = surface + (tool_radius - below[:, None]) * normal
+    ideal = surface + tool_radius * normal
+    found = touch(solids, path, tool_radius, period)
+    inside = found.contact & (below > 0.1 * depth)
+    error = stiffness * (found.proxy - ideal)[inside]
+    size = np.linalg.norm(error, axis=1)
+    single = call_times(solids, path, tool_radius, period, _TIMED)
+    return ProxyError(
+        name=name,
+        triangles=triangles,
+        rms_n=float(np.sqrt(np.mean(size**2))),
+        max_n=float(size.max()),
+        noise_n=float(np.sqrt(np.mean(np.sum(np.diff(error, axis=0) ** 2, axis=1)) / 2.0)),
+        proxy_um=float(1e6 * size.max() / stiffness),
+        drag=drag(solids, path[ticks // 10 :], tool_radius, period, found),
+        call_us=float(1e6 * np.median(single)),
+        call_p99_us=float(1e6 * np.percentile(single, 99)),
+        rounds=int(found.rounds.max()),
+    )
+
+
+def drag(
+    solids: Sequence[Solid], path: Array, tool_radius: float, period: float, before: Touched | None = None
+) -> float:
+    """Find the apparent friction of a way there and back that stays in contact: work lost over force times way."""
+    there = path if before is None else np.concatenate([before.path[: len(before.path) - len(path)], path])
+    found = touch(solids, np.concatenate([there, path[::-1]]), tool_radius, period)
+    lead = len(there) - len(path)
+    force, way = (found.proxy - found.path)[lead:], np.diff(found.path[lead:], axis=0)
+    work = np.einsum("ij,ij->", 0.5 * (force[1:] + force[:-1]), way)
+    return float(abs(work) / (np.linalg.norm(force[1:], axis=1) @ np.linalg.norm(way, axis=1)))
+
+
+def wrong_sides(steps: int, step: float, seed: int, tool_radius: float = 0.0) -> tuple[int, float]:
+    """Walk at random through a plate: how often the proxy was below its top, and how far at most beside the device [m]."""
+    rng = np.random.default_rng(seed)
+    way = rng.normal(size=(steps, 3))
+    way *= rng.uniform(0.0, step, (steps, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    limits = np.array([0.03, 0.03, 0.004])
+    far = np.cumsum(way, axis=0) + limits + np.array([0.0, 0.0, 0.002])
+    path = np.abs((far + 2.0 * limits) % (4.0 * limits) - 2.0 * limits) - limits
+    found = touch([box((0.0, 0.0, 0.0), PLATE)], path, tool_radius)
+    top = 0.5 * PLATE[2] + tool_radius
+    aside = np.linalg.norm(found.proxy[:, :2] - path[:, :2], axis=1)
+    return int((found.proxy[:, 2] < top).sum()), float(aside.max())

@@ -1,0 +1,39 @@
+"""Scenes in three axes, launched: what the environment node answers is, to the bit, what one process finds on the same way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from messages.topics import PROXY
+from nodes.environment.shapes.kinds import Touchable
+from nodes.environment.surfaces import parse_surface
+from nodes.launcher import launch_file
+from nodes.recording.reader import Recording
+from sim.scene.touch import touch
+from tests.support.launching import launch_json
+
+SCENES = {"sphere_feel": (), "box_edges": (), "mesh_pebble": (), "rough_plane": ("friction:=0.4",)}
+
+
+@pytest.mark.parametrize("scenario", SCENES)
+def test_the_node_finds_the_proxies_of_one_process(scenario: str, tmp_path: Path) -> None:
+    words = [*SCENES[scenario], "pace:=lockstep", "duration:=1.6"]
+    figures = launch_json(tmp_path, scenario, *words)
+    found = Recording(tmp_path / figures["recording"]).messages(PROXY)
+    launch = launch_file.read(scenario, launch_file.parse_assignments(words))
+    surface = parse_surface(launch.nodes["environment"].parameters["surface"], "surface")
+    assert isinstance(surface, Touchable)
+    path = np.array([message.position for message in found])
+    # Interpreted here too: tests/nodes/environment/test_proxy.py holds that the compiled one gives the same bits.
+    alone = touch(surface.solids("surface"), path, surface.tool_radius, launch.run.period, interpreted=True)
+    contact = np.array([message.contact for message in found])
+    assert 0.1 < contact.mean() < 0.95
+    assert np.array_equal(alone.contact, contact)
+    assert np.array_equal(np.where(contact[:, None], alone.proxy, path), [message.proxy for message in found])
+    assert np.array_equal(alone.normal, [message.normal for message in found])
+    assert np.array_equal(alone.distance, [message.distance for message in found])
+    # Led aside by what it touches: more than one axis moves.
+    assert (np.ptp(path[contact], axis=0) > 1e-3).sum() >= 2
