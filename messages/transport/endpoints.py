@@ -1,4 +1,4 @@
-"""Endpoints, and what each kind of them asks of a socket: encryption over tcp, heartbeats, bounded messages.
+"""Endpoints, and what each kind of them asks of a socket: encryption over tcp, keep-alives, bounded messages.
 
 An endpoint is ZeroMQ's own text, followed for an encrypted one by ``#`` and the public key of the machine that binds it::
 
@@ -8,6 +8,11 @@ An endpoint is ZeroMQ's own text, followed for an encrypted one by ``#`` and the
 
 The key travels with the endpoint, so whoever knows where to connect also knows whom to expect there: a forger that binds in
 the place of a node cannot complete the handshake.
+
+Two rules keep a peer from ending this process. libzmq (4.3.5) remembers a peer that leaves while its input is stopped, because
+a receive queue is full, and aborts (``Assertion failed: !_io_error``) when it then writes a heartbeat to it: one of its own, or
+the answer to one that the peer left behind in the buffer. So heartbeats are never switched on, a silent tcp peer is found by
+the kernel's keep-alives instead; and what others connect to has no limit on its receive queue, so that its input never stops.
 """
 
 from __future__ import annotations
@@ -30,12 +35,12 @@ if TYPE_CHECKING:
 __all__ = [
     "DOMAIN",
     "HANDSHAKE_MS",
-    "HEARTBEAT_MS",
-    "HEARTBEAT_TIMEOUT_MS",
+    "KEEPALIVE_S",
     "MAX_MESSAGE",
     "MAX_RECONNECT_MS",
     "MAX_UPSTREAM",
     "RECONNECT_MS",
+    "SILENCE_MS",
     "TCP_HANDSHAKE_MS",
     "EndpointRefusedError",
     "bind",
@@ -55,11 +60,11 @@ MAX_MESSAGE = 16 * MAX_PAYLOAD
 MAX_UPSTREAM = 1024
 """Longest frame that a listener may send to a publisher: a subscription [bytes]."""
 
-HEARTBEAT_MS = 500
-"""How often a silent tcp peer is asked whether it is still there [ms]."""
+KEEPALIVE_S = 1
+"""How often the kernel asks a silent tcp peer whether it is still there [s]."""
 
-HEARTBEAT_TIMEOUT_MS = 2500
-"""After so long without an answer to that it is given up: a round trip of 1 s, and one lost packet [ms]."""
+SILENCE_MS = 2500
+"""After so long without an answer, to that or to what was sent, it is given up: a round trip of 1 s, and a lost packet [ms]."""
 
 HANDSHAKE_MS = 3000
 """How long a peer on this machine may take to introduce itself [ms]; ZeroMQ's 30 s would let idle connections pile up."""
@@ -144,10 +149,12 @@ def is_remote(endpoint: str) -> bool:
 
 
 def _set_tcp(socket: Socket) -> None:
-    # TCP_NODELAY is ZeroMQ's default. Heartbeats find a peer whose machine or cable went away without a word.
-    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
+    # TCP_NODELAY is ZeroMQ's default. Keep-alives find a peer whose machine or cable went away without a word.
+    socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_S)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_S)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, max(1, SILENCE_MS // (1000 * KEEPALIVE_S)))
+    socket.setsockopt(zmq.TCP_MAXRT, SILENCE_MS)
     socket.setsockopt(zmq.HANDSHAKE_IVL, TCP_HANDSHAKE_MS)
     socket.setsockopt(zmq.CONNECT_TIMEOUT, 3000)
     socket.setsockopt(zmq.RECONNECT_IVL_MAX, MAX_RECONNECT_MS)
@@ -219,6 +226,8 @@ def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
     """
     bare, key = (endpoint, "") if is_open and is_open_place(endpoint) else split(endpoint)
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_UPSTREAM if socket.type == zmq.XPUB else MAX_MESSAGE)
+    # See above: the input of what others connect to must not stop.
+    socket.rcvhwm = 0
     # What never introduces itself must not keep a place.
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
     if bare.startswith("ipc://"):

@@ -10,16 +10,16 @@ from __future__ import annotations
 import os
 import select
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import zmq
 
-from messages.transport.audience import UPSTREAM_QUEUE, Audience
 from messages.transport.context import move_aside as move_aside
 from messages.transport.context import new_context as new_context
 from messages.transport.endpoints import bind, connect, remove_ipc
+from messages.transport.gate import Reopening
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context, Socket
@@ -66,9 +66,6 @@ class Publisher:
         Endpoints for listeners; when there are none, they connect where the hops do.
     batch : int
         How many messages for listeners are collected before they are sent: waking another core costs more than a message.
-    open_to_all : str
-        A further endpoint for listeners, tcp on loopback: any user of this machine may listen there, unencrypted; empty
-        for none.
 
     Attributes
     ----------
@@ -90,10 +87,8 @@ class Publisher:
         more: Iterable[str] = (),
         listen: Iterable[str] = (),
         batch: int = 1,
-        open_to_all: str = "",
     ) -> None:
-        self._open = open_to_all
-        self._endpoints = ((endpoint, *more), (*({open_to_all} - {"", endpoint}), *listen))
+        self._endpoints = ((endpoint, *more), tuple(listen))
         self._sockets: list[Socket] = []
         try:
             for thread, places in enumerate(self._endpoints):
@@ -108,22 +103,19 @@ class Publisher:
         self._aside = super(zmq.Socket, self._sockets[-1]).send
         self._batch = batch
         self._held: list[tuple[bytes, bytes]] = []
-        self._audience = Audience(
-            [(one, places[0]) for one, places in zip(self._sockets, self._endpoints, strict=False)]
-        )
+        self._reopening = [Reopening(*one) for one in zip(self._sockets, filter(None, self._endpoints), strict=True)]
+        self._subscriptions: Counter[bytes] = Counter()
         self.endpoint = endpoint
 
     def _bound(self, context: Context, thread: int, places: tuple[str, ...]) -> Socket:
         socket = context.socket(zmq.XPUB)
         socket.setsockopt(zmq.XPUB_VERBOSER, 1)
-        # What listeners send is taken in by the thread that publishes: so much of it between two messages.
-        socket.rcvhwm = UPSTREAM_QUEUE
         socket.sndhwm = SEND_QUEUE
         # Bit 0 is the first I/O thread, bit 1 the second.
         socket.setsockopt(zmq.AFFINITY, 1 << thread)
         try:
             for place in places:
-                bind(socket, place, place == self._open)
+                bind(socket, place)
         except ValueError:
             socket.close(linger=0)
             raise
@@ -201,11 +193,11 @@ class Publisher:
         int
             Live subscriptions to this publisher; every listener of a launch makes one.
         """
-        self._audience.tend(1000)
-        return self._audience.count()
+        self.tend(1000)
+        return self._subscriptions.total()
 
-    def tend(self, most: int = 16) -> tuple[list[str], bool]:
-        """Take in what listeners have sent: subscriptions and their ends, nothing else and not too many.
+    def tend(self, most: int = 16) -> bool:
+        """Take in what listeners have sent, of which only subscriptions and their ends count, and not too many at once.
 
         Parameters
         ----------
@@ -214,13 +206,27 @@ class Publisher:
 
         Returns
         -------
-        tuple of list and bool
-            One sentence for each listener that was put out, and whether there is more to take in.
+        bool
+            Whether there is more to take in.
         """
-        return self._audience.tend(most)
+        for reopening in self._reopening:
+            reopening.tend()
+        for socket in self._sockets:
+            while most and int(socket.get(_EVENTS)) & _POLLIN:
+                most -= 1
+                frame = socket.recv(_NOBLOCK)
+                self._subscriptions[frame[1:]] += {b"\x00": -1, b"\x01": 1}.get(frame[:1], 0)
+        # Whoever ends what nobody began must not be counted, nor remembered.
+        self._subscriptions = +self._subscriptions
+        return not most
+
+    def evict(self) -> None:
+        """End all tcp connections with the next `tend`; who is still allowed connects again. From any thread."""
+        for reopening in self._reopening:
+            reopening.ask()
 
     def watched_by(self, gate: Gate) -> None:
-        """Let a gate watch who tries to connect.
+        """Let a gate watch who tries to connect to encrypted endpoints.
 
         Parameters
         ----------
@@ -228,7 +234,8 @@ class Publisher:
             The gate of the process, not yet started.
         """
         for socket, places in zip(self._sockets, filter(None, self._endpoints), strict=True):
-            gate.watch(socket, places)
+            if any("#" in place for place in places):
+                gate.watch(socket)
 
     def _close_sockets(self, linger_ms: int) -> None:
         for socket in self._sockets:
@@ -318,6 +325,16 @@ class Subscription:
         """
         self.next_frame = self._next_frame
         return self._socket.underlying
+
+    def register(self, poller: zmq.Poller) -> None:
+        """Let a poller wait for it, where several are listened to; the loop waits with `receive_until`.
+
+        Parameters
+        ----------
+        poller : zmq.Poller
+            Of the thread that receives.
+        """
+        poller.register(self._socket, zmq.POLLIN)
 
     def put_back(self, frames: Iterable[bytes]) -> None:
         """Let the next ones be these frames, which were taken off the socket before."""

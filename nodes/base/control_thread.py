@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -18,7 +19,8 @@ import zmq
 
 from messages import topics
 from messages.codec import MessageRefusedError
-from messages.transport.endpoints import bind, remove_ipc
+from messages.transport.endpoints import EndpointRefusedError, bind, remove_ipc, split
+from messages.transport.gate import Reopening
 from messages.transport.requests import Reply, Request, decode_request
 from nodes.base import realtime
 from nodes.base.kept import keep
@@ -34,8 +36,8 @@ if TYPE_CHECKING:
     from nodes.base.node import Node
 
 STATUS_PERIOD = 0.5
-QUEUE = 4
-"""Requests of one peer that wait."""
+MOST_GROWTH = 256 << 20
+"""By so much memory may grow before whoever sends requests is put out: requests without an end look like that [bytes]."""
 
 BURST, RATE = 50, 100.0
 """Requests that are served at once, and how many a second after that: each takes the interpreter from the loop."""
@@ -63,24 +65,16 @@ class ControlServer(threading.Thread):
         super().__init__(name=f"{node.setup.name}-control", daemon=True)
         self._node = node
         self._ending = threading.Event()
-        self._socket = context.socket(zmq.REP)
-        # Requests are carried by the thread that serves listeners, off the loop's processor where there is another.
-        self._socket.setsockopt(zmq.AFFINITY, 1 << (int(context.get(zmq.IO_THREADS)) - 1))
-        self._socket.rcvhwm = QUEUE
-        try:
-            bind(self._socket, node.setup.control)
-            self._wake = f"inproc://control-wake-{id(self)}"
-            self._socket.bind(self._wake)
-        except ValueError:
-            self._socket.close(linger=0)
-            raise
+        # Each time it wakes up for nothing, it takes the interpreter's lock from the loop for some 100 µs.
+        often = node.setup.watch or node.setup.lease
+        self._patience_ms = int((WATCH_PERIOD if often else STATUS_PERIOD) * 1000)
+        self._context = context
+        self._wakes = 0
+        self._open()
+        self._usual_memory = 0
         self._asked = self._counted = time.monotonic()
         self._tokens = float(BURST)
         self._fetched = threading.Event()
-        # Each time it wakes up for nothing, it takes the interpreter's lock from the loop for some 100 µs.
-        often = node.setup.watch or node.setup.lease
-        self._socket.rcvtimeo = int((WATCH_PERIOD if often else STATUS_PERIOD) * 1000)
-        self._context = context
         self._next_status = self._next_watch = 0.0
         self._links = links
         self._watched = WatchedFile(node.setup.watch) if node.setup.watch else None
@@ -105,6 +99,22 @@ class ControlServer(threading.Thread):
         }
         self._leases = Leases(node.setup.name)
         self._operations |= self._leases.operations()
+
+    def _open(self) -> None:
+        node = self._node
+        self._socket = self._context.socket(zmq.REP)
+        # Requests are carried by the thread that serves listeners, off the loop's processor where there is another.
+        self._socket.setsockopt(zmq.AFFINITY, 1 << (int(self._context.get(zmq.IO_THREADS)) - 1))
+        self._socket.rcvtimeo = self._patience_ms
+        try:
+            bind(self._socket, node.setup.control)
+            self._wakes += 1
+            self._wake = f"inproc://control-wake-{id(self)}-{self._wakes}"
+            self._socket.bind(self._wake)
+        except ValueError:
+            self._socket.close(linger=0)
+            raise
+        self._reopening = Reopening(self._socket, [node.setup.control])
 
     def _info(self) -> dict[str, Any]:
         node = self._node
@@ -131,8 +141,35 @@ class ControlServer(threading.Thread):
         }
 
     def watched_by(self, gate: Gate) -> None:
-        """Let a gate watch who tries to connect."""
-        gate.watch(self._socket, [self._node.setup.control], answers=True)
+        """Let a gate watch who tries to connect to an encrypted endpoint."""
+        if "#" in self._node.setup.control:
+            gate.watch(self._socket)
+
+    def evict(self) -> None:
+        """End all tcp connections soon; who is still allowed connects again. From any thread."""
+        self._reopening.ask()
+
+    def _review_memory(self) -> None:
+        """Put out all who may send requests when memory grows without an end; ZeroMQ bounds no request."""
+        now = realtime.memory_bytes()
+        self._usual_memory = self._usual_memory or now
+        if now - self._usual_memory > MOST_GROWTH:
+            self._node.deny(
+                f"memory grew by {(now - self._usual_memory) >> 20} MiB; all connections for requests are ended"
+            )
+            self._usual_memory = now
+            self._socket.close(linger=0)
+            place = split(self._node.setup.control)[0].removeprefix("ipc://")
+            # ZeroMQ's thread gives the port back, or removes the file, in its own time; it must not remove the new one's.
+            deadline = time.monotonic() + END_TIMEOUT
+            while os.path.exists(place) and time.monotonic() < deadline:
+                time.sleep(0.001)
+            while self._socket.closed:
+                try:
+                    self._open()
+                except EndpointRefusedError as error:
+                    self._node.tell("control", str(error))
+                    time.sleep(WATCH_PERIOD)
 
     def await_fetch(self, timeout: float) -> None:
         """Go on answering until the launcher has fetched the last report."""
@@ -242,6 +279,8 @@ class ControlServer(threading.Thread):
         if now >= self._next_status:
             self._next_status = now + STATUS_PERIOD
             node.post(topics.status(node.setup.name), node.status())
+            self._reopening.tend()
+            self._review_memory()
             # Who answers each tick should hear one all the time, from the first one on.
             self._links.look(node.counted().ticks or None if node.answers and node.state == "running" else None)
 

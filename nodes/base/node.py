@@ -189,6 +189,25 @@ class Node(Telling, Changeable):
         del parameters
         return cls.listens_to
 
+    @classmethod
+    def hears(cls, parameters: Any, nodes: Iterable[str]) -> frozenset[str]:
+        """Tell which nodes one that listens to everything connects to.
+
+        Parameters
+        ----------
+        parameters : msgspec.Struct
+            The node's parameters.
+        nodes : iterable of str
+            All others of the launch.
+
+        Returns
+        -------
+        frozenset of str
+            Some of them, or all.
+        """
+        del parameters
+        return frozenset(nodes)
+
     # -- what a kind of node defines ---------------------------------------------------------------------------------
 
     def configure(self) -> None:
@@ -406,10 +425,7 @@ class Node(Telling, Changeable):
             # There are no sockets.
             return False
         self.links.tend()
-        reasons, is_more = self.publisher.tend()
-        for reason in reasons:
-            self.deny(reason)
-        return is_more
+        return self.publisher.tend()
 
     def status(self) -> NodeStatus:
         """Describe the node now.

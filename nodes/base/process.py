@@ -5,6 +5,7 @@ Whatever ends the loop, an exception included: first the device is made safe, th
 
 from __future__ import annotations
 
+import resource
 import signal
 import sys
 import threading
@@ -73,17 +74,30 @@ def _heed_signals(node: Node) -> None:
     signal.signal(signal.SIGIO, signal.SIG_IGN)
 
 
-def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate]:
-    """Make all sockets, and the gate before them."""
+def _take_descriptors() -> None:
+    """Let the process open as many files and connections as it may: ZeroMQ ends it when they run out."""
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
+def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | None]:
+    """Make all sockets, and before them the gate, where some are encrypted."""
     setup = node.setup
     bound = (setup.publish, setup.control, setup.reach, setup.listen_reach)
     links = node.links = Links(context, lambda reason: node.tell("link", reason), node.deny, node.call)
-    gate = Gate(context, node.deny, any("#" in place for place in bound), realtime.step_aside)
+
+    def evict() -> None:
+        node.publisher.evict()
+        control.evict()
+        node.call()
+
+    is_encrypted = any("#" in place for place in bound)
+    gate = Gate(context, node.deny, evict, realtime.step_aside) if is_encrypted else None
     try:
         hops, listeners = [setup.reach], [setup.listen, setup.listen_reach]
         batch = LOCKSTEP_BATCH if setup.pace == "lockstep" else max(1, int(LISTENERS_WAIT / setup.period))
         node.publisher = Publisher(
-            context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)), batch, setup.open_listen
+            context, setup.publish, list(filter(None, hops)), list(filter(None, listeners)), batch
         )
 
         def subscribe(endpoints: Iterable[str], wanted: Iterable[str], queue: int) -> Subscription:
@@ -94,10 +108,12 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate]:
             node.waker = Waker(context, node.listens_to[0].encode())
             node.inbox.woken_by(node.waker)
         control = ControlServer(node, context, links)
-        node.publisher.watched_by(gate)
-        control.watched_by(gate)
+        if gate is not None:
+            node.publisher.watched_by(gate)
+            control.watched_by(gate)
     except ValueError:
-        gate.stop()
+        if gate is not None:
+            gate.stop()
         raise
     return control, gate
 
@@ -112,6 +128,7 @@ def _fail_to_start(node: Node, error: Exception) -> int:
 def live(node: Node) -> int:
     """Run a node from start to end."""
     _heed_signals(node)
+    _take_descriptors()
     refused = realtime.apply(node.setup.scheduling)
     instead_of_stderr(realtime.step_aside, stdout_too=True)
     node.load_kernel()
@@ -130,7 +147,8 @@ def live(node: Node) -> int:
     code = 1
     try:
         try:
-            gate.start()
+            if gate is not None:
+                gate.start()
             control.start()
             for text in refused:
                 node.tell("realtime", text)
@@ -150,11 +168,12 @@ def live(node: Node) -> int:
     return code
 
 
-def _close(node: Node, context: Context, control: ControlServer, gate: Gate, code: int) -> None:
+def _close(node: Node, context: Context, control: ControlServer, gate: Gate | None, code: int) -> None:
     node.state = "finished" if code == 0 else "failed"
     if node.setup.lease and not node.stop_reason.startswith("launcher lost"):
         control.await_fetch(REPORT_SHARE * node.setup.lease)
-    gate.stop()
+    if gate is not None:
+        gate.stop()
     is_ended = control.stop()
     # Emptied first, so that the last status tells exactly what was sent before it.
     node.flush_outbox()

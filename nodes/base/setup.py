@@ -66,8 +66,6 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         Endpoints that the node binds: for the next hop of the loop, for requests, for listeners.
     reach, listen_reach : str
         Endpoints that it binds besides, for hops and listeners on other machines; empty for none.
-    open_listen : str
-        Endpoint on loopback at which all users of this machine may listen; empty for none.
     allow_paths : list of str or None
         Directories in which its parameters may name files, where the launcher is on another machine; None for anywhere.
     by_hand : bool
@@ -110,7 +108,6 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     listen: str = ""
     reach: str = ""
     listen_reach: str = ""
-    open_listen: str = ""
     allow_paths: list[str] | None = None
     by_hand: bool = False
     lease: float = 0.0

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import zmq
 
-from messages.transport.endpoints import is_open_place
 from messages.transport.links import Links
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.open_port import OpenPort
+from messages.transport.sockets import Subscription, new_context
 from nodes.base import realtime
 from nodes.cli.ask import chosen_run, known_topic
 from nodes.cli.listen import QUEUE, QUIET_MS
@@ -33,13 +33,12 @@ ENDPOINT = "tcp://127.0.0.1:9872"
 _LOCAL = ("tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:", "ipc://")
 
 
-def local_publisher(context: Context, endpoint: str) -> Publisher:
+def local_publisher(context: Context, endpoint: str) -> OpenPort:
     """Bind a publisher for listeners of this machine, any user's: it sends, and obeys nobody."""
     if not endpoint.startswith(_LOCAL):
         raise UsageError(f"{endpoint}: only {', '.join(_LOCAL)}...; nothing is published for other machines here")
     try:
-        # Anybody on this machine may listen there, with no key: it is asked for by name.
-        return Publisher(context, endpoint, open_to_all=endpoint if is_open_place(endpoint) else "")
+        return OpenPort(context, endpoint, _say)
     except (ValueError, zmq.ZMQError) as error:
         raise UsageError(str(error)) from error
 
@@ -105,7 +104,7 @@ def _next(arguments: argparse.Namespace, before: list[str]) -> RunInfo:
         time.sleep(0.1)
 
 
-def _relay(context: Context, found: RunInfo, topics: list[str], publisher: Publisher, relayed: Counter[str]) -> None:
+def _relay(context: Context, found: RunInfo, topics: list[str], publisher: OpenPort, relayed: Counter[str]) -> None:
     known = found.endpoints()
     wanted = {known_topic(found, topic).encode(): topic for topic in topics or known}
     links = Links(context, _say, _say)
@@ -114,17 +113,14 @@ def _relay(context: Context, found: RunInfo, topics: list[str], publisher: Publi
         while True:
             frames = inbox.receive(QUIET_MS)
             links.keep()
+            publisher.keep()
             if frames is None:
                 # Nothing under way any more, and nobody to send more.
                 if not alive(found.launcher):
                     return
-                # Takes in who subscribes, so that it does not pile up.
-                publisher.listeners()
             elif frames[0] in wanted:
                 publisher.send(*frames)
                 relayed[wanted[frames[0]]] += 1
-                if relayed.total() % 1024 == 0:
-                    publisher.listeners()
     finally:
         links.close()
         inbox.close()

@@ -92,7 +92,7 @@ class Starter:
         socket = context.socket(zmq.REP)
         try:
             bind(socket, self.control)
-            gate.watch(socket, [self.control], answers=True)
+            gate.watch(socket)
             gate.start()
             socket.rcvtimeo = 200
             return self._serve(socket)
@@ -149,10 +149,10 @@ class Starter:
         for field, own in (("publish", self.publish), ("control", self.control)):
             if getattr(setup, field) != own:
                 raise ParameterError(f"setup.{field}: {getattr(setup, field)}, but this node binds {own}")
-        beyond = (setup.reach, setup.listen, setup.listen_reach, setup.open_listen, setup.watch)
+        beyond = (setup.reach, setup.listen, setup.listen_reach, setup.watch)
         if any(beyond) or setup.lease <= 0.0:
             raise ParameterError(
-                "setup: reach, listen, open_listen and watch must be empty and lease positive on another machine"
+                "setup: reach, listen, listen_reach and watch must be empty and lease positive on another machine"
             )
         for topic, source in setup.sources.items():
             if not split(source)[0].startswith("tcp://"):

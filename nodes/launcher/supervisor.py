@@ -28,7 +28,7 @@ from nodes.launcher import reaper, runs
 from nodes.launcher.child import PYTHON, Child
 from nodes.launcher.external_child import ByHand
 from nodes.launcher.launch_spec import Launch
-from nodes.launcher.wiring import manifest_of, settle_tick, wire
+from nodes.launcher.wiring import manifest_of, settle_tick, wire, with_forwarder
 
 INT_TIMEOUT = 3.0
 TERM_TIMEOUT = 2.0
@@ -90,7 +90,7 @@ class Supervisor:
         self.context: zmq.Context[zmq.Socket[bytes]] | None = None
         self.children: dict[str, Child] = {}
         try:
-            self._launch = settle_tick(self._launch, self._say)
+            self._launch = with_forwarder(settle_tick(self._launch, self._say))
             self.tick = self._launch.run.tick
             offset = time.time() - time.monotonic()
             manifest = manifest_of(self._launch, self.run, offset)

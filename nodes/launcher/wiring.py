@@ -16,9 +16,12 @@ from nodes.base.kinds import load, node_kinds
 from nodes.base.node import Node
 from nodes.base.setup import Scheduling, Setup
 from nodes.launcher.external_child import LEASE, PATIENCE
-from nodes.launcher.launch_spec import Launch
+from nodes.launcher.launch_spec import Launch, NodeSpec
 from nodes.parameters.store import ParameterError, convert
 from nodes.tick.choose import SCARCE, choose
+
+FORWARDER = "forwarder"
+"""The kind of node at which strangers may listen."""
 
 FIFO = 50
 """Priority of the chain in real time: above what a desktop runs, below the kernel's own threads."""
@@ -143,6 +146,16 @@ def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
     return msgspec.structs.replace(launch, run=msgspec.structs.replace(launch.run, tick=tick))
 
 
+def with_forwarder(launch: Launch) -> Launch:
+    """Add the process at which strangers may listen, where a node allows it; in the loop's own they have no business."""
+    ports = {name: spec.open_port for name, spec in launch.nodes.items() if spec.open_port}
+    if not ports:
+        return launch
+    name = next(name for name in (FORWARDER, *(f"{FORWARDER}_{i}" for i in range(2, 100))) if name not in launch.nodes)
+    spec = NodeSpec(kind=FORWARDER, parameters={"ports": ports}, required=False, respawn=True, respawn_max=-1)
+    return msgspec.structs.replace(launch, nodes={**launch.nodes, name: spec})
+
+
 def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
     """Resolve a launch."""
     classes, publisher, relays = _roles(launch)
@@ -163,8 +176,10 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
 
     setups = {}
     core = _core(launch)
-    subscribed = {
-        name: len(kind.subscribes(convert(launch.nodes[name].parameters, kind.Parameters, name)))
+    parameters = {name: convert(launch.nodes[name].parameters, kind.Parameters, name) for name, kind in classes.items()}
+    subscribed = {name: len(kind.subscribes(parameters[name])) for name, kind in classes.items()}
+    heard = {
+        name: kind.hears(parameters[name], launch.nodes.keys() - {name}) if "*" in kind.listens_to else frozenset()
         for name, kind in classes.items()
     }
     for name, spec in launch.nodes.items():
@@ -176,7 +191,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             )
         everything = kind.listens_to == ("*",)
         if everything:
-            sources = {other: endpoint(other, listen, name) for other in launch.nodes if other != name}
+            sources = {other: endpoint(other, listen, name) for other in launch.nodes if other in heard[name]}
         else:
             sources = {
                 topic: endpoint(_source(name, topic, publisher, relays), publish, name) for topic in kind.listens_to
@@ -186,7 +201,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             for other in launch.nodes
             if other != name
             and (
-                "*" in classes[other].listens_to
+                name in heard[other]
                 or any(
                     _source(other, topic, publisher, relays) == name
                     for topic in classes[other].listens_to
@@ -209,7 +224,6 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             publish=far[name] or publish[name],
             listen="" if far[name] else listen[name],
             control=places.far(name, 1) or f"ipc://{run_dir}/{name}.ctl",
-            open_listen=f"tcp://127.0.0.1:{spec.open_port}" if spec.open_port else "",
             by_hand=name in by_hand,
             lease=LEASE if name in by_hand else 0.0,
             patience=PATIENCE if by_hand else 10.0,

@@ -6,12 +6,12 @@ import time
 from collections.abc import Collection, Iterator
 
 from messages.codec import encode
-from messages.transport.sockets import Publisher
+from messages.transport.open_port import OpenPort
 from nodes.recording.reader import Entry, Recording
 
 
 def play(
-    recording: Recording, publisher: Publisher, *, rate: float = 1.0, topics: Collection[str] | None = None
+    recording: Recording, publisher: OpenPort, *, rate: float = 1.0, topics: Collection[str] | None = None
 ) -> Iterator[Entry]:
     """Publish the messages of a recording as they were received, stamps and seq unchanged."""
     if not rate > 0.0:
@@ -25,4 +25,5 @@ def play(
         if ahead > 0.0:
             time.sleep(ahead)
         publisher.send(entry.topic.encode(), encode(entry.message))
+        publisher.keep()
         yield entry

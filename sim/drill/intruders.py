@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import resource
 import shutil
 import socket
@@ -17,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from messages.transport import keys
-from messages.transport.endpoints import MAX_MESSAGE, split
+from messages.transport.endpoints import MAX_MESSAGE
+from sim.drill import unruly
 from sim.drill.drill import Fault
 from sim.measure.launches import MeasurementError, within
 from sim.measure.rig import Rig
@@ -26,7 +28,10 @@ HELD = 1.0
 """How long an intruder stays [s]."""
 
 FEW = 256
-"""Descriptors that are left to a driver that is flooded."""
+"""Descriptors with which a launch that is flooded starts."""
+
+VISITS, PAUSE = 200, 0.02
+"""How often an unruly listener comes to the open ports, and to the private sockets, and its pause at these [s]."""
 
 
 @contextlib.contextmanager
@@ -130,31 +135,65 @@ def _send_oversize(rig: Rig) -> None:
     rig.call("link", "param.set", values={"oversize": 0})
 
 
-def _exhaust(rig: Rig) -> None:
-    """Connect to every socket of the driver, again and again, where it may open only a few files."""
-    driver = rig.pid("driver")
-    resource.prlimit(driver, resource.RLIMIT_NOFILE, (FEW, FEW))
-    setup = rig.run.nodes["driver"]
-    clients: list[socket.socket] = []
-    until = time.monotonic() + HELD
-    while time.monotonic() < until and len(clients) < 3 * FEW:
-        for place in (setup.control, setup.publish, setup.listen):
-            client = socket.socket(socket.AF_UNIX)
-            client.setblocking(False)
-            clients.append(client)
-            # Where the queue is full the kernel refuses, and where the process is gone the drill sees it.
-            with contextlib.suppress(OSError):
-                client.connect(split(place)[0].removeprefix("ipc://"))
-        rig.let_pass(0.001)
-    for client in clients:
-        client.close()
-    if rig.pid("driver") != driver:
-        raise MeasurementError("the driver did not survive the flood of connections")
+class _FewDescriptors:
+    """A launch from a shell that lets each process open only a few files at first: a node takes what it may have."""
+
+    def prepare(self) -> Mapping[str, str]:
+        self._limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (FEW, self._limits[1]))
+        return {}
+
+    def strike(self, rig: Rig) -> None:
+        """Connect to every socket of the driver, far more often."""
+        resource.setrlimit(resource.RLIMIT_NOFILE, (self._limits[1],) * 2)
+        driver, setup = rig.pid("driver"), rig.run.nodes["driver"]
+        clients: list[socket.socket] = []
+        until = time.monotonic() + HELD
+        while time.monotonic() < until and len(clients) < 4 * FEW:
+            for place in (setup.control, setup.publish, setup.listen):
+                # Where the queue is full the kernel refuses, and where the process is gone the drill sees it.
+                with contextlib.suppress(OSError):
+                    clients.append(unruly.connect(place))
+        for client in clients:
+            client.close()
+        _expect_the_same(rig, {"driver": driver})
+
+    def tidy(self) -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, self._limits)
+
+
+def _expect_the_same(rig: Rig, before: Mapping[str, int]) -> None:
+    for node, process in before.items():
+        if rig.pid(node) != process:
+            raise MeasurementError(f"{node} did not survive what was done to its sockets")
+
+
+def _let_listen(content: dict[str, Any]) -> None:
+    with contextlib.ExitStack() as held:
+        for node in ("driver", "environment", "coupling"):
+            port = held.enter_context(socket.create_server(("127.0.0.1", 0)))
+            content["nodes"][node]["open_port"] = int(port.getsockname()[1])
+
+
+def _visit_all(rig: Rig) -> None:
+    """Misbehave at every kind of socket of every node; nothing of the loop may end, whatever becomes of the forwarder."""
+    before = {node: rig.pid(node) for node in ("driver", "environment", "coupling")}
+    chance = random.Random(1)  # noqa: S311  # misbehaviour, not secrets
+    ports = rig.run.nodes["forwarder"].parameters["ports"]
+    for number in range(VISITS):
+        node = list(before)[number % len(before)]
+        setup = rig.run.nodes[node]
+        unruly.visit(f"tcp://127.0.0.1:{ports[node]}", chance)
+        # Only the same user gets there, and every subscription costs the loop a microsecond: one at a time.
+        place = (setup.publish, setup.listen, setup.control)[number // len(before) % 3]
+        unruly.visit(place, chance, requests=place == setup.control)
+        rig.let_pass(PAUSE)
+    _expect_the_same(rig, before)
 
 
 def faults() -> list[Fault]:
     """List the faults that come from somebody else."""
-    impostor, revoked = _Elsewhere(), _Elsewhere()
+    impostor, revoked, few = _Elsewhere(), _Elsewhere(), _FewDescriptors()
 
     def with_link(content: dict[str, Any]) -> None:
         content["nodes"]["link"] = {"kind": "link"}
@@ -182,5 +221,17 @@ def faults() -> list[Fault]:
             prepare=revoked.prepare,
             tidy=revoked.tidy,
         ),
-        Fault(name="fd exhaustion", what=f"{3 * FEW} connections, {FEW} descriptors", strike=_exhaust),
+        Fault(
+            name="fd exhaustion",
+            what=f"{4 * FEW} connections, {FEW} descriptors",
+            strike=few.strike,
+            prepare=few.prepare,
+            tidy=few.tidy,
+        ),
+        Fault(
+            name="unruly listeners",
+            what=f"{2 * VISITS} that subscribe 3000 times and leave",
+            strike=_visit_all,
+            change=_let_listen,
+        ),
     ]

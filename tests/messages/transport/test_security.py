@@ -141,7 +141,7 @@ class Door:
         self.reply = context.socket(zmq.REP)
         bind(self.reply, self.control)
         self.publisher.watched_by(self.gate)
-        self.gate.watch(self.reply, [self.control], answers=True)
+        self.gate.watch(self.reply)
         self.gate.start()
 
     def close(self) -> None:

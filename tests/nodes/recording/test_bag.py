@@ -13,7 +13,8 @@ import pytest
 
 from messages import topics
 from messages.codec import Decoder
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.open_port import OpenPort
+from messages.transport.sockets import Subscription, new_context
 from messages.types import Event, Message
 from nodes.cli import main
 from nodes.recording.export import export_csv, export_npz, plain_names
@@ -172,10 +173,10 @@ def test_exports_tell_a_place_that_cannot_be_written(bag: Path, capsys: pytest.C
 
 
 @pytest.fixture
-def pair(tmp_path: Path) -> Iterator[tuple[Publisher, Subscription]]:
+def pair(tmp_path: Path) -> Iterator[tuple[OpenPort, Subscription]]:
     context = new_context()
-    publisher = Publisher(context, f"ipc://{tmp_path}/p")
-    inbox = Subscription(context, [publisher.endpoint], [""])
+    publisher = OpenPort(context, f"ipc://{tmp_path}/p", print)
+    inbox = Subscription(context, [f"ipc://{tmp_path}/p"], [""])
     while not publisher.listeners():
         pass
     yield publisher, inbox
@@ -184,7 +185,7 @@ def pair(tmp_path: Path) -> Iterator[tuple[Publisher, Subscription]]:
     context.term()
 
 
-def test_play_publishes_what_was_recorded(bag: Path, pair: tuple[Publisher, Subscription]) -> None:
+def test_play_publishes_what_was_recorded(bag: Path, pair: tuple[OpenPort, Subscription]) -> None:
     publisher, inbox = pair
     for entry in play(Recording(bag), publisher, rate=float("inf")):
         frames = inbox.receive(5000)
@@ -195,7 +196,7 @@ def test_play_publishes_what_was_recorded(bag: Path, pair: tuple[Publisher, Subs
 
 
 def test_play_keeps_the_pace(
-    tmp_path: Path, pair: tuple[Publisher, Subscription], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pair: tuple[OpenPort, Subscription], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     publisher, _ = pair
     path = tmp_path / "r.mcap"

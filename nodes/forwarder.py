@@ -1,0 +1,110 @@
+"""The forwarder: one process of a launch at which every user of this machine may listen to the nodes that allow it.
+
+A launch with ``open_port:`` at one of its nodes has one; nobody writes it down. It subscribes as any listener of the same user
+does, and publishes the same frames at those ports. Whatever strangers do to it, they do it to no process of the loop: it dies
+alone, and is started again for as long as the launch lives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import msgspec
+import zmq
+
+from messages.transport.open_port import OpenPort
+from messages.transport.sockets import Subscription, new_context
+from nodes.base.node import IDLE_MS, Node
+
+if TYPE_CHECKING:
+    from nodes.base.setup import Setup
+
+QUEUE = 20_000
+"""Messages that wait while strangers keep this process busy."""
+
+LAST_MS = 50
+"""How long no message may come at the end before all have [ms]."""
+
+
+class ForwarderParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of a forwarder.
+
+    Attributes
+    ----------
+    ports : dict of str to int
+        Node to the tcp port on loopback at which everybody may listen to it.
+    """
+
+    ports: dict[str, Annotated[int, msgspec.Meta(ge=1, le=65535)]]
+
+
+class Forwarder(Node):
+    """Publishes what some nodes publish to all users of this machine."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = ForwarderParameters
+    listens_to: ClassVar[tuple[str, ...]] = ("*",)
+
+    @classmethod
+    def hears(cls, parameters: Any, nodes: Iterable[str]) -> frozenset[str]:
+        """Tell whom it listens to."""
+        return frozenset(parameters.ports).intersection(nodes)
+
+    @classmethod
+    def subscribes(cls, parameters: Any) -> tuple[str, ...]:
+        """Take everything of a node."""
+        del parameters
+        return ("",)
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._lines: list[tuple[Subscription, OpenPort]] = []
+
+    def configure(self) -> None:
+        """Open the ports, so that one that is taken fails the start."""
+        parameters: ForwarderParameters = self.store.current
+        self._strangers = new_context()
+        self._ports = {
+            node: OpenPort(self._strangers, f"tcp://127.0.0.1:{port}", self.deny)
+            for node, port in parameters.ports.items()
+        }
+
+    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
+        """Listen to the nodes."""
+        for node, port in self._ports.items():
+            self._lines.append((subscribe([self.setup.sources[node]], [""], QUEUE), port))
+
+    def _pass_on(self, subscription: Subscription, port: OpenPort, timeout_ms: int = 0) -> bool:
+        frames = subscription.receive(timeout_ms)
+        if frames is None:
+            return False
+        port.send(*frames)
+        self.received += 1
+        self.ticks += 1
+        return True
+
+    def loop(self) -> None:
+        """Pass messages on until stopped, then what is still under way."""
+        self.state = "running"
+        poller = zmq.Poller()
+        for subscription, _ in self._lines:
+            subscription.register(poller)
+        while not self.stopping:
+            poller.poll(IDLE_MS)
+            for line in self._lines:
+                # As many as waited; who has much to say must not silence the others.
+                for _ in range(QUEUE):
+                    if not self._pass_on(*line):
+                        break
+                line[1].keep()
+            self.between_ticks(0)
+        for line in self._lines:
+            while self._pass_on(*line, timeout_ms=LAST_MS):
+                pass
+
+    def finish(self) -> None:
+        """Close the ports."""
+        for subscription, port in self._lines:
+            subscription.close()
+            port.close()
+        self._strangers.term()
