@@ -39,6 +39,10 @@ STEPS = 100
 """Steps of undo that are kept."""
 
 
+JUDGES = ("stability", "fallback", "budget", "plant")
+"""Parameters that decide what a law may be: a page cannot turn its own judge off; ``haptic param set`` can."""
+
+
 class CommandError(HapticError):
     """A request that was refused; the text is for the page."""
 
@@ -131,6 +135,10 @@ class Commander:
     def _change(self, node: str, values: dict[str, Any], **args: object) -> dict[str, Any]:
         before = {}
         for name in values:
+            if name.partition(".")[0] in JUDGES:
+                raise CommandError(
+                    f"{node}.{name}: judges what is set here, so it is not set from a page; use: haptic param set {node} {name}"
+                )
             try:
                 before[name] = self.ask(node, "param.get", name=name)
             except CommandError:

@@ -1,7 +1,8 @@
-"""Foxglove and Lichtblick, live: topics with their schemas, at most 60 messages a second each, and parameters to set.
+"""Foxglove and Lichtblick, live: topics with their schemas, at most 60 messages a second each, and parameters to read.
 
 An optional extra: ``pip install 'haptic-nodes[foxglove]'``. It is off unless asked for, because Foxglove's protocol knows no
-token: any page in a browser of this machine could connect to the port, and set parameters.
+token, and its library does not tell the Origin: any page in a browser of this machine could connect to the port. So nothing can
+be set there.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class Bridge:
 
             def on_set_parameters(self, client: Any, parameters: list[Any], request_id: str | None = None) -> list[Any]:
                 del client, request_id
-                return bridge.set_parameters({one.name: one.get_value() for one in parameters})
+                return bridge.refuse([one.name for one in parameters])
 
         try:
             self._server = library.start_server(
@@ -136,18 +137,11 @@ class Bridge:
         kind = self._library.websocket.ParameterType.Float64 if isinstance(value, float) else None
         return self._library.Parameter(name, value=value, type=kind)
 
-    def set_parameters(self, values: dict[str, Any]) -> list[Any]:
-        """Set parameters, node by node all or nothing; a refusal is told to the clients with its reason."""
-        by_node: dict[str, dict[str, Any]] = {}
-        for name, value in values.items():
-            node, _, path = name.partition(".")
-            by_node.setdefault(node, {})[path] = value
-        for node, paths in by_node.items():
-            try:
-                self._do("do", {"op": "set", "node": node, "values": paths})
-            except CommandError as error:
-                self._server.publish_status(str(error), self._library.websocket.StatusLevel.Error)
-        return self.parameters(list(values))
+    def refuse(self, names: list[str]) -> list[Any]:
+        """Tell the clients that nothing is set here, and how it is; the parameters as they are."""
+        reason = f"{', '.join(names)[:1000]}: not set over Foxglove's port, which anybody may open; use haptic param set or haptic view"
+        self._server.publish_status(reason, self._library.websocket.StatusLevel.Error)
+        return self.parameters(names)
 
     def tell_parameters(self) -> None:
         """Tell all clients the parameters as they are now."""

@@ -77,6 +77,14 @@ class Page(Protocol):
         ...
 
 
+def _hostname(host: str) -> str:
+    """Name in a Host header; empty for what is none."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
 def check_address(address: str, port: int) -> None:
     """Refuse every address but this machine's own: who reaches the page can command the loop."""
     if address in LOCAL:
@@ -183,7 +191,7 @@ class PageServer:
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
         del connection
         host = request.headers.get("Host", "")
-        if (urlsplit(f"//{host}").hostname or "") not in LOCAL:
+        if _hostname(host) not in LOCAL:
             # A name of somebody else's that leads here: DNS rebinding.
             self.turned_away += 1
             return _text(HTTPStatus.FORBIDDEN, f"haptic view is served to {ADDRESS} only, not to {host[:100]}\n")

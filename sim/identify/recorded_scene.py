@@ -137,16 +137,30 @@ def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:
     if text is None or arguments is None:
         raise ParameterError(f"{recording.path}: was recorded without its launch file, so its scene is not known")
     given = {**msgspec.json.decode(arguments), **changes}
+    # Whoever recorded it chose its words: none of them names a file here, to be written or to be read.
     with tempfile.TemporaryDirectory(prefix="haptic-replay-") as folder:
-        file = Path(folder) / f"{recording.manifest.get('scenario', 'recorded')}.yaml"
-        file.write_text(text, encoding="utf-8")
+        file = Path(folder) / "recorded.yaml"
+        file.write_bytes(msgspec.json.encode(_without_files(parse_yaml(text, "the recorded launch file"))))
         launch = launch_file.read(str(file), given)
+    scenario = recording.manifest.get("scenario", "")
+    launch = msgspec.structs.replace(launch, scenario=scenario or launch.scenario, text=text)
     nodes = {}
     for name, spec in launch.nodes.items():
         recorded = recording.metadata.get("parameters", {}).get(name)
         over = {} if recorded is None else parse_yaml(recorded, name)
         nodes[name] = msgspec.structs.replace(spec, parameters=merge(spec.parameters, over))
     return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def _without_files(content: Any) -> Any:
+    """Leave out the parameter files that nodes watch: what they said at the start is among the recorded parameters."""
+    if isinstance(content, dict) and isinstance(content.get("nodes"), dict):
+        nodes = {
+            name: {key: value for key, value in spec.items() if key != "watch"} if isinstance(spec, dict) else spec
+            for name, spec in content["nodes"].items()
+        }
+        return {**content, "nodes": nodes}
+    return content
 
 
 def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple[str, ...], bool]:

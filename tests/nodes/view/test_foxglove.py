@@ -84,11 +84,11 @@ def _talk(client: Any, launch: Any) -> None:
         answer = next_text("parameterValues")
     assert [(one["name"], one["value"]) for one in answer["parameters"]] == [(name, 1000.0)]
     client.send(json.dumps({"op": "setParameters", "parameters": [{"name": name, "value": 1100.5}], "id": "set"}))
-    wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1100.5, "the new stiffness")
-    client.send(json.dumps({"op": "setParameters", "parameters": [{"name": name, "value": -1.0}], "id": "bad"}))
+    # Any page of a browser here could have asked for that.
     refused = next_text("status")
-    assert "laws.pd.stiffness" in refused["message"]
-    assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1100.5
+    assert name in refused["message"]
+    assert "haptic param set" in refused["message"]
+    assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1000.0
 
 
 def test_without_the_extra_it_says_how_to_get_it(tmp_path: Path) -> None:
