@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 __all__ = [
     "DOMAIN",
     "HANDSHAKE_MS",
+    "KEEPALIVE_PROBES",
     "KEEPALIVE_S",
     "MAX_MESSAGE",
     "MAX_RECONNECT_MS",
     "MAX_UPSTREAM",
     "RECONNECT_MS",
-    "SILENCE_MS",
     "TCP_HANDSHAKE_MS",
     "EndpointRefusedError",
     "bind",
@@ -63,8 +63,8 @@ MAX_UPSTREAM = 1024
 KEEPALIVE_S = 1
 """How often the kernel asks a silent tcp peer whether it is still there [s]."""
 
-SILENCE_MS = 2500
-"""After so long without an answer, to that or to what was sent, it is given up: a round trip of 1 s, and a lost packet [ms]."""
+KEEPALIVE_PROBES = 2
+"""After so many of them without an answer it is given up."""
 
 HANDSHAKE_MS = 3000
 """How long a peer on this machine may take to introduce itself [ms]; ZeroMQ's 30 s would let idle connections pile up."""
@@ -153,8 +153,8 @@ def _set_tcp(socket: Socket) -> None:
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_S)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_S)
-    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, max(1, SILENCE_MS // (1000 * KEEPALIVE_S)))
-    socket.setsockopt(zmq.TCP_MAXRT, SILENCE_MS)
+    # Not TCP_MAXRT: it would also bound how often a packet may be lost in a handshake over a bad cable.
+    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, KEEPALIVE_PROBES)
     socket.setsockopt(zmq.HANDSHAKE_IVL, TCP_HANDSHAKE_MS)
     socket.setsockopt(zmq.CONNECT_TIMEOUT, 3000)
     socket.setsockopt(zmq.RECONNECT_IVL_MAX, MAX_RECONNECT_MS)

@@ -9,6 +9,7 @@ takes up what was asked for, between two ticks.
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 import time
 from collections import deque
@@ -35,7 +36,10 @@ PERIOD = 0.5
 """How often `Links.keep` looks [s]."""
 
 SILENCE = 3.0
-"""After so long without a message a link is silent [s]."""
+"""After so long without a message a link is silent, and connected anew when it is not connected [s]."""
+
+PATIENCE = 30.0
+"""So long may one be silent that is connected: whoever is at the other end lives, and may be starved of its processor [s]."""
 
 _EVENTS = (
     FAILURES | zmq.EVENT_CONNECTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_HANDSHAKE_SUCCEEDED
@@ -112,7 +116,7 @@ class Links:
         self._asked: deque[tuple[_Link, bool]] = deque()
         self._monitors: list[tuple[Socket, list[_Link]]] = []
         self._links: list[_Link] = []
-        self._heard, self._heard_at = -1, time.monotonic()
+        self._heard, self._silent, self._looked = -1, 0.0, time.monotonic()
 
     def watch(self, socket: Socket, endpoints: Iterable[str]) -> None:
         """Look after a subscription, which calls this before it connects."""
@@ -161,17 +165,18 @@ class Links:
                 self._renew(link, "its key is allowed again; connecting anew", now)
 
     def _listen_for_silence(self, heard: int | None, now: float) -> None:
+        # Time in which this thread was starved itself is nobody's silence.
+        passed, self._looked = min(now - self._looked, 2.0 * PERIOD), now
         if heard is None or heard != self._heard:
-            self._heard, self._heard_at = heard if heard is not None else -1, now
+            self._heard, self._silent = heard if heard is not None else -1, 0.0
             return
-        if now - self._heard_at > SILENCE:
-            self._heard_at = now
-            # Over a slow cable a new link takes longer than that.
-            for link in [link for link in self._links if not link.is_revoked and now - link.since > SILENCE]:
-                if link.state == "no handshake":
-                    continue
-                why = link.failed or link.state
-                self._renew(link, f"no message for {SILENCE:g} s ({why}); connecting anew", now)
+        before, self._silent = self._silent, self._silent + passed
+        for link in self._links:
+            limit = PATIENCE if link.state == "connected" else SILENCE
+            # Once for each time that it lasts so long. Over a slow cable a new link takes longer than that.
+            is_long = math.floor(self._silent / limit) > math.floor(before / limit)
+            if is_long and not link.is_revoked and now - link.since > limit and link.state != "no handshake":
+                self._renew(link, f"no message for {limit:g} s ({link.failed or link.state}); connecting anew", now)
 
     def keep(self) -> None:
         """Look and tend twice a second, for a listener that has one thread; called as often as it likes."""

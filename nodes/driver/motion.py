@@ -72,7 +72,10 @@ class Motion:
         self.at = self.at_before = 0.0
 
     def sample(self, position: Vector, at: float) -> bool:
-        """Take a new sample."""
+        """Take a new sample; whether ticks have passed since the last one, at the end of a run none have."""
+        if self._begun and not self.covered:
+            self.position, self.at = position, at
+            return False
         self.at_before, self.at = self.at, at
         n = 3 * (self.samples % self.kept)
         self.recent[n], self.recent[n + 1], self.recent[n + 2] = position

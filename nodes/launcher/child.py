@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -48,6 +49,8 @@ class Child:
         When it was ready; before, when it was made [s].
     opening, closing : float
         How long its device may take to open, from then on, and to close [s].
+    unreported : bool
+        Whether it has ended as if it were done, and did not say so.
     distance : float
         How long the first answer over a new connection takes longer than on this machine [s].
     """
@@ -68,6 +71,7 @@ class Child:
         self.to_start = False
         self.ready = False
         self.over = False
+        self.unreported = False
 
     @property
     def running(self) -> bool:
@@ -83,6 +87,10 @@ class Child:
     def end(self) -> str:
         """How it ended, in words."""
         code = self.code
+        if self.unreported:
+            return (
+                f"exit code {code} in mid-run, without its own word that it is done: something in it has called exit()"
+            )
         if code is not None and code < 0:
             return signal.Signals(-code).name
         place = held_in(self.setup) if code else ""
@@ -92,7 +100,7 @@ class Child:
     def ended_badly(self) -> bool:
         """Whether it ended otherwise than by itself, cleanly; one that was still being set up may be ended by SIGTERM."""
         asked = () if self.ready else (-signal.SIGTERM, 128 + signal.SIGTERM)
-        return self.code not in (None, 0, *asked)
+        return self.unreported or self.code not in (None, 0, *asked)
 
     @property
     def end_patience(self) -> float:
@@ -122,7 +130,7 @@ class Child:
         )
         self.again_at = None
         # Another process: its interpreter is being set up again.
-        self.ready = False
+        self.ready = self.unreported = False
 
     def state(self, context: zmq.Context[zmq.Socket[bytes]], timeout: float = 0.25) -> str:
         """Ask for its state."""
@@ -130,6 +138,22 @@ class Child:
             return str(call(context, self.setup.control, "status", timeout=timeout)["state"])
         except ControlError:
             return "starting"
+
+    def is_done(self, run_dir: Path) -> bool:
+        """Whether it has ended and says itself that it was at its end; whatever else ends it, says nothing."""
+        status = self.report(run_dir).get("status", {})
+        told = self.process is not None and status.get("pid") == self.process.pid and status.get("state") == "finished"
+        return self.code == 0 and told
+
+    def progress(self) -> int:
+        """Tell how much it has written so far, which grows as long as it gets on [bytes]."""
+        assert self.process is not None  # noqa: S101
+        # One that has ended writes nothing more.
+        with contextlib.suppress(OSError):
+            for line in Path(f"/proc/{self.process.pid}/io").read_text(encoding="ascii").splitlines():
+                if line.startswith("wchar:"):
+                    return int(line.split()[1])
+        return 0
 
     def send(self, number: signal.Signals) -> None:
         """Ask it to end."""

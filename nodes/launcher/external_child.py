@@ -113,7 +113,7 @@ class ByHand(Child):
         self._clock = ClockOffset()
         self._state = "not started"
         self._seen = 0.0
-        self._process = 0
+        self._process = self._received = 0
         self._code: int | None = None
         self._end = ""
         self._over: tuple[int, str] | None = None
@@ -163,6 +163,15 @@ class ByHand(Child):
         """Tell its state as last heard."""
         del context, timeout
         return self._state
+
+    def is_done(self, run_dir: Path) -> bool:
+        """Whether it says itself that it was at its end."""
+        del run_dir
+        return self._code == 0
+
+    def progress(self) -> int:
+        """Tell how many messages it has taken, as last heard."""
+        return self._received
 
     def send(self, number: signal.Signals) -> None:
         """Ask it to stop; what does not answer any more is left to its lease."""
@@ -225,6 +234,7 @@ class ByHand(Child):
             self._code, self._end = 1, f"process {process} in place of {self._process}"
             return
         self._process = process
+        self._received = int(status.get("received", 0))
         if state == "unconfigured":
             with self._refusal("configure"):
                 self._ask("configure", setup=msgspec.to_builtins(self._with_clock()))

@@ -34,6 +34,9 @@ INT_TIMEOUT = 3.0
 TERM_TIMEOUT = 2.0
 HURRY_TIMEOUT = 0.3
 KILL_TIMEOUT = 2.0
+
+GETTING_ON = 1.0
+"""How often the launcher looks whether a logger that ends still writes: it does so every half second [s]."""
 _INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
@@ -165,7 +168,13 @@ class Supervisor:
             pipe.write(b"done\n")
         with contextlib.suppress(BrokenPipeError):
             pipe.close()
-        self._reaper.wait()
+        # One that somebody has stopped must not hold up the launcher; all that it was there for is done.
+        self._reaper.send_signal(signal.SIGCONT)
+        try:
+            self._reaper.wait(KILL_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self._reaper.kill()
+            self._reaper.wait()
 
     def _keep_reaper(self) -> None:
         if self._reaper.poll() is not None:
@@ -237,11 +246,13 @@ class Supervisor:
                 self._start_child(child)
                 child.to_start = child.drives
             return
-        if child.code == 0 and child.drives:
+        if child.drives and child.is_done(self.run_dir):
             child.over = True
             self.exit_reason = self._read_report(name).get("status", {}).get("reason", "") or "done"
             self.stop(self.exit_reason)
-        elif child.respawns < 0 or child.restarts < child.respawns:
+            return
+        child.unreported = child.drives and child.code == 0
+        if child.respawns < 0 or child.restarts < child.respawns:
             self._say(f"{name}: ended with {child.end}; starting it again in {child.delay:g} s")
             child.again_at = time.monotonic() + child.delay
         else:
@@ -294,14 +305,7 @@ class Supervisor:
                     self._say(f"{child.setup.name}: does not end; {number.name}")
                 # While its interpreter is being set up, a process answers SIGINT with a traceback, SIGTERM with silence.
                 child.send(number if child.ready else max(number, signal.SIGTERM, key=_INSISTENCE.index))
-            begun = time.monotonic()
-            while any(child.running for child in left):
-                hurry = self._hurry and number != signal.SIGKILL and not any(child.drives for child in left)
-                killed = number == signal.SIGKILL
-                granted = 0.0 if killed else max((child.end_patience for child in left), default=0.0)
-                if time.monotonic() - begun > (HURRY_TIMEOUT if hurry else patience + granted):
-                    break
-                time.sleep(0.005)
+            self._await_end(left, number, patience)
         for child in group:
             if child.running:
                 # The kernel holds on to it: a frozen control group, a file system that is gone.
@@ -309,6 +313,30 @@ class Supervisor:
                     f"{child.setup.name}: process still there {KILL_TIMEOUT:g} s after SIGKILL; left behind"
                 )
                 self._say(self.failures[-1])
+
+    def _await_end(self, left: list[Child], number: signal.Signals, patience: float) -> None:
+        """Wait for as long as one of them may take, and for a logger as long as it gets on with what it has to write."""
+        begun, following = time.monotonic(), time.monotonic() + GETTING_ON
+        written = {child.setup.name: child.progress() for child in left if child.listens and child.running}
+        told = False
+        while any(child.running for child in left):
+            now = time.monotonic()
+            killed = number == signal.SIGKILL
+            hurry = self._hurry and not killed and not any(child.drives for child in left)
+            granted = 0.0 if killed else max((child.end_patience for child in left), default=0.0)
+            if now - begun > (HURRY_TIMEOUT if hurry else patience + granted):
+                return
+            if now >= following and not killed:
+                following = now + GETTING_ON
+                more = {child.setup.name: child.progress() for child in left if child.listens and child.running}
+                busy = [name for name, amount in more.items() if amount > written.get(name, 0)]
+                written = more
+                if busy and not told and now - begun > patience / 2.0:
+                    told = True
+                    self._say(f"{', '.join(busy)}: still writing; waited for as long as it gets on (Ctrl-C again: not)")
+                if busy:
+                    begun = max(begun, now - patience / 2.0)
+            time.sleep(0.005)
 
     def _read_report(self, name: str) -> dict[str, Any]:
         report = self.reports.get(name) or self.children[name].report(self.run_dir)

@@ -6,6 +6,7 @@ one: a stalled logger loses messages beyond the publisher's queue, and the recor
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import time
@@ -74,6 +75,8 @@ class Recorder:
     ----------
     recorded, refused : int
         Messages written, and messages that were not of the protocol.
+    latest : float
+        Stamp of the message written last [s].
     clock_offset : float
         What to add to this host's monotonic clock to get the time of the run, in which receipt is recorded [s].
     """
@@ -87,6 +90,7 @@ class Recorder:
         self._next_flush = time.monotonic() + FLUSH_PERIOD
         self.recorded = 0
         self.refused = 0
+        self.latest = -math.inf
         self.clock_offset = 0.0
 
     def take(self, timeout_ms: int) -> bool:
@@ -124,12 +128,12 @@ class Recorder:
             self.refused += 1
             return
         self._writer.write(known[0], message, now)
+        self.latest = message.stamp
         self.recorded += 1
 
     def drain(self) -> None:
-        """Record what is still under way, until nothing comes any more (at most 10 s)."""
-        deadline = time.monotonic() + 10.0
-        while self.take(QUIET_MS) and time.monotonic() < deadline:
+        """Record what is still under way, until nothing comes any more."""
+        while self.take(QUIET_MS):
             pass
 
 
@@ -214,7 +218,10 @@ class Logger(Node):
                 self.received = self.ticks = recorder.recorded
                 self.refused = recorder.refused
                 self.between_ticks(0)
-            recorder.drain()
+            # What is sent later, where only this logger ends, is not its business; in lockstep nothing tells when it was sent.
+            end = self.now() if self.setup.pace == "realtime" else math.inf
+            while recorder.take(QUIET_MS) and recorder.latest <= end:
+                self.received = self.ticks = recorder.recorded
         except RecordError as error:
             self._give_up(error)
         finally:

@@ -139,7 +139,7 @@ class Bridge:
 
     def refuse(self, names: list[str]) -> list[Any]:
         """Tell the clients that nothing is set here, and how it is; the parameters as they are."""
-        reason = f"{', '.join(names)[:1000]}: not set over Foxglove's port, which anybody may open; use haptic param set or haptic view"
+        reason = f"{', '.join(names)[:1000]}: anybody may open this port, so nothing is set here; use haptic param set"
         self._server.publish_status(reason, self._library.websocket.StatusLevel.Error)
         return self.parameters(names)
 

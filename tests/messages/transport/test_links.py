@@ -153,7 +153,7 @@ def test_a_publisher_without_the_key_in_place_of_a_killed_one(context: Context, 
 def test_silence_is_told_with_the_state_of_the_link(
     context: Context, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("messages.transport.links.SILENCE", 0.1)
+    monkeypatch.setattr("messages.transport.links.PATIENCE", 0.1)
     publisher, ear = Publisher(context, place), Ear(context, place)
     wait_for(ear.hears(publisher), "the publisher")
     wait_for(lambda: ear.tended(ear.told, heard=7), "the silence")

@@ -213,7 +213,7 @@ class Launched:
 
     def finish(self, code: int = 0) -> dict[str, Any]:
         """Wait for the end of both, and read the figures."""
-        assert self.launcher.wait(DEADLINE) == code, self.errors
+        assert self.launcher.wait(DEADLINE) == code, self.errors + self.pair.errors(1)
         self.started[-1].wait(DEADLINE)
         figures: dict[str, Any] = json.loads((self.pair.folder / "near.out").read_text().splitlines()[-1])
         return figures
@@ -388,7 +388,7 @@ def test_a_cable_cut_for_a_moment_costs_forces_but_no_node(pair: Pair) -> None:
         launch.launcher.send_signal(signal.SIGINT)
         figures = launch.finish()
         assert launch.started[0].returncode == 0
-    assert figures["safety"]["entered"] == {"active": 2, "damping": 1, "zero": 1}
+    assert figures["safety"]["entered"] == {"active": 2, "damping": 1, "zero": 1, "ramp": 1}
     assert figures["nodes"]["coupling"]["state"] == "finished"
     pair.assert_nothing_left()
 
