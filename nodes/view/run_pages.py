@@ -136,8 +136,18 @@ class RunPages:
             "beyond": self._commander.beyond,
             "again": self._commander.again,
             "compares": self._comparison.there,
+            "shape": self._shape(),
         }
         self.live.board.put("hello", {**facts.hello(), **told, "fields": all_law_fields()})
+
+    def _shape(self) -> dict[str, Any]:
+        """Describe what a scene of several axes looks like; once, for it stays."""
+        environment = next((setup for setup in self._run.nodes.values() if setup.kind == "environment"), None)
+        if environment is None or len(environment.axes) < 2:
+            return {}
+        from nodes.view.shape import shape_of
+
+        return shape_of(environment.parameters)
 
     def _open_page(self) -> RunPage:
         return RunPage(self)

@@ -285,22 +285,13 @@ class SimDriver(Driver):
     def make_device(self) -> Device:
         """Make the virtual device."""
         parameters: SimDriverParameters = self.store.current
-        hand = parameters.device.hand
-        dragged = None
-        if hand is not None and parameters.pointer is not None and self.setup.pace == "realtime":
-            dragged = DraggedHand(hand, parameters.pointer, self.setup)
+        pointer = parameters.pointer if self.setup.pace == "realtime" else None
         axes = self.setup.axes
-        parts = [
-            # The pointer drags the hand along the first axis.
-            TimedDevice(
-                model,
-                msgspec.structs.replace(self.setup, axes=[axis]),
-                parameters.hold,
-                dragged if axis == axes[0] else None,
-                parameters.ends[AXIS_INDEX[axis]],
-            )
-            for axis, model in zip(axes, along(parameters.device, axes), strict=True)
-        ]
+        parts = []
+        for axis, model in zip(axes, along(parameters.device, axes), strict=True):
+            alone = msgspec.structs.replace(self.setup, axes=[axis])
+            dragged = None if model.hand is None or pointer is None else DraggedHand(model.hand, pointer, alone)
+            parts.append(TimedDevice(model, alone, parameters.hold, dragged, parameters.ends[AXIS_INDEX[axis]]))
         self._timed = parts[0] if len(parts) == 1 else SeveralAxes(parts)
         return self._timed
 

@@ -192,7 +192,7 @@ def _draw(arguments: argparse.Namespace, descents: dict[float, list[Descent]], r
         if "orders" in row:
             curve = damping_curve(theta, np.array(row["gains"]), np.array(row["orders"]), arguments.taps, leak=False)
             bound = row["nyquist_bound"]
-            label = row["law"] if bound is None else f"best orders, f(ω_N) ≤ {bound:g}"
+            label = row["law"] if bound is None else rf"best orders, $f(\omega_\mathrm{{N}}) \leq {bound:g}$"
             right.plot(
                 theta / np.pi,
                 curve,

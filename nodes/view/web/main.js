@@ -11,6 +11,7 @@ import { Replay } from "./replay.js";
 import { Scene } from "./scene.js";
 import { SlowMotion } from "./slow_motion.js";
 import { Sound } from "./sound.js";
+import { Space } from "./space.js";
 import { Status } from "./status.js";
 import { Store } from "./store.js";
 import { Strip } from "./strip.js";
@@ -26,6 +27,7 @@ let stoppedAt = null;
 const log = new Log($("log"));
 const status = new Status({ words: $("words"), dot: $("dot"), figures: $("figures"), nodes: $("nodes"), notice: $("notice") });
 const scene = new Scene($("scene"), $("lens"), $("reading"), (target) => { $("hint").textContent = ""; link.hand(target); });
+const space = new Space($("space"), (target) => { $("hint").textContent = ""; link.hand(target); });
 const strip = new Strip($("strip"));
 const slow = new SlowMotion();
 const plots = new Plots($("plots"), $("legend"), $("values"), (live) => {
@@ -56,7 +58,7 @@ async function ask(request) {
 
 const link = new Link({
   open() { status.connected(true); },
-  close() { status.connected(false); scene.letGo(); },
+  close() { status.connected(false); scene.letGo(); space.letGo(); },
   hello(found) {
     // The same run again, or the view started anew: what was logged comes again too.
     log.clear();
@@ -68,7 +70,8 @@ const link = new Link({
     $("scenario").title = `${found.summary} (${found.run})`;
     scene.start(found);
     strip.start(store, found);
-    $("axis").addEventListener("change", () => strip.look($("axis").value));
+    space.start(found);
+    lookAt(space.shape ? "3-D" : found.axes[0]);
     plots.start(store, found.axes, found.hand || found.has_hand);
     laws.start(found.fields, found.replay);
     dial.start(found);
@@ -76,7 +79,7 @@ const link = new Link({
     map.beyond = () => found.beyond && $("beyond").checked;
     beside.start(found);
     sound.start(store, found.axes[0]);
-    $("hint").textContent = found.hand ? "Pull the handle, or drag anywhere here." : "";
+    if (!found.hand) $("hint").textContent = "";
     $("record").hidden = $("stop").hidden = found.replay;
     $("replay").hidden = !found.replay;
     replay.start(found);
@@ -87,7 +90,7 @@ const link = new Link({
     if (!store) return;
     store.add(frame);
     sound.hear();
-    if (!slow.on) scene.show(frame.now);
+    if (!slow.on) { scene.show(frame.now); space.show(frame.now); }
     replay.at(frame.now.t);
     plots.at = hello.replay ? frame.now.t : null;
     document.body.dataset.bins = store.head;
@@ -98,7 +101,7 @@ const link = new Link({
     map.stop(stopped);
     if (stopped && found.stop && stoppedAt !== found.stop.t && !hello?.replay) watchSlowly(found.stop);
     else if (!stopped && stoppedAt !== null) goOn();
-    if (found.ended && !hello?.replay) { link.over = true; scene.draggable = false; scene.letGo(); $("hint").textContent = ""; $("record").hidden = $("stop").hidden = $("again").hidden = true; }
+    if (found.ended && !hello?.replay) { link.over = true; scene.draggable = space.ready = false; scene.letGo(); space.letGo(); $("hint").textContent = ""; $("record").hidden = $("stop").hidden = $("again").hidden = true; }
   },
   laws(found) {
     laws.show(found);
@@ -121,11 +124,26 @@ const link = new Link({
   answer(found) {
     if (found.ok) return;
     // One refusal is enough: whoever may not have the hand does not go on asking for it.
-    if (found.op === "hand") { scene.letGo(); $("hint").textContent = "Another page holds the hand."; }
+    if (found.op === "hand") { scene.letGo(); space.letGo(); $("hint").textContent = "Another page holds the hand."; }
     refused(found.error);
   },
 });
 const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, ask);
+
+// Along one axis, or in three dimensions, of the same moment.
+function lookAt(view) {
+  const whole = view === "3-D";
+  $("axis").value = view;
+  $("space").hidden = !whole;
+  $("scene").hidden = whole;
+  if (whole) scene.letGo(); else space.letGo();
+  if (hello.hand) $("hint").textContent = whole ? "Drag the handle; anywhere else turns the view; the wheel goes nearer, or pushes what is held." : "Pull the handle, or drag anywhere here.";
+  $("lens").hidden = whole || !scene.surface;
+  scene.look(whole ? hello.axes[0] : view, hello.hand && (whole || view === hello.axes[0]));
+  strip.look(whole ? hello.axes[0] : view);
+}
+
+$("axis").addEventListener("change", () => lookAt($("axis").value));
 
 function turn() {
   const law = laws.state?.laws[laws.state.active];
@@ -202,7 +220,7 @@ $("stop").addEventListener("click", () => {
   if (!$("stop").classList.contains("sure")) {
     $("stop").classList.add("sure");
     $("stop").textContent = "End the run?";
-    setTimeout(() => { $("stop").classList.remove("sure"); $("stop").textContent = "Stop"; }, 3000);
+    setTimeout(() => { $("stop").classList.remove("sure"); $("stop").textContent = "Stop"; }, 5000);
     return;
   }
   ask({ op: "stop" });
@@ -222,7 +240,7 @@ let plotted = 0, read = 0;
 function draw(time) {
   const past = slow.window();
   if (past) scene.show(slow.now(past.at));
-  scene.draw();
+  if ($("space").hidden) scene.draw(); else space.draw();
   // Half as often as the scene: nobody reads a plot faster.
   if (time - plotted > 30) {
     strip.draw(past, beside);
@@ -233,7 +251,7 @@ function draw(time) {
   requestAnimationFrame(draw);
 }
 requestAnimationFrame(draw);
-setInterval(() => scene.tell(), 100);
+setInterval(() => { scene.tell(); space.tell(); }, 100);
 
 // For the console, and the tests.
-Object.assign(globalThis, { haptic: { scene, strip, plots, dial, map, laws, slow, beside, sound, tour } });
+Object.assign(globalThis, { haptic: { scene, space, strip, plots, dial, map, laws, slow, beside, sound, tour } });

@@ -27,11 +27,9 @@ export class Scene {
     Object.assign(this, { axis: 0, letter: "x", upright: false, surface: null, trace: [], middle: 0, half: 0.03, forceScale: 4, deepest: 0 });
   }
 
-  start({ axes, hand, has_hand: hasHand, peak_n: peak }) {
+  start({ axes, hand, has_hand: hasHand, peak_n: peak, shape }) {
     const picker = document.getElementById("axis");
-    picker.replaceChildren(...axes.map((letter) => new Option(letter)));
-    // A hand pulls along the first one.
-    picker.onchange = () => this.look(picker.value, hand && picker.value === axes[0]);
+    picker.replaceChildren(...(shape?.triangles && axes.length > 1 ? ["3-D"] : []).concat(axes).map((view) => new Option(view)));
     document.getElementById("axes").hidden = axes.length < 2;
     this.limit = peak ?? null;
     this.hand = hand || Boolean(hasHand);

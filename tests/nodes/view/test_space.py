@@ -1,0 +1,104 @@
+"""Three dimensions in a real browser: the picture against the geometry, a hand in the plane of the camera, the flat view."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+from nodes.launcher import launch_file
+from tests.support.browser import OpenPage, needs_browser, shown, url_of
+from tests.support.launching import Running, running, wait_for
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = needs_browser
+
+CENTRE, RADIUS = [0.045, 0.012, -0.02], 0.03
+
+
+@pytest.fixture(scope="module")
+def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    folder = tmp_path_factory.mktemp("space")
+    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
+    content["run"]["axes"] = ["x", "y", "z"]
+    ball = {"kind": "sphere", "position": CENTRE, "radius": RADIUS, "friction": {"static": 0.3}}
+    content["nodes"]["environment"]["parameters"]["surface"] = ball
+    (folder / "ball.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    with running(folder, str(folder / "ball.yaml"), "--view", "--without", "logger") as found:
+        yield found
+
+
+@pytest.fixture
+def page(browser: Browser, launch: Running) -> Iterator[Page]:
+    with OpenPage(browser, url_of(launch)) as found:
+        wait_for(lambda: found.evaluate("haptic.space.pixels > 0"), "the picture")
+        yield found
+
+
+def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None:
+    """Parallel projection: a ball is a disc of its radius about the image of its centre, whatever the camera."""
+    for yaw, pitch in ((-0.7, 0.45), (0.9, -0.8)):
+        page.evaluate("([yaw, pitch]) => Object.assign(haptic.space.turn, { yaw, pitch })", [yaw, pitch])
+        page.evaluate("haptic.space.draw()")
+        u, v, _ = page.evaluate("centre => haptic.space.seen(centre)", CENTRE)
+        pixels = float(page.evaluate("haptic.space.pixels"))
+        # The camera by hand: yaw about z, then pitch.
+        right = [math.cos(yaw), math.sin(yaw), 0.0]
+        middle = page.evaluate("haptic.space.turn.middle")
+        assert u == pytest.approx(pixels * sum(r * (c - m) for r, c, m in zip(right, CENTRE, middle, strict=True)))
+        extent = page.evaluate(
+            """([u, v]) => {
+          const { still } = haptic.space, g = still.getContext("2d"), { width, height } = still;
+          const at = (x, y) => g.getImageData(Math.round(x + width / 2), Math.round(y + height / 2), 1, 1).data[3] > 128;
+          const reach = (du, dv) => { let k = 0; while (k < 2000 && at(u + k * du, v + k * dv)) k += 0.5; return k; };
+          return [[1, 0], [-1, 0], [0, 1], [0, -1]].map(([du, dv]) => reach(du, dv)); }""",
+            [u, v],
+        )
+        # 28 by 14 parts: the outline of the polygons is up to 1 - cos(pi/28) inside; lines and pixels add two.
+        for found in extent:
+            assert 0.98 * pixels * RADIUS - 2.0 <= found <= pixels * RADIUS + 2.0
+
+
+def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch: Running) -> None:
+    rests = "haptic.space.now && Math.hypot(...haptic.space.now.target) < 1e-4"
+    wait_for(lambda: launch.ticks() > 1300 and page.evaluate(rests), "the hand rests")
+    box: Any = page.locator("#space").bounding_box()
+    u, v, _ = page.evaluate("haptic.space.seen(haptic.space.now.target)")
+    x, y = box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + v
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 30.0, y - 40.0, steps=3)
+    right, up, pixels = page.evaluate("[haptic.space.camera.right, haptic.space.camera.up, haptic.space.pixels]")
+    wanted = [(30.0 * r + 40.0 * w) / pixels for r, w in zip(right, up, strict=True)]
+
+    def there() -> bool:
+        return math.dist(page.evaluate("[...haptic.space.now.target]"), wanted) < 1e-3
+
+    wait_for(there, "the driver's hand is there, along all three axes")
+    # The flat view is of the same moment.
+    page.evaluate("haptic.space.letGo()")
+    page.mouse.up()
+    page.select_option("#axis", "z")
+    assert not page.locator("#space").is_visible()
+    same = page.evaluate("haptic.scene.now.position[2] === haptic.space.now.position[2]")
+    assert same
+    wait_for(lambda: "mm" in shown(page, "#reading"), "the flat view's figures")
+
+
+def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
+    """What is drawn when the ball is touched; the hand taps by itself along the first axis, or is pulled there."""
+    page.evaluate("haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell()")
+    page.evaluate("setInterval(() => { haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell(); }, 50)")
+    wait_for(lambda: page.evaluate("haptic.space.now.contact === 1"), "contact")
+    found = page.evaluate("""() => { const { now } = haptic.space; return [now.proxy, now.normal]; }""")
+    assert math.dist(found[0], CENTRE) == pytest.approx(RADIUS, abs=1e-6)
+    outward = [(p - c) / RADIUS for p, c in zip(found[0], CENTRE, strict=True)]
+    assert found[1] == pytest.approx(outward, abs=1e-3)
+    before = page.locator("#space").screenshot()
+    page.evaluate("haptic.space.turn.yaw += 0.5")
+    wait_for(lambda: page.locator("#space").screenshot() != before, "the camera turns")
