@@ -52,7 +52,12 @@ def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
         }
         for name in PARAMETERS
     }
-    row |= {"held": job["held"], "residual_steps": found.residual_steps, "held_out_steps": found.held_out_steps}
+    row |= {
+        "held": job["held"],
+        "residual_steps": found.residual_steps,
+        "held_out_steps": found.held_out_steps,
+        "refuted": found.refuted,
+    }
     if job["tune"]:
         row["tuned"] = _tuned(model, found, period)
     return row
@@ -92,7 +97,8 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Count over a population."""
-    told: dict[str, Any] = {"devices": len(rows), "parameters": {}}
+    refused = sum(row["refuted"] for row in rows)
+    told: dict[str, Any] = {"devices": len(rows), "refused": refused, "parameters": {}}
     for name in PARAMETERS:
         known = [row[name] for row in rows if row[name]["value"] is not None]
         if name == "stiffness":

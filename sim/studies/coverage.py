@@ -23,6 +23,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=shared.positive, default=8.0, help="of each push (default: %(default)s)")
     parser.add_argument("--rate", type=shared.positive, default=500.0, help="of the loop [Hz] (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of the population (default: %(default)s)")
+    parser.add_argument(
+        "--outside",
+        action="store_true",
+        help="devices that are not rigid: joints, lags, backlash and more, kind by kind",
+    )
     parser.add_argument("--tune", action="store_true", help="tune a law for each device too: seconds per device")
     parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
     add_cluster(parser)
@@ -38,6 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if not 1 <= arguments.devices <= 100_000:
         raise UsageError(f"--devices {arguments.devices}: between 1 and 100000")
+    if arguments.outside:
+        return _outside(arguments)
     jobs: list[dict[str, Any]] = [
         {
             "number": number,
@@ -62,6 +69,53 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if kept and not found.get("tuned", {}).get("unstable") else 1
 
 
+def _outside(arguments: argparse.Namespace) -> int:
+    """Sweep over devices that are not rigid."""
+    from scipy.stats import binom
+
+    from sim.measure.stopwatch import Progress
+    from sim.measure.sweep import executor, sweep
+    from sim.population.outside import KINDS
+    from sim.population.outside_study import ALLOWED, study_outside, summary_outside
+
+    if arguments.tune:
+        raise UsageError("--tune: not with --outside, where most devices are refused")
+    # All kinds in turn, so that an interrupted study has seen each.
+    jobs: list[dict[str, Any]] = [
+        {
+            "kind": list(KINDS)[number % len(KINDS)],
+            "number": number // len(KINDS),
+            "seed": arguments.seed,
+            "seconds": arguments.seconds,
+            "rate": arguments.rate,
+        }
+        for number in range(arguments.devices)
+    ]
+    ledger = arguments.out / "coverage_outside.jsonl"
+    if arguments.fresh:
+        ledger.unlink(missing_ok=True)
+    with executor(arguments) as pool:
+        rows = sweep(study_outside, jobs, pool, ledger, 1, Progress(len(jobs)).step)
+    found = summary_outside(rows)
+    lines = [
+        f"{'kind':18} {'devices':>7} {'rigid':>6} {'richer':>7} {'refused':>8} {'false':>6} {'named':>6}  intervals missed"
+    ]
+    for kind, one in found["kinds"].items():
+        wrong = f"  false: {', '.join(one['false_of'])}" if one["false_of"] else ""
+        lines.append(
+            f"{kind:18} {one['devices']:7d} {one['rigid']:6d} {one['richer']:7d} {one['refused']:8d} {one['false']:6d} "
+            f"{one['named']:6d}  {one['missed']} of {one['intervals']}{wrong}"
+        )
+    lines.append(
+        f"{found['devices']} devices: something false of {found['false']}, {found['refused']} refused, {found['named']} named "
+        f"rightly; {found['missed']} of {found['intervals']} 95 % intervals miss"
+    )
+    answer(arguments.json, found | {"ledger": str(ledger)}, "\n".join([*lines, str(ledger)]))
+    # More than allowed, and not by chance.
+    share = found["false"] / found["devices"]
+    return 0 if share <= ALLOWED or binom.sf(found["false"] - 1, found["devices"], ALLOWED) >= 0.01 else 1
+
+
 def _kept(coverage: float, devices: int) -> bool:
     """Judge a share of intervals; that of a few devices may be low by chance, at most one time in a hundred."""
     from scipy.stats import binom
@@ -71,7 +125,8 @@ def _kept(coverage: float, devices: int) -> bool:
 
 def _text(found: Mapping[str, Any], ledger: Path, picture: Path) -> str:
     lines = [
-        f"{found['devices']} devices, residual {found['residual_steps_median']:.3f} encoder steps (rounding: 0.289)"
+        f"{found['devices']} devices, {found['refused']} refused, residual {found['residual_steps_median']:.3f} encoder steps "
+        "(rounding: 0.289)"
     ]
     lines.append(f"{'parameter':10} {'told':>5} {'cannot':>7} {'in 95 %':>8} {'median error':>13}")
     for name, one in found["parameters"].items():
