@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from nodes.stability.flexible import FlexiblePlant
 from nodes.stability.plant import Plant, held_plant
 from nodes.stability.roots import largest_roots
 from sim.design.demand import Demand, Vector
@@ -16,26 +19,30 @@ class Loop:
     """Closed-loop polynomials at given cases (mass, delay, hand), linear in the taps."""
 
     def __init__(self, demand: Demand, cases: Vector, taps: int, pole: float = 0.0) -> None:
-        plants = [held_plant(Plant(demand.period, mass, b, delay, hand)) for mass, delay, hand, b in cases.tolist()]
+        plants = [
+            _rational(demand.period, case, beyond) for case in cases.tolist() for beyond in demand.beyond or (None,)
+        ]
         # A shorter delay is the same polynomial times a power of z: roots at zero that nobody minds.
-        size = max(plant.whole for plant in plants) + 3 + taps + (pole != 0.0)
+        size = max(whole + len(below) for whole, _, below in plants) + taps + (pole != 0.0)
         self.taps, self.pole = taps, pole
+        self._cases = len(cases)
         self.fixed = np.zeros((len(plants), size))
         self.by_tap = np.zeros((len(plants), taps, size))
-        for i, plant in enumerate(plants):
-            self.fixed[i, :3] = plant.denominator
+        for i, (whole, above, below) in enumerate(plants):
+            self.fixed[i, : len(below)] = below
             self.fixed[i, 1:] -= pole * self.fixed[i, :-1].copy()
             for j in range(taps):
-                start = plant.whole + 1 + j
-                self.by_tap[i, j, start : start + 3] = plant.numerator
+                start = whole + 1 + j
+                self.by_tap[i, j, start : start + len(above)] = above
 
     def polynomials(self, taps: Vector) -> Vector:
         """Coefficients of (..., taps) for every case: (..., cases, size)."""
         return np.asarray(self.fixed + np.einsum("...j,ijk->...ik", taps, self.by_tap), dtype=np.float64)
 
     def radii(self, taps: Vector) -> Vector:
-        """Largest pole radius of each case."""
-        return largest_roots(self.polynomials(taps))
+        """Largest pole radius of each case, over all that the device may have beyond a rigid mass."""
+        found = largest_roots(self.polynomials(taps))
+        return np.asarray(found.reshape(*found.shape[:-1], self._cases, -1).max(axis=-1), dtype=np.float64)
 
     def poles(self, taps: Vector) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """All poles (cases, k) and their slopes along the taps (cases, k, taps)."""
@@ -52,6 +59,19 @@ class Loop:
         return poles, slopes
 
 
+def _rational(
+    period: float, case: Sequence[float], beyond: tuple[float, float, float, float] | None
+) -> tuple[int, Sequence[float], Sequence[float]]:
+    """Whole ticks of the delay, numerator and denominator of the device of a case."""
+    mass, delay, hand, damping = case
+    if beyond is None:
+        plant = held_plant(Plant(period, mass, damping, delay, hand))
+        return plant.whole, plant.numerator, plant.denominator
+    lag, share, frequency, loss = beyond
+    whole, above, below = FlexiblePlant(mass, damping, delay, hand, lag, share, frequency, loss).rational(period)
+    return whole, above.tolist(), below.tolist()
+
+
 def verified_cases(demand: Demand) -> Vector:
     """Cases on which a design is verified after the search.
 
@@ -64,9 +84,13 @@ def verified_cases(demand: Demand) -> Vector:
     -------
     ndarray, shape (c, 4)
         Mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m]: 801 masses evenly spaced in the
-        logarithm, or 101 masses with 11 delays and hands and 5 dampings where those are ranges too; all ends are among them.
+        logarithm, or 101 masses with 11 delays and hands and 5 dampings where those are ranges too, fewer for a device that is
+        more than a rigid mass; all ends are among them.
     """
     ranges = (demand.delay, demand.stiffness, demand.dampings)
+    if demand.beyond:
+        # Each case is one of each: fewer masses, as close as the poles move smoothly.
+        return cases_of(demand, 51 if all(low == high for low, high in ranges) else 21, 5)
     return cases_of(demand, 101 if any(low < high for low, high in ranges) else _VERIFIED, 11)
 
 

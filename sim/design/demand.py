@@ -50,6 +50,9 @@ class Demand:
         (`sim.design.landing`); empty when landing is not asked for.
     above : float
         H(1) that is known already: laws below it are not dropped, and need not be found [N/m].
+    beyond : tuple of (float, float, float, float)
+        What the device may have beyond one rigid mass, all of which are kept: lag of the actuator [s], part of the mass
+        behind a joint, its frequency [Hz] and damping ratio. Empty for a rigid device. Drops are tried on the rigid one.
     """
 
     mass: tuple[float, float]
@@ -62,6 +65,7 @@ class Demand:
     damping_max: float | None = None
     lands: tuple[tuple[bool, bool], ...] = ()
     above: float = 0.0
+    beyond: tuple[tuple[float, float, float, float], ...] = ()
 
     @property
     def dampings(self) -> tuple[float, float]:

@@ -320,6 +320,9 @@ def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
         True with a certificate everywhere; False where a sequence grows; None where it is not decided; ``too wide`` for
         a range above a tick.
     """
+    if demand.beyond:
+        # The enclosure of a tick is that of a rigid device.
+        return None
     if demand.delay[1] > demand.delay[0] + 1.0:
         return "too wide"
     worst: bool | None = True

@@ -6,6 +6,7 @@ hand, another pose), and over the whole range of delay that was seen. Unless tol
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -85,6 +86,25 @@ def demand(found: Identified, wanted: Wanted) -> Demand:
         nyquist=wanted.nyquist,
         stiffness=(softest, stiffest),
         lands=CONVENTIONS if wanted.land else (),
+        beyond=_beyond(found),
+    )
+
+
+def _beyond(found: Identified) -> tuple[tuple[float, float, float, float], ...]:
+    """List the ends of the intervals of lag and joint, the frequency 5 % wider: a pose moves it."""
+    if not {"actuator lag", "flexible mode"} & set(found.terms):
+        return ()
+    _, early, late = found.lag.known() if found.lag.value else (0.0, 0.0, 0.0)
+    shares, frequencies, loss = (0.0, 0.0), (math.inf, math.inf), 0.0
+    if found.frequency.value is not None:
+        _, *ends = found.share.known()
+        _, low, high = found.frequency.known()
+        shares, frequencies, loss = (ends[0], ends[1]), (low / 1.05, high * 1.05), found.loss.known()[1]
+    return tuple(
+        (lag, share, frequency, loss)
+        for lag in sorted({early, late})
+        for share in sorted(set(shares))
+        for frequency in sorted(set(frequencies))
     )
 
 
@@ -117,9 +137,10 @@ def from_record(told: dict[str, Any]) -> Demand:
     Demand
         The demand.
     """
+    beyond = tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in told.get("beyond", ()))
     pairs = {name: (float(told[name][0]), float(told[name][1])) for name in ("mass", "delay", "stiffness")}
     lands = tuple((bool(raw), bool(clamp)) for raw, clamp in told["lands"])
-    return Demand(**{**told, **pairs, "lands": lands})
+    return Demand(**{**told, **pairs, "lands": lands, "beyond": beyond})
 
 
 def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:

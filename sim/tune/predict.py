@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.every_delay import every_delay
+from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.design.demand import Demand
@@ -64,27 +66,35 @@ def knock_size(taps: tuple[float, ...], edge: float, found: Identified, peak: fl
     return max(min(1e-3, strongest), 8.0 * (found.encoder.value or 1e-6))
 
 
-def linear_edge(law: CompiledLaw, plant: Plant) -> float:
+def linear_edge(law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None = None) -> float:
     """Find the factor of all taps at which a pole of the loop reaches the unit circle.
 
     Parameters
     ----------
     law : CompiledLaw
         Taps.
-    plant : Plant
+    plant : Plant or FlexiblePlant
         The device and its loop.
+    period : float or None
+        Sampling period of a flexible device [s].
 
     Returns
     -------
     float
         Above 1, at most 100; 1 for a law that is not stable itself.
     """
+
+    def radius(factor: float) -> float:
+        if isinstance(plant, Plant):
+            return pole_radius(scaled(law, factor), plant)
+        return flexible_radius(scaled(law, factor), period or math.nan, plant)
+
     low, high = 1.0, 1.0
-    while high < 100.0 and pole_radius(scaled(law, high), plant) < 1.0:
+    while high < 100.0 and radius(high) < 1.0:
         low, high = high, high * 1.1
     for _ in range(40):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if pole_radius(scaled(law, middle), plant) < 1.0 else (low, middle)
+        low, high = (middle, high) if radius(middle) < 1.0 else (low, middle)
     return low
 
 
@@ -115,18 +125,22 @@ def predict(
         When the law does not come to rest on the model.
     """
     plant = plant_of(found)
-    linear = linear_edge(law, plant)
+    whole = found.plant()
+    rigid = whole.rigid and whole.lag == 0.0
+    linear = linear_edge(law, plant) if rigid else linear_edge(law, whole, found.period)
     knock = knock_size(law.taps, linear, found, peak)
     plan, edge = planned(knocked(law, model(found), found.period, knock, peak, slew), linear)
     dropped = drops(law, asked)
+    # The model that is knocked on has neither joint nor lag: with one of them the poles tell the edge.
+    factor = edge.factor if rigid else linear
     figures: dict[str, Any] = {
         "h1_n_per_m": law.h1,
         "h_nyquist_n_per_m": law.h_nyquist,
-        "pole_radius": pole_radius(law, plant),
+        "pole_radius": pole_radius(law, plant) if rigid else flexible_radius(law, found.period, whole),
         "edge_linear_factor": linear,
         "edge_linear_h1_n_per_m": linear * law.h1,
-        "edge_factor": edge.factor,
-        "edge_h1_n_per_m": None if edge.factor is None else edge.factor * law.h1,
+        "edge_factor": factor,
+        "edge_h1_n_per_m": None if factor is None else factor * law.h1,
         "knock_m": knock,
         "stable_up_to_delay_ticks": latest_delay(law, asked),
         "drops_settled": sum(dropped.values()),
@@ -140,6 +154,8 @@ def predict(
 def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
     """Certify lightest and heaviest device for every sequence of delays, where the range is within a tick."""
     low, high = asked.delay
+    if asked.beyond:
+        return {"every_delay_stable": None, "every_delay_why": "no certificate for a device with a joint or a lag"}
     if high > low + 1.0:
         return {
             "every_delay_stable": None,

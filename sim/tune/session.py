@@ -166,6 +166,7 @@ class Tuning:
             raise RefusedError(
                 f"{refused}. A law for it would be a law for another device; --refuted designs it all the same"
             )
+        found = found.anyway()
         self._say(f"designing {chosen.taps} taps{' that land' if chosen.land else ''}, and PD to compare")
         wanted = Wanted(chosen.taps, chosen.spread, chosen.radius, self._nyquist(found), chosen.land)
         law, pd, asked = design(found, wanted)
@@ -214,7 +215,7 @@ class Tuning:
         from sim.tune.predict import predict
 
         designed = self._need("designed")
-        found, asked = from_figures(self._need("identified")), from_record(designed["demand"])
+        found, asked = from_figures(self._need("identified")).anyway(), from_record(designed["demand"])
         limits = self._need("limits")
         law = CompiledLaw(tuple(designed["taps_n_per_m"]))
         figures, edge, plan = predict(law, asked, found, limits["peak_n"], limits["slew_n"])
