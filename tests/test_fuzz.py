@@ -149,7 +149,7 @@ def _parts(recording: bytes) -> list[Target]:
         "schema": (3, mcap_walk.parse_schema),
         "metadata": (12, mcap_walk.parse_metadata),
         "message": (5, mcap_walk.parse_message),
-        "chunk": (6, mcap_walk.unpack_chunk),
+        "chunk": (6, lambda path, record: list(mcap_walk.unpack_chunk(path, record))),
     }
     with _file(recording) as path:
         records = list(mcap_walk.walk(path))

@@ -153,6 +153,11 @@ def _record(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def printable(text: str) -> str:
+    """Write what a file says without what a terminal would obey: escape sequences, bells, a new title."""
+    return "".join(sign if sign.isprintable() or sign == "\n" else "\N{REPLACEMENT CHARACTER}" for sign in text)
+
+
 def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str, Clock]) -> str:
     lines = [str(recording.path)]
     facts = dict(recording.manifest)
@@ -180,7 +185,7 @@ def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str,
         lines.append(
             f"  {node}: clock {-clock.offset:+.6f} s from the launcher's, known to ±{clock.error * 1e6:.0f} µs"
         )
-    return "\n".join(lines)
+    return printable("\n".join(lines))
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -254,7 +259,7 @@ def _play(arguments: argparse.Namespace) -> int:
         publisher.close()
         context.term()
     pace = "without a pause" if math.isinf(arguments.rate) else f"at {arguments.rate:g} times the original pace"
-    told = "\n".join(f"  {topic}: {count}" for topic, count in counts.items())
+    told = printable("\n".join(f"  {topic}: {count}" for topic, count in counts.items()))
     answer(arguments.json, {"published": counts}, f"published {pace}:\n{told}")
     return 0
 

@@ -145,6 +145,14 @@ class Child:
         told = self.process is not None and status.get("pid") == self.process.pid and status.get("state") == "finished"
         return self.code == 0 and told
 
+    @property
+    def is_frozen(self) -> bool:
+        """Whether the kernel holds on to it; one that has only not got its turn to die yet is not."""
+        with contextlib.suppress(OSError, AttributeError):
+            text = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="ascii", errors="replace")  # type: ignore[union-attr]
+            return text.rsplit(")", 1)[1].split()[0] in "DTt"
+        return False
+
     def progress(self) -> int:
         """Tell how much it has written so far, which grows as long as it gets on [bytes]."""
         assert self.process is not None  # noqa: S101

@@ -35,6 +35,9 @@ TERM_TIMEOUT = 2.0
 HURRY_TIMEOUT = 0.3
 KILL_TIMEOUT = 2.0
 
+DYING = 20.0
+"""So much longer may one take that is not held by the kernel [s]."""
+
 GETTING_ON = 1.0
 """How often the launcher looks whether a logger that ends still writes: it does so every half second [s]."""
 _INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
@@ -324,6 +327,9 @@ class Supervisor:
             killed = number == signal.SIGKILL
             hurry = self._hurry and not killed and not any(child.drives for child in left)
             granted = 0.0 if killed else max((child.end_patience for child in left), default=0.0)
+            if killed and not any(child.is_frozen for child in left if child.running):
+                # On a machine with thirty times more to do than it can, dying takes its time too.
+                granted = DYING
             if now - begun > (HURRY_TIMEOUT if hurry else patience + granted):
                 return
             if now >= following and not killed:

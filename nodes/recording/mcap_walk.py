@@ -22,7 +22,11 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x01, 0x02
 """Opcodes of the MCAP specification that are read here; others are stepped over."""
 
 MAX_RECORD = 1 << 28
-"""Largest record that is read and largest chunk that is unpacked [bytes]; this project writes chunks of 64 KiB."""
+"""Largest record that is read [bytes]."""
+
+MAX_CHUNK, MAX_RATIO = 8 << 20, 1000
+"""Largest chunk that is unpacked [bytes], and how often its size in the file: this project writes chunks of 64 KiB, MCAP's own
+tools of up to 4 MiB; what is packed tighter than any measurement is made to fill memory."""
 
 FRAME = struct.Struct("<BQ")
 """Opcode and length in front of each record."""
@@ -181,16 +185,17 @@ def parse_message(path: Path, record: Record) -> RawMessage:
     return RawMessage(channel, sequence, log_time, publish_time, record.content[_MESSAGE.size :])
 
 
-def unpack_chunk(path: Path, record: Record) -> list[Record]:
-    """Decompress a chunk, check it against its checksum, and split it into records."""
+def unpack_chunk(path: Path, record: Record) -> Iterator[Record]:
+    """Decompress a chunk, check it against its checksum, and split it into records, one after the other."""
 
-    def parse(content: bytes) -> list[Record]:
+    def parse(content: bytes) -> bytes:
         _, _, size, checksum = CHUNK_HEAD.unpack_from(content)
         compression, at = _string(content, CHUNK_HEAD.size)
         (length,) = _U64.unpack_from(content, at)
         data = content[at + 8 : at + 8 + length]
-        if len(data) != length or size > MAX_RECORD:
-            raise ValueError(f"{length} bytes that unpack to {size}, limit {MAX_RECORD}")
+        limit = min(MAX_CHUNK, MAX_RATIO * length)
+        if len(data) != length or size > limit:
+            raise ValueError(f"{length} bytes that unpack to {size}, limit {limit}")
         if compression == "zstd":
             # The size inside the zstd frame decides how much memory is taken: check it before it is believed.
             if zstandard.frame_content_size(data) not in (size, -1):
@@ -200,21 +205,28 @@ def unpack_chunk(path: Path, record: Record) -> list[Record]:
             raise ValueError(f"compressed with {compression!r}; zstd is what is read here")
         if len(data) != size or (checksum and zlib.crc32(data) != checksum):
             raise ValueError(f"checksum or size does not match ({len(data)} of {size} bytes)")
-        found = []
-        at = 0
-        while at < size:
-            opcode, length = FRAME.unpack_from(data, at)
-            at += FRAME.size
-            if at + length > size:
-                raise ValueError(f"a record of {length} bytes does not fit into the chunk")
-            found.append(Record(record.offset, opcode, data[at : at + length]))
-            at += length
-        return found
+        return data
 
     try:
-        return _parsed(path, record, "chunk", parse)
+        data = _parsed(path, record, "chunk", parse)
     except zstandard.ZstdError as error:
         raise RecordError(f"{path}: damaged chunk at byte {record.offset}: {error}") from error
+    return _split(path, record.offset, data)
+
+
+def _split(path: Path, offset: int, data: bytes) -> Iterator[Record]:
+    at = 0
+    while at < len(data):
+        if at + FRAME.size > len(data):
+            raise RecordError(f"{path}: damaged chunk at byte {offset}: it ends within a record's length")
+        opcode, length = FRAME.unpack_from(data, at)
+        at += FRAME.size
+        if at + length > len(data):
+            raise RecordError(
+                f"{path}: damaged chunk at byte {offset}: a record of {length} bytes does not fit into the chunk"
+            )
+        yield Record(offset, opcode, data[at : at + length])
+        at += length
 
 
 def footer_sound(content: bytes, checksum: int) -> bool:

@@ -10,6 +10,7 @@ import contextlib
 import mmap
 import struct
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -86,7 +87,7 @@ def _problems(path: Path) -> list[str]:
         for record in mcap_walk.walk(path):
             if record.opcode == mcap_walk.CHUNK:
                 try:
-                    mcap_walk.unpack_chunk(path, record)
+                    deque(mcap_walk.unpack_chunk(path, record), maxlen=0)
                 except RecordError as error:
                     found.append(str(error))
     except RecordError as error:

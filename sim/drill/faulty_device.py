@@ -12,8 +12,9 @@ from messages.types import Vector
 from nodes.driver.device import Device, DeviceLimits
 from sim.device.driver import SimDriver, SimDriverParameters
 
-HANG = "hang"
-"""What the order says for a force that is never taken; anything else is a position [m]."""
+HANG, EXIT = "hang", "exit"
+"""What the order says for a force that is never taken, and for a vendor's library that ends the process as if all were well;
+anything else is a position [m]."""
 
 
 class FaultyDriverParameters(SimDriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -58,9 +59,11 @@ class FaultyDevice:
         self._device.open()
 
     def read_position(self, seq: int) -> Vector:
-        """Sample the position; when so ordered, another one."""
+        """Sample the position; when so ordered, another one, or none and an end."""
         position = self._device.read_position(seq)
         order = self._ordered()
+        if order == EXIT:
+            os._exit(0)
         return (float(order),) * 3 if order not in ("", HANG) else position
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:

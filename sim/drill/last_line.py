@@ -11,13 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from sim.drill.drill import Fault, another, kill
-from sim.drill.faulty_device import HANG
+from sim.drill.faulty_device import EXIT, HANG
 from sim.measure.launches import processes_of, within
 from sim.measure.rig import Rig
 
 ORDER = "order"
 HANG_LIMIT = 0.5
 """After so long within one tick the drill's device is taken to hang [s]."""
+
+BEHIND = 4.0
+"""How long the logger's disk is slow before the end [s]; it is during the end too."""
 
 ON, OFF, ROUNDS = 0.008, 0.092, 8
 """A quota of 8 % in periods of 0.1 s [s]: less than what a plain 500 Hz loop needs."""
@@ -47,6 +50,33 @@ def _hang(rig: Rig) -> None:
     within(lambda: "[driver] hung: " in rig.errors, 15.0)
     order.unlink()
     within(lambda: another(rig, "driver", before), 15.0)
+
+
+def _exit(rig: Rig) -> None:
+    before = rig.pid("driver")
+    order = rig.folder / ORDER
+    order.write_text(EXIT, encoding="ascii")
+    within(lambda: "in mid-run" in rig.errors, 15.0)
+    order.unlink()
+    within(lambda: another(rig, "driver", before), 15.0)
+
+
+def _slow_disk(content: dict[str, Any]) -> None:
+    logger = content["nodes"]["logger"]
+    logger["kind"] = "slow_logger"
+    logger["parameters"]["order"] = ORDER
+
+
+def _fall_behind(rig: Rig) -> None:
+    """Let the logger fall so far behind that its end takes longer than any node has."""
+    (rig.folder / ORDER).touch()
+    rig.let_pass(BEHIND)
+
+
+def _stop_reaper(rig: Rig) -> None:
+    for number, line in processes_of(rig.runtime_dir).items():
+        if "reaper.py" in line:
+            os.kill(number, signal.SIGSTOP)
 
 
 def _misplace(position: str) -> Callable[[Rig], None]:
@@ -159,6 +189,14 @@ def faults() -> list[Fault]:
             unread=True,
         ),
         Fault(name="hung device", what="a force that is never taken", strike=_hang, change=_faulty),
+        Fault(name="driver exits", what="exit(0) within a device's call", strike=_exit, change=_faulty),
+        Fault(
+            name="slow logger",
+            what=f"{BEHIND:g} s of a slow disk, then the end",
+            strike=_fall_behind,
+            change=_slow_disk,
+        ),
+        Fault(name="stopped reaper", what="SIGSTOP, then the end", strike=_stop_reaper),
         Fault(name="huge position", what="the device gives 1.7e308 m", strike=_misplace("1.7e308"), change=_faulty),
         Fault(
             name="ticks lost by quota",

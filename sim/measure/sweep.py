@@ -12,6 +12,7 @@ import contextlib
 import json
 import multiprocessing
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from ipaddress import ip_address
@@ -52,6 +53,13 @@ def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
             yield pool
         return
     security = check_cluster(arguments)
+    if not security:
+        print(
+            f"[sweep] {arguments.cluster}: whoever of this machine's users holds that port is given the jobs, and believed; "
+            f"where there are others, use tls:// with --{', --'.join(TLS)}",
+            file=sys.stderr,
+            flush=True,
+        )
     try:
         import distributed
     except ImportError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -162,6 +163,22 @@ def test_silence_is_told_with_the_state_of_the_link(
     for heard in range(8, 40):
         ear.tend(heard)
     assert len(ear.told) == told, "who hears is not silent"
+    ear.close()
+    publisher.close(0)
+
+
+def test_who_is_connected_and_starved_is_waited_for(
+    context: Context, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It once was connected anew each 3 s, so that a loop on a starved machine never met again."""
+    monkeypatch.setattr("messages.transport.links.SILENCE", 0.02)
+    publisher, ear = Publisher(context, place), Ear(context, place)
+    wait_for(ear.hears(publisher), "the publisher")
+    begun = time.monotonic()
+    while time.monotonic() - begun < 0.2:
+        ear.tend(7)
+        ear.inbox.receive(5)
+    assert ear.told == []
     ear.close()
     publisher.close(0)
 

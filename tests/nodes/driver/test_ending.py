@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from nodes.driver.ending import REST, ending
+from nodes.driver.motion import Motion
 from tests.support.launching import haptic, launch_json
 
 T = 0.002
@@ -47,3 +48,14 @@ def test_launches_say_what_is(tmp_path: Path) -> None:
     assert "to and fro at" in buzz
     figures = launch_json(tmp_path, "floor_drop", "pace:=lockstep", "height:=0.3", "duration:=0.2")
     assert figures["final"]["motion"] == "falling"
+
+
+def test_a_tick_that_is_sampled_twice_at_the_end_has_a_velocity() -> None:
+    """Ctrl-C in lockstep, while an answer is waited for, samples the same tick again: it once divided by no time."""
+    motion = Motion(0.002, [2], virtual=True)
+    motion.sample((0.0, 0.0, 0.0), 0.0)
+    motion.act([0.0, 0.0, 0.0])
+    for _ in range(2):
+        motion.sample((0.0, 0.0, 0.001), 0.002)
+        # 1 mm in a tick of 2 ms; a quotient of two floats, rounded once.
+        assert motion.velocity()[2] == pytest.approx(0.5, rel=1e-15)

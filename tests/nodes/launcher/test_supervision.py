@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import resource
 import signal
 import time
 from collections.abc import Iterator
@@ -16,12 +17,14 @@ from typing import Any
 
 import msgspec
 import pytest
+import zmq
 
 from messages.transport.requests import ControlError
 from nodes.launcher.runs import alive
 from nodes.launcher.supervisor import INT_TIMEOUT
 from nodes.recording.reader import Recording
 from tests.support.launching import DEADLINE, Running, haptic, processes_of, running, wait_for
+from tests.support.ports import free_ports
 
 PACKAGE = '''
 import os, signal, time
@@ -76,6 +79,8 @@ class Arm:
         self.ticks += 1
         if self.ticks > 100 and self.fails == "device":
             raise OSError("the cable is out; plug it in")
+        if self.ticks > 100 and self.fails == "exit":
+            os._exit(0)
         if self.ticks > 100 and self.fails == "bug":
             return 1 / 0
         return (0.0, 0.0, -0.001)
@@ -310,6 +315,53 @@ def test_a_node_that_cannot_start_fails_the_launch_with_its_reason(tmp_path: Pat
         assert "[sensor] cannot start: the sensor is not there; plug it in" in launch.errors
         assert figures["exit_reason"] == "sensor: ended during start with exit code 1"
         assert figures["ticks"] == 0
+
+
+def test_a_driver_that_a_library_ends_in_mid_run_is_not_done(tmp_path: Path, odd_nodes: dict[str, str]) -> None:
+    driver = {"kind": "arms", "parameters": {"diary": str(tmp_path / "diary"), "fails": "exit"}}
+    with running(tmp_path, scenario(tmp_path, driver=driver), environment=odd_nodes, ready=False) as launch:
+        figures = launch.finish(code=1)
+        assert figures["exit_reason"].startswith("driver: ended with exit code 0 in mid-run")
+
+
+def test_a_stopped_reaper_does_not_hold_up_the_end(tmp_path: Path) -> None:
+    with running(tmp_path, scenario(tmp_path)) as launch:
+        os.kill(reaper(launch), signal.SIGSTOP)
+        # It once waited for ever, deaf to signals.
+        launch.finish(signal.SIGINT)
+
+
+def test_a_process_of_its_own_is_what_strangers_listen_to_and_it_comes_back(tmp_path: Path) -> None:
+    port = free_ports(1)
+    path = scenario(tmp_path)
+    content = msgspec.json.decode(Path(path).read_bytes())
+    content["nodes"]["driver"]["open_port"] = port
+    Path(path).write_bytes(msgspec.json.encode(content))
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 512), hard))
+    try:
+        with running(tmp_path, path) as launch, zmq.Context() as context, context.socket(zmq.SUB) as stranger:
+            driver, forwarder = launch.pid("driver"), launch.pid("forwarder")
+            limits = Path(f"/proc/{driver}/limits").read_text()
+            assert next(line for line in limits.splitlines() if "open files" in line).split()[3:5] == [str(hard)] * 2
+            inodes = {os.readlink(one) for one in Path(f"/proc/{driver}/fd").glob("*") if one.exists()}
+            tables = [Path(f"/proc/net/{name}").read_text() for name in ("tcp", "tcp6")]
+            listening = [line.split() for table in tables for line in table.splitlines()[1:]]
+            place = next(words[9] for words in listening if words[1].endswith(f":{port:04X}") and words[3] == "0A")
+            assert f"socket:[{place}]" not in inodes, "the driver listens to no stranger"
+            stranger.linger = 0
+            stranger.connect(f"tcp://127.0.0.1:{port}")
+            stranger.subscribe("/device/state")
+            assert stranger.poll(20_000)
+            os.kill(forwarder, signal.SIGKILL)
+            wait_for(lambda: "forwarder: started again (1)" in launch.errors, "another one")
+            while stranger.poll(0):
+                stranger.recv_multipart()
+            assert stranger.poll(20_000)
+            assert launch.pid("driver") == driver
+            launch.finish(signal.SIGINT)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 # -- respawn ----------------------------------------------------------------------------------------------------------

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+import struct
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zstandard
 
 from messages import topics
 from messages.codec import Decoder
@@ -17,6 +19,7 @@ from messages.transport.open_port import OpenPort
 from messages.transport.sockets import Subscription, new_context
 from messages.types import Event, Message
 from nodes.cli import main
+from nodes.recording import mcap_walk
 from nodes.recording.export import export_csv, export_npz, plain_names
 from nodes.recording.play import play
 from nodes.recording.reader import Recording
@@ -247,3 +250,22 @@ def test_play_refuses_endpoints(bag: Path, capsys: pytest.CaptureFixture[str], e
     code, _, err = haptic(capsys, "play", bag, "--endpoint", endpoint)
     assert code == 2
     assert told in err
+
+
+def test_a_chunk_made_to_fill_the_memory_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    packed = zstandard.compress(bytes(6 << 20))
+    head = mcap_walk.CHUNK_HEAD.pack(0, 0, 6 << 20, 0) + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed))
+    record = mcap_walk.Record(8, mcap_walk.CHUNK, head + packed)
+    with pytest.raises(RecordError, match=f"limit {mcap_walk.MAX_RATIO * len(packed)}"):
+        mcap_walk.unpack_chunk(tmp_path, record)
+
+
+def test_what_a_file_says_does_not_command_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "r.mcap"
+    with RecordWriter(path, {"scenario": "\x1b]0;owned\x07\x1b[2J", "run": "r"}) as writer:
+        writer.write("/a/event", Event(seq=0, stamp=0.0, node="a", kind="b", reason=""), 100.0)
+    assert main.main(["bag", "info", str(path)]) == 0
+    told = capsys.readouterr().out
+    assert "owned" in told
+    assert "\x1b" not in told
+    assert "\x07" not in told

@@ -84,6 +84,8 @@ def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: Running) -> N
         assert get(url, Origin=origin)[0] == 403
     # DNS rebinding: a name of somebody else's that leads to this machine.
     assert get(url, Host="elsewhere.example")[0] == 403
+    # No name at all: it once was an error of the server.
+    assert get(url, Host="[")[0] == 403
     with live(url, origin="/".join(url.split("/")[:3])) as page:
         assert texts(page, "hello")["scenario"] == "touch_wall"
 
@@ -100,6 +102,15 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
         assert "no node is named" in ask(op="set", node="../x", values={"a": 1})["error"]
         assert "law" in ask(op="law", field="stiffness", value=1.0, force=True)["error"]
         assert "three numbers" in ask(op="hand", target=[1, 2])["error"]
+        for judge, value in (
+            ("stability", "off"),
+            ("fallback", ""),
+            ("budget", 1.0),
+            ("plant.mass", 9.0),
+            ("plant", {}),
+        ):
+            refused = ask(op="set", node="coupling", values={"ramp": 41, judge: value})
+            assert "judges what is set here" in refused["error"], judge
         done = ask(op="set", node="coupling", values={"ramp": 40})
         assert done["ok"]
         assert launch.call("coupling", "param.get", name="ramp") == 40

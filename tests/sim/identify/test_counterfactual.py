@@ -14,6 +14,7 @@ import pytest
 from messages.topics import DEVICE_STATE
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
+from nodes.recording.writer import RecordWriter
 from sim.device.model import DeviceModel, Hand, path_position
 from sim.identify.counterfactual import missing_force, nudges, replay
 from sim.identify.experiment import read
@@ -182,3 +183,22 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
 def test_what_cannot_be_replayed_is_refused(buzz: tuple[Path, Path], words: tuple[str, ...], message: str) -> None:
     done = haptic(buzz[0].parent, "bag", "replay", str(buzz[0]), *words, code=2)
     assert message in done.stderr
+
+
+def test_nothing_read_from_a_recording_names_a_file(buzz: tuple[Path, Path], tmp_path: Path) -> None:
+    """Its scenario was a path, written with its bytes; a watched file in its launch file was read."""
+    precious = tmp_path / "precious.yaml"
+    precious.write_text("mine", encoding="utf-8")
+    whole = Recording(buzz[0])
+    text = whole.metadata["launch_file"]["yaml"]
+    watching = text.replace("    kind: coupling\n", "    kind: coupling\n    watch: /nonexistent/secret.yaml\n")
+    assert watching != text
+    manifest = {**whole.manifest, "scenario": str(precious.with_suffix(""))}
+    parameters = whole.metadata["parameters"]
+    forged = tmp_path / "forged.mcap"
+    with RecordWriter(forged, manifest, launch_file=watching, parameters=parameters) as writer:
+        for entry in whole.entries():
+            writer.write(entry.topic, entry.message, entry.log_time)
+    assert replay(rebuild(forged)).measured.tolist() == positions(buzz[0])
+    assert precious.read_text(encoding="utf-8") == "mine"
+    assert set(tmp_path.iterdir()) == {precious, forged}

@@ -1,0 +1,56 @@
+"""The logger with a disk that is slow when it is told to be, for the drill."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Any, ClassVar
+
+import msgspec
+
+from nodes.recording.logger import Logger, LoggerParameters
+from nodes.recording.writer import RecordWriter
+
+PER_MESSAGE = 0.002
+"""What a slow disk takes for each message [s]: less often than messages come."""
+
+
+class SlowLoggerParameters(LoggerParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the logger.
+
+    Attributes
+    ----------
+    order : str
+        A file: as long as it exists, the disk is slow.
+    """
+
+    order: str
+
+
+class _SlowWriter:
+    """Passes every call on, and takes its time for messages."""
+
+    def __init__(self, writer: RecordWriter, order: str) -> None:
+        self._writer, self._order = writer, order
+
+    def write(self, *message: Any) -> None:
+        """Write a message, slowly when so ordered."""
+        if os.path.exists(self._order):
+            time.sleep(PER_MESSAGE)
+        self._writer.write(*message)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._writer, name)
+
+
+class SlowLogger(Logger):
+    """A logger node with such a disk."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = SlowLoggerParameters
+
+    def configure(self) -> None:
+        """Create the file."""
+        super().configure()
+        parameters: Any = self.store.current
+        slow: Any = _SlowWriter(self._writer, parameters.order)
+        self._writer = slow
