@@ -9,7 +9,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import sqrt
 
-from nodes.environment.shapes.tables import BOX, CAPSULE, CYLINDER, GIVEN, KIND, LIP, PLANE, RADIUS, SPHERE, TOLERANCE
+from nodes.environment.shapes.tables import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    GIVEN,
+    KIND,
+    LIP,
+    MESH,
+    PLANE,
+    RADIUS,
+    SPHERE,
+    TOLERANCE,
+    TRIANGLE,
+    TRIANGLES,
+)
+from nodes.environment.shapes.triangle import nearest_on_triangle
 
 _TINY = 1e-15
 _STEPS = 60
@@ -92,7 +107,7 @@ def _from_box(scene: Sequence[float], at: int, px: float, py: float, pz: float) 
 
 
 def core(
-    scene: Sequence[float], row: int, x: float, y: float, z: float, nx: float, ny: float, nz: float
+    scene: Sequence[float], row: int, face: float, x: float, y: float, z: float, nx: float, ny: float, nz: float
 ) -> tuple[bool, float, float, float]:
     """Where the normals of a round part meet that a point pulls to: whether there is such, and the point.
 
@@ -102,6 +117,8 @@ def core(
         The shapes.
     row : int
         Where this one begins.
+    face : float
+        Triangle of a mesh.
     x, y, z : float
         What the proxy is pulled to [m].
     nx, ny, nz : float
@@ -130,13 +147,17 @@ def core(
         away += scene[RADIUS]
         if away > LIP:
             return True, x - away * ox, y - away * oy, z - away * oz
+    if kind == MESH and scene[RADIUS] > LIP:
+        qx, qy, qz, inside = nearest_on_triangle(scene, int(scene[row + TRIANGLES]) + TRIANGLE * int(face), x, y, z)
+        if not inside:
+            return True, qx, qy, qz
     return False, 0.0, 0.0, 0.0
 
 
 def convex_hit(
     scene: Sequence[float], row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
-) -> float:
-    """Part of a straight step that the tool can go before it hits a convex shape; 2.0 when it does not hit.
+) -> tuple[float, float, float, float]:
+    """Part of a straight step that the tool can go before it hits a convex shape, and the normal there; 2.0 for no hit.
 
     Parameters
     ----------
@@ -151,17 +172,17 @@ def convex_hit(
 
     Returns
     -------
-    float
-        0.0 to 1.0, or 2.0.
+    tuple of float
+        0.0 to 1.0, or 2.0; and the normal.
     """
-    part = 0.0
+    part, nx, ny, nz = 0.0, 0.0, 0.0, 1.0
     for _ in range(_STEPS):
         left, nx, ny, nz = gap(scene, row, x + part * sx, y + part * sy, z + part * sz)
         closing = nx * sx + ny * sy + nz * sz
         # A convex function lies above its tangent: what the tangent does not reach is not reached.
         if left + closing * (1.0 - part) >= -TOLERANCE:
-            return 2.0
+            return 2.0, nx, ny, nz
         if left <= TOLERANCE:
-            return part
+            break
         part -= left / closing
-    return part
+    return part, nx, ny, nz

@@ -33,36 +33,24 @@ def step_between(
     tuple of float
         Step [m].
     """
-    if _worst(memory, count, vx, vy, vz) <= _SLACK:
-        return _settled(memory, count, vx, vy, vz, -1, -1, -1)
     best, bi, bj, bk = 1e300, -1, -1, -1
-    for i in range(count):
-        if _needs(memory, i, vx, vy, vz) > 0.0:
-            sx, sy, sz = _against(memory, vx, vy, vz, i, -1, -1)
-            worst = _worst(memory, count, sx, sy, sz)
-            if worst < best:
-                best, bi, bj, bk = worst, i, -1, -1
-    for size in range(2, 4):
+    for size in range(4):
         if best <= _SLACK or count < size:
             break
-        for i in range(count):
-            for j in range(i + 1, count):
-                for k in range(j + 1 if size == 3 else -1, count if size == 3 else 0):
+        # Loops over nothing count as one turn with −1, so that each function is called at one place: they are compiled into it.
+        for i in range(-1 if size < 1 else 0, 0 if size < 1 else count):
+            for j in range(-1 if size < 2 else i + 1, 0 if size < 2 else count):
+                for k in range(-1 if size < 3 else j + 1, 0 if size < 3 else count):
                     sx, sy, sz = _against(memory, vx, vy, vz, i, j, k)
                     if _all_push(memory, i, j, k):
-                        worst = _worst(memory, count, sx, sy, sz)
+                        worst = -1e300
+                        for n in range(count):
+                            worst = max(worst, _needs(memory, n, sx, sy, sz))
                         if worst < best:
                             best, bi, bj, bk = worst, i, j, k
-    return _settled(memory, count, vx, vy, vz, bi, bj, bk)
-
-
-def _settled(
-    memory: MutableSequence[float], count: int, vx: float, vy: float, vz: float, i: int, j: int, k: int
-) -> tuple[float, float, float]:
-    """Step on the planes that carry it, if any; the others have no multiplier."""
     for n in range(count):
         memory[CONTACTS + CONTACT * n + SHARE] = 0.0
-    return _against(memory, vx, vy, vz, i, j, k) if i >= 0 else (vx, vy, vz)
+    return _against(memory, vx, vy, vz, bi, bj, bk)
 
 
 def _needs(memory: MutableSequence[float], i: int, vx: float, vy: float, vz: float) -> float:
@@ -71,17 +59,10 @@ def _needs(memory: MutableSequence[float], i: int, vx: float, vy: float, vz: flo
     return -memory[at + GAP] - (memory[at] * vx + memory[at + 1] * vy + memory[at + 2] * vz)
 
 
-def _worst(memory: MutableSequence[float], count: int, vx: float, vy: float, vz: float) -> float:
-    worst = -1e300
-    for i in range(count):
-        worst = max(worst, _needs(memory, i, vx, vy, vz))
-    return worst
-
-
 def _all_push(memory: MutableSequence[float], i: int, j: int, k: int) -> bool:
     return (
-        memory[CONTACTS + CONTACT * i + SHARE] > 0.0
-        and memory[CONTACTS + CONTACT * j + SHARE] > 0.0
+        (i < 0 or memory[CONTACTS + CONTACT * i + SHARE] > 0.0)
+        and (j < 0 or memory[CONTACTS + CONTACT * j + SHARE] > 0.0)
         and (k < 0 or memory[CONTACTS + CONTACT * k + SHARE] > 0.0)
     )
 
@@ -94,7 +75,9 @@ def _dot(memory: MutableSequence[float], i: int, j: int) -> float:
 def _against(
     memory: MutableSequence[float], vx: float, vy: float, vz: float, i: int, j: int, k: int
 ) -> tuple[float, float, float]:
-    """Step on one, two or three planes at once; their multipliers are written, 0 where they are all but parallel."""
+    """Step on up to three planes at once (-1: none); their multipliers are written, 0 where they are all but parallel."""
+    if i < 0:
+        return vx, vy, vz
     a = _needs(memory, i, vx, vy, vz)
     b = c = 0.0
     if j >= 0:

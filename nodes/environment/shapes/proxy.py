@@ -58,6 +58,9 @@ _STILL = 1e-14
 
 _MOST_ROUNDS = 200
 
+_FAR = 1e3
+"""A device that says it is further away than this is lost [m]: it touches nothing, and is met anew when it returns."""
+
 _FACING = 0.2
 """Cosine from which on the centre of a round part shows the way."""
 
@@ -84,9 +87,14 @@ def meet(scene: Sequence[float], memory: MutableSequence[float], x: float, y: fl
     x, y, z : float
         Device position [m].
     """
+    memory[ROUNDS] = 0.0
+    if not (abs(x) < _FAR and abs(y) < _FAR and abs(z) < _FAR):
+        memory[PLACED] = 0.0
+        memory[PROXY], memory[PROXY + 1], memory[PROXY + 2] = x, y, z
+        memory[NORMAL] = memory[NORMAL + 1] = memory[NORMAL + 2] = memory[DISTANCE] = memory[IN_CONTACT] = 0.0
+        return
     if memory[PLACED] == 0.0:
         _place(scene, memory, x, y, z)
-    memory[ROUNDS] = 0.0
     gx, gy, gz = x, y, z
     before, trying = 0.0, False
     for turn in range(_TURNS):
@@ -152,10 +160,15 @@ def _descend(
 ) -> bool:
     """Bring the proxy as near as it can come, descending all the way; whether something holds it."""
     x, y, z = memory[AT], memory[AT + 1], memory[AT + 2]
-    count = _touching(scene, memory, int(memory[TOUCHED]), x, y, z)
-    sliding, slid, idle = memory[SLIDING] == 1.0, 0.0, 0
-    for _ in range(_MOST_ROUNDS):
+    count, sliding, slid, idle = int(memory[TOUCHED]), memory[SLIDING] == 1.0, 0.0, 0
+    covered, nx, ny, nz, shape, face = 1.0, 0.0, 0.0, 1.0, -1.0, -1.0
+    for turn in range(_MOST_ROUNDS):
         memory[ROUNDS] += 1.0
+        before = count
+        count = _touching(scene, memory, count, x, y, z)
+        if shape >= 0.0:
+            count = _add(scene, memory, count, nx, ny, nz, shape, face, x, y, z)
+        idle = idle + 1 if covered <= _STILL and count == before else 0
         vx, vy, vz = dx - x, dy - y, dz - z
         sx, sy, sz = step_between(memory, count, vx, vy, vz)
         length = sqrt(sx * sx + sy * sy + sz * sz)
@@ -185,7 +198,7 @@ def _descend(
                 length = 0.0
             else:
                 part = left / (length * (1.0 + behind))
-        if length <= _STILL:
+        if length <= _STILL or idle > 2 or turn == _MOST_ROUNDS - 1:
             break
         if carrying == 1:
             at = CONTACTS + CONTACT * carrier
@@ -194,26 +207,15 @@ def _descend(
             sx, sy, sz = _along_crease(scene, memory, count, x, y, z, sx, sy, sz)
         sx, sy, sz = part * sx, part * sy, part * sz
         go, nx, ny, nz, shape, face = _first_hit(scene, x, y, z, sx, sy, sz)
-        if go > 1.0:
-            if carrying == 0:
-                # Nothing in the way: the device itself, to the bit.
-                x, y, z = (dx, dy, dz) if part == 1.0 else (x + sx, y + sy, z + sz)
-            else:
-                x, y, z = x + sx, y + sy, z + sz
-            go = 1.0
+        if go > 1.0 and not held:
+            # Nothing in the way: the device itself, to the bit.
+            go, x, y, z = 1.0, dx, dy, dz
         else:
+            go = min(go, 1.0)
             x, y, z = x + go * sx, y + go * sy, z + go * sz
         covered = go * sqrt(sx * sx + sy * sy + sz * sz)
         if held:
             slid += covered
-        before = count
-        count = _touching(scene, memory, count, x, y, z)
-        if shape >= 0.0:
-            count = _add(scene, memory, count, nx, ny, nz, shape, face, x, y, z)
-        idle = idle + 1 if covered <= _STILL and count == before else 0
-        if idle > 2:
-            break
-    step_between(memory, count, dx - x, dy - y, dz - z)
     memory[AT], memory[AT + 1], memory[AT + 2] = x, y, z
     memory[TOUCHED] = float(count)
     if rough:
@@ -241,7 +243,7 @@ def _around(
     """On a round part: the step along its tangent plane to above where the proxy comes to rest, from where it only drops."""
     row = ROWS + ROW * int(memory[at + SHAPE])
     nx, ny, nz = memory[at], memory[at + 1], memory[at + 2]
-    is_round, cx, cy, cz = core(scene, row, dx, dy, dz, nx, ny, nz)
+    is_round, cx, cy, cz = core(scene, row, memory[at + FACE], dx, dy, dz, nx, ny, nz)
     if is_round:
         ox, oy, oz = dx - cx, dy - cy, dz - cz
         facing = nx * ox + ny * oy + nz * oz
@@ -285,14 +287,19 @@ def _along_crease(
         if memory[at + SHARE] > 0.0:
             row = ROWS + ROW * int(memory[at + SHAPE])
             nx, ny, nz = memory[at], memory[at + 1], memory[at + 2]
-            is_round, cx, cy, cz = core(scene, row, x, y, z, nx, ny, nz)
-            if is_round:
-                px, py, pz = x + _BIT * tx, y + _BIT * ty, z + _BIT * tz
-                _, ox, oy, oz = core(scene, row, px, py, pz, nx, ny, nz)
-                follows = ((ox - cx) * tx + (oy - cy) * ty + (oz - cz) * tz) / _BIT
-                radius = nx * (x - cx) + ny * (y - cy) + nz * (z - cz)
-                if radius > 0.0:
-                    steep -= memory[at + SHARE] * (1.0 - follows) / radius
+            begins = follows = radius = 0.0
+            is_round = False
+            for n in range(2):
+                on = n * _BIT
+                px, py, pz = x + on * tx, y + on * ty, z + on * tz
+                is_round, cx, cy, cz = core(scene, row, memory[at + FACE], px, py, pz, nx, ny, nz)
+                along = (cx - x) * tx + (cy - y) * ty + (cz - z) * tz
+                if n == 0:
+                    begins, radius = along, nx * (x - cx) + ny * (y - cy) + nz * (z - cz)
+                else:
+                    follows = (along - begins) / _BIT
+            if is_round and radius > 0.0:
+                steep -= memory[at + SHARE] * (1.0 - follows) / radius
     more = (tx * sx + ty * sy + tz * sz) * (1.0 / max(steep, _FLATTEST) - 1.0)
     return sx + more * tx, sy + more * ty, sz + more * tz
 
@@ -309,10 +316,9 @@ def _first_hit(
             if part < best:
                 best, nx, ny, nz, shape, face = part, px, py, pz, float(n), triangle
         else:
-            part = convex_hit(scene, row, x, y, z, sx, sy, sz)
+            part, px, py, pz = convex_hit(scene, row, x, y, z, sx, sy, sz)
             if part < best:
-                _, nx, ny, nz = gap(scene, row, x + part * sx, y + part * sy, z + part * sz)
-                best, shape, face = part, float(n), -1.0
+                best, nx, ny, nz, shape, face = part, px, py, pz, float(n), -1.0
     return best, nx, ny, nz, shape, face
 
 
@@ -408,6 +414,10 @@ def _answer(scene: Sequence[float], memory: MutableSequence[float], x: float, y:
         share = memory[at + SHARE]
         nx, ny, nz = nx + share * memory[at], ny + share * memory[at + 1], nz + share * memory[at + 2]
     length = sqrt(nx * nx + ny * ny + nz * nz)
+    if length == 0.0:
+        # Held, but by nothing at its very end: on the way between two of many constraints.
+        nx, ny, nz = ax - x, ay - y, az - z
+        length = sqrt(nx * nx + ny * ny + nz * nz)
     if length > 0.0:
         nx, ny, nz = nx / length, ny / length, nz / length
         away = nx * (x - ax) + ny * (y - ay) + nz * (z - az)

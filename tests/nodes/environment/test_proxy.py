@@ -46,13 +46,6 @@ def around(depth: float, ticks: int = 400, speed: float = 0.2, period: float = 1
     return np.concatenate([np.linspace([RADIUS + 0.002, 0.0, 0.0], ring[0], 20), ring])
 
 
-def outside_of(solid: Solid, found: Touched, radius: float = 0.0) -> None:
-    """No proxy is inside; and in free space the device itself is the proxy, to the bit."""
-    distances = np.array([distance_to(solid, point) for point in found.proxy])
-    assert distances.min() >= radius - EXACT
-    assert np.array_equal(found.proxy[~found.contact], found.path[~found.contact])
-
-
 @pytest.mark.parametrize("tool", [0.0, 5e-4])
 @pytest.mark.parametrize("depth", [1e-6, 4e-3, 0.045])
 def test_on_a_sphere_it_is_the_radial_projection(depth: float, tool: float) -> None:
@@ -182,13 +175,14 @@ def test_at_rest_the_deflection_is_carried_by_what_is_touched(name: str, tool: f
     )
     found = led(solids, path, tool)
     assert 0.1 < found.contact.mean() < 0.95
+    assert np.array_equal(found.proxy[~found.contact], path[~found.contact])
     worst = 0.0
     for device, at in zip(path[::3], found.proxy[::3], strict=True):
         assert min(distance_to(solid, at) for solid in solids) >= tool - 1e-11
         worst = max(worst, out_of_balance(solids, tool, at, device))
     # Gradients by differences over 1 µm on curvatures of 1/4 mm: 1e-7 of a deflection of 10 mm.
     assert worst < 2e-8
-    assert found.rounds.max() < 150
+    assert found.rounds.max() < 50
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -253,6 +247,19 @@ def test_the_distance_from_outside_is_that_of_the_textbook() -> None:
                     assert min(distance_to(solid, nearer) for solid in solids) == pytest.approx(
                         distance - 1e-7, abs=1e-11
                     )
+
+
+def test_a_position_beyond_all_reason_leaves_no_trace() -> None:
+    """Squares of 1e300 overflow; afterwards the proxy is met as on the first tick."""
+    for solids in SCENES.values():
+        wild = np.array(
+            [[0.0, 0.0, 0.03], [1e300, -1e300, 1e300], [0.0, 1e4, 0.0], [0.0, 0.0, 0.03], [0.0, 0.0, 0.001]]
+        )
+        found, calm = led(solids, wild), led(solids, wild[3:])
+        assert np.array_equal(found.proxy[3:], calm.proxy)
+        assert np.array_equal(found.proxy[:3], np.where(found.contact[:3, None], found.proxy[:3], wild[:3]))
+        assert not found.contact[1:3].any()
+        assert np.isfinite(found.distance).all()
 
 
 def test_a_device_that_begins_inside_starts_on_the_nearest_surface() -> None:
