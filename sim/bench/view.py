@@ -10,6 +10,7 @@ import shutil
 import signal
 import statistics
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +22,7 @@ from nodes.base.realtime import memory_bytes, off
 from nodes.cli.main import UsageError, add_json, answer
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
+from sim.bench.page_pictures import take
 from sim.measure.launches import HAPTIC, Running, machine
 from sim.measure.stopwatch import Progress
 
@@ -52,6 +54,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, default=500.0, help="sampling rate [Hz] (default 500)")
     parser.add_argument(
         "--picture", type=Path, metavar="FILE", help="take one of the page while the wall is pushed (PNG)"
+    )
+    parser.add_argument(
+        "--pictures", type=Path, metavar="FOLDER", help="take those of the project's pages instead of measuring (PNG)"
     )
     parser.add_argument("--minutes", type=float, default=30.0, help="of ticks for the memory (default 30)")
     add_json(parser)
@@ -88,9 +93,14 @@ def _with_page(
         page.add_init_script(FIRST)
         page.goto(url)
         delays["first_picture_s"].append(page.wait_for_function("window.shown").json_value() / 1e3)
+        # All that a page may cost at once: it is dragged, heard, and another law is played beside the launch.
+        page.locator("#sound").click()
+        page.evaluate("haptic.beside.choose('multi_term')")
+        page.wait_for_function("haptic.beside.times.length > 100")
         began = time.monotonic()
         _drag(page, seconds)
         ended = time.monotonic()
+        delays["hand_to_picture_s"] += [ms / 1e3 for ms in page.evaluate("haptic.lag.all")]
         delays["switch_s"] += [page.evaluate(SWITCH, name) / 1e3 for name in ("multi_term", "pd")]
         if picture is not None:
             _drag(page, 1.0, picture)
@@ -106,7 +116,7 @@ def loop_cost(
 ) -> dict[str, Any]:
     """Run one launch and open a page in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
-    delays: dict[str, list[float]] = {"first_picture_s": [], "switch_s": []}
+    delays: dict[str, list[float]] = {"first_picture_s": [], "switch_s": [], "hand_to_picture_s": []}
     # As ``haptic view`` opens one: a browser, too, keeps off the processor of the loop.
     with Running("touch_wall", f"rate:={rate}") as launch, off(launch.run.processors), browsing() as browser:
         for _ in range(rounds):
@@ -181,11 +191,16 @@ def browsing() -> Iterator[Any]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
+    if arguments.pictures is not None:
+        with browsing() as browser:
+            taken = take(browser, arguments.pictures, lambda name: print(name, file=sys.stderr, flush=True))
+        answer(arguments.json, {"pictures": [str(path) for path in taken]}, "\n".join(map(str, taken)))
+        return 0
     progress = Progress(2 * arguments.rounds)
     figures = loop_cost(arguments.rounds, arguments.seconds, arguments.rate, progress, arguments.picture)
     figures |= {"memory": memory(arguments.minutes, arguments.rate), "machine": machine()}
     lines = [figures["machine"]]
-    for label, text in (("without", "no page"), ("with", "page open, somebody dragging")):
+    for label, text in (("without", "no page"), ("with", "page open, dragged, with sound and A | B")):
         half = figures[label]
         lines.append(
             f"{text}: response p50 {statistics.median(half['p50_us']):.0f} µs, p99 {statistics.median(half['p99_us']):.0f} µs, "
@@ -195,9 +210,10 @@ def run(arguments: argparse.Namespace) -> int:
         f"with/without: p50 {figures['p50_ratio']:.2f} (rounds without differ by {figures['p50_spread']:.2f}), "
         f"p99 {figures['p99_ratio']:.2f} ({figures['p99_spread']:.2f}); messages lost by the recording {figures['lost']}"
     )
-    kept, switch = figures["memory"], figures["switch_s"] * 1e3
+    kept, switch, hand = figures["memory"], figures["switch_s"] * 1e3, figures["hand_to_picture_s"] * 1e3
     lines.append(
-        f"first picture {figures['first_picture_s']:.2f} s after the URL, a switch shown in {switch:.0f} ms; memory "
+        f"first picture {figures['first_picture_s']:.2f} s after the URL, the hand in {hand:.0f} ms, "
+        f"a switch shown in {switch:.0f} ms; memory "
         f"{kept['after_one_minute_mb']:.1f} MB after one minute, {kept['at_the_end_mb']:.1f} MB after {arguments.minutes:g}"
     )
     answer(arguments.json, figures, "\n".join(lines))

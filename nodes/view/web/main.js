@@ -1,6 +1,7 @@
 // Wires the page: one connection, and what it brings to dial, scene, force, plots, law, map and log.
 import { Beside } from "./beside.js";
 import { Dial } from "./dial.js";
+import { Lag } from "./lag.js";
 import { Laws } from "./laws.js";
 import { Link } from "./link.js";
 import { linkOf, readState } from "./link_state.js";
@@ -26,8 +27,16 @@ let hello = null;
 let stoppedAt = null;
 const log = new Log($("log"));
 const status = new Status({ words: $("words"), dot: $("dot"), figures: $("figures"), nodes: $("nodes"), notice: $("notice") });
-const scene = new Scene($("scene"), $("lens"), $("reading"), (target) => { $("hint").textContent = ""; link.hand(target); });
-const space = new Space($("space"), (target) => { $("hint").textContent = ""; link.hand(target); });
+const lag = new Lag();
+
+function moved(target) {
+  $("hint").textContent = "";
+  lag.leave(target);
+  link.hand(target);
+}
+
+const scene = new Scene($("scene"), $("lens"), $("reading"), moved);
+const space = new Space($("space"), moved);
 const strip = new Strip($("strip"));
 const slow = new SlowMotion();
 const plots = new Plots($("plots"), $("legend"), $("values"), (live) => {
@@ -89,6 +98,7 @@ const link = new Link({
   frame(frame) {
     if (!store) return;
     store.add(frame);
+    lag.arrive(frame.now.target);
     sound.hear();
     if (!slow.on) { scene.show(frame.now); space.show(frame.now); }
     replay.at(frame.now.t);
@@ -97,6 +107,7 @@ const link = new Link({
   },
   status(found) {
     status.show(found);
+    if (lag.median !== null) status.row("hand → picture", `${Math.round(lag.median)} ms`);
     const stopped = found.safety === "stopped";
     map.stop(stopped);
     if (stopped && found.stop && stoppedAt !== found.stop.t && !hello?.replay) watchSlowly(found.stop);
@@ -254,4 +265,4 @@ requestAnimationFrame(draw);
 setInterval(() => { scene.tell(); space.tell(); }, 100);
 
 // For the console, and the tests.
-Object.assign(globalThis, { haptic: { scene, space, strip, plots, dial, map, laws, slow, beside, sound, tour } });
+Object.assign(globalThis, { haptic: { lag, scene, space, strip, plots, dial, map, laws, slow, beside, sound, tour } });
