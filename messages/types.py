@@ -85,7 +85,8 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     safety : str
         ``ramp``, ``active``, ``damping``, ``zero``, ``fault`` or ``stopped``: what the driver does with forces now.
     energy : float
-        Energy given out by the virtual side up to this tick, exact under zero-order hold [J].
+        Energy given out by the virtual side up to this tick [J]: exact where forces change at ticks; one that changes within
+        a tick counts as if the device moved evenly in it.
     delay : float
         Measured delay of the previous tick, from its sample to the force that answered it taking effect [ticks].
     guard : float

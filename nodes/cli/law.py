@@ -177,6 +177,8 @@ def _show(arguments: argparse.Namespace) -> int:
         + (f", {figures['sections']} recursive sections" if figures["sections"] else ""),
         *_table({"": figures}),
     ]
+    if figures["h_nyquist_n_per_m"] is None:
+        lines.append("  its own code is left out of H(1), which is that of its taps; the other figures need taps alone")
     if arguments.damping is not None and arguments.gain is None and "damping" in figures:
         lines.append(
             f"  --damping {arguments.damping:g} is the device's; the law's own is --gain, {figures['damping']:g} here"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +97,25 @@ def with_front(group: Group) -> Group:
     marks = on_front([p.cost for p in group.points], [p.error for p in group.points])
     marked = [replace(point, on_front=mark) for point, mark in zip(group.points, marks, strict=True)]
     return replace(group, points=tuple(sorted(marked, key=lambda p: (p.cost, p.error))))
+
+
+def kept(path: Path, part: str) -> list[Group] | None:
+    """Read what an interrupted run has found of a part; None when there is nothing."""
+    if not path.is_file():
+        return None
+    told = json.loads(path.read_text(encoding="utf-8")).get(part)
+    if told is None:
+        return None
+    return [Group(**{**group, "points": tuple(Point(**point) for point in group["points"])}) for group in told]
+
+
+def keep(path: Path, part: str, groups: Sequence[Group]) -> None:
+    """Add a part to what an interrupted run has found."""
+    told = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(".new")
+    beside.write_text(json.dumps(told | {part: [asdict(group) for group in groups]}), encoding="utf-8")
+    beside.replace(path)
 
 
 def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> dict[str, Any]:

@@ -59,7 +59,8 @@ def claims_4(setting: Setting, curves: list[Curve], spreads: list[tuple[float, s
     ]
     others = [name for name in LAWS if name != "pd"]
     # The paper's own unit first: nominal K, no delay.
-    claims[:0] = [_against_pd(setting, pd, optimum, felt=False), *_thesis(setting, [pd, optimum])]
+    late = _against_pd(setting, by["pd", 1.0, False], by["paper_optimum", 1.0, False], felt=False)
+    claims[:0] = [_against_pd(setting, pd, optimum, felt=False), late, *_thesis(setting, [pd, optimum])]
     for delay in DELAYS:
         for touch in (False, True):
             claims += [

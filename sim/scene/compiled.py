@@ -114,7 +114,8 @@ kernel(held_back)
 kernel(went_on)
 kernel(faded)
 # Compiled, the code of its own is handed over as its numbers.
-overload(own_force)(
+# Not strict: numba takes annotations for part of an argument's name.
+overload(own_force, strict=False)(
     lambda own, history, head: _pushed if getattr(own, "instance_class", None) is Pushing else _windowed  # noqa: ARG005
 )
 

@@ -45,7 +45,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Analyse one law on one device."""
     device, period = shared.device(arguments), 1.0 / arguments.rate
-    law = shared.law(arguments, arguments.law, arguments.gain)
+    law = shared.law(arguments, arguments.law, arguments.gain, nominal=True)
     try:
         compiled = compile_law(law, period)
         derivative = without_spring(law, period)
@@ -70,8 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
         figures["rest"]["map"] = rest_map(
             compiled, nominal, device, arguments.resolution, friction, arguments.out / "rest.png"
         )
+    figures["loop"] = shared.head(law, device)
     figures["plot"] = str(_draw(arguments, compiled, device))
-    answer(arguments.json, figures, _text(figures))
+    answer(arguments.json, figures, f"{figures['loop']}\n{_text(figures)}")
     return 0
 
 

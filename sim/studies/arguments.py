@@ -9,7 +9,7 @@ from typing import Any
 
 from nodes.cli.main import UsageError, add_json
 from nodes.laws import Law, law_names, load_law
-from nodes.laws.parse import parse_law
+from nodes.laws.parse import law_to_dict, parse_law
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.stability.plant import Plant
@@ -94,8 +94,19 @@ def device(arguments: argparse.Namespace) -> Plant:
     return Plant(1.0 / arguments.rate, arguments.mass, arguments.damping, arguments.delay, arguments.hand)
 
 
-def law(arguments: argparse.Namespace, name: str, gain: float | None = None) -> Law:
-    """Build the law that was asked for."""
+def head(law: Law, plant: Plant, gain: str = "") -> str:
+    """Say what a study is about, in its first line: the law, the device and the loop."""
+    told = law_to_dict(law)
+    forms = {"stiffness": "K {:g} N/m", "damping": "B {:g}", "order": "order {:g}"}
+    keys = ("order",) if gain else forms
+    parts = [gain] if gain else []
+    parts += [forms[key].format(told[key]) for key in keys if key in told]
+    device = f"m {plant.mass:g} kg, b {plant.damping:g} N s/m, hand {plant.stiffness:g} N/m"
+    return f"{' '.join([law.kind, ', '.join(parts)])}; {device}, delay {plant.delay:g} ticks, {1.0 / plant.period:g} Hz"
+
+
+def law(arguments: argparse.Namespace, name: str, gain: float | None = None, nominal: bool = False) -> Law:
+    """Build the law that was asked for; what decides the answer is asked for, not assumed."""
     data: Any = {"kind": name}
     if name.lstrip().startswith("{"):
         try:
@@ -114,7 +125,12 @@ def law(arguments: argparse.Namespace, name: str, gain: float | None = None) -> 
         data |= {key: value for key, value in given.items() if value is not None}
     try:
         kind = data.get("kind") if isinstance(data, dict) else None
-        if kind in law_names() and "stiffness" in load_law(kind).__struct_fields__:
+        fields = load_law(kind).__struct_fields__ if kind in law_names() else ()
+        if "damping" in fields and "damping" not in data and not name.lstrip().startswith("{"):
+            raise UsageError(f"{kind}: give its damping gain, --gain B; 0 is a bare spring")
+        if "stiffness" in fields and nominal and "stiffness" not in data:
+            raise UsageError(f"{kind}: give its nominal stiffness, --stiffness K [N/m]")
+        if "stiffness" in fields:
             data.setdefault("stiffness", 1.0)
         return parse_law(data)
     except (ParameterError, TypeError) as error:

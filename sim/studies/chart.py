@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.chart.integrators import integrator_groups, integrator_steps
     from sim.chart.k_max import kmax_groups, kmax_steps
     from sim.chart.page import conclusions, draw, page
-    from sim.chart.points import Group, as_json, save, with_front
+    from sim.chart.points import Group, as_json, keep, kept, save, with_front
     from sim.chart.rates import rate_groups, rate_steps
     from sim.measure.launches import MeasurementError
     from sim.measure.stopwatch import Progress, machine
@@ -58,14 +58,27 @@ def run(arguments: argparse.Namespace) -> int:
     progress = Progress(sum(makers[part][1](arguments.quick) * makers[part][2] for part in parts))
     groups: list[Group] = []
     failures: list[str] = []
+    # What is done of a run that is stopped; figures of time are of one machine, so a finished run leaves none.
+    diary = arguments.out / ("chart.quick.part" if arguments.quick else "chart.part")
     for part in parts:
-        make, _, weight = makers[part]
+        make, steps, weight = makers[part]
         step = partial(_advance, progress, weight)
         try:
-            groups += [with_front(group) for group in make(step, arguments.quick)]
+            found = kept(diary, part)
+            if found is None:
+                found = [with_front(group) for group in make(step, arguments.quick)]
+                keep(diary, part, found)
+            else:
+                progress.step(f"{part}: done before", steps(arguments.quick) * weight)
+            groups += found
         except MeasurementError as error:
             # The other parts are worth keeping; the exit code tells that one is missing.
             failures.append(f"{part}: {error}")
+        except KeyboardInterrupt:
+            failures.append(f"{part}: interrupted; the same command goes on here")
+            break
+    else:
+        diary.unlink(missing_ok=True)
     seconds, where = time.monotonic() - start, machine()
     files = save(groups, where, seconds, arguments.out)
     for group in groups:

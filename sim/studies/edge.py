@@ -76,6 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
         "plot": str(plot),
     }
     text = (
+        f"m {device.mass:g} kg, b {device.damping:g} N s/m, hand {device.stiffness:g} N/m, delay {device.delay:g} ticks, "
+        f"{arguments.rate:g} Hz; B {low:g} .. {high:g}\n"
         f"K_max = 2(b R - f(w_c))/T to {exact:.1e} over {len(rows)} loops; without R the ratio is {min(ratios):.3f} .. "
         f"{max(ratios):.3f} (THEORY.md §9)\n"
         f"pd_windowed is left out: no taps, so no f(w); its K_max is by drops (study kmax --method simulation)\n{plot}"

@@ -62,22 +62,30 @@ def run(arguments: argparse.Namespace) -> int:
     gain = None if arguments.gain is None else arguments.gain[0]
     if arguments.method == "lockstep":
         return _lockstep(arguments, gain, device)
+    loop = _loop(arguments, gain, device)
     found = _k_max(arguments, gain, device)
     stable = [[low, high if math.isfinite(high) else None] for low, high in found.stable]
-    figures = _figures(found) | {"stable_n_per_m": stable}
+    figures = {"loop": loop} | _figures(found) | {"stable_n_per_m": stable}
     if found.k_max_n_per_m is None:
-        answer(arguments.json, figures, "no stiffness is stable: lower the gain, the delay or the order")
+        answer(arguments.json, figures, f"{loop}\nno stiffness is stable: lower the gain, the delay or the order")
         return 1
     if not math.isfinite(found.k_max_n_per_m):
-        answer(arguments.json, figures, "every stiffness that was looked at is stable: there is no K_max")
+        answer(arguments.json, figures, f"{loop}\nevery stiffness that was looked at is stable: there is no K_max")
         return 0
     text = (
+        f"{loop}\n"
         f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\n"
         f"H(1)_max {found.h1_max_n_per_m:.6g} N/m (felt)\n"
         f"method   {found.method}"
     )
     answer(arguments.json, figures, text)
     return 0
+
+
+def _loop(arguments: argparse.Namespace, gain: float | None, device: Plant, gains: str = "") -> str:
+    """Name what is looked at; K is what is looked for."""
+    law = shared.law(arguments, arguments.law, gain)
+    return shared.head(law, device, gains or f"B {getattr(law, 'damping', 0.0):g}")
 
 
 def _k_max(arguments: argparse.Namespace, gain: float | None, device: Plant) -> KMax:
@@ -116,6 +124,7 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
         raise UsageError(str(error)) from error
     same = found.launched_n_per_m == found.one_process_n_per_m
     figures: dict[str, Any] = {
+        "loop": _loop(arguments, gain, device),
         "k_max_n_per_m": found.launched_n_per_m,
         "h1_max_n_per_m": found.h1_n_per_m,
         "method": "lockstep",
@@ -128,6 +137,7 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
         "none" if k is None else f"{k:.6g} N/m" for k in (found.launched_n_per_m, found.one_process_n_per_m)
     )
     text = (
+        f"{figures['loop']}\n"
         f"K_max    {by_launch} (nominal), by {found.launches} launches in lockstep\n"
         f"         {alone} in one process: {'the same' if same else 'NOT the same'}, "
         f"on steps of {figures['grid_ratio'] - 1.0:.2%}"
@@ -185,7 +195,8 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
         return 1
     best = max(stable, key=lambda point: float(point["h1_max_n_per_m"]))
     plot = _draw(arguments, points)
-    lines = ["      gain     K_max N/m   H(1)_max N/m"]
+    loop = _loop(arguments, low, device, f"B {low:g} .. {high:g}")
+    lines = [loop, "      gain     K_max N/m   H(1)_max N/m"]
     for point in points:
         k, h1 = point["k_max_n_per_m"], point["h1_max_n_per_m"]
         lines.append(
@@ -193,7 +204,7 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
         )
     lines.append(f"stiffest: gain {best['gain']:.4g}, H(1) {best['h1_max_n_per_m']:.6g} N/m\n{plot}")
     figures = {**{key: best[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")}, "gain": best["gain"]}
-    answer(arguments.json, {**figures, "points": points, "plot": str(plot)}, "\n".join(lines))
+    answer(arguments.json, {"loop": loop, **figures, "points": points, "plot": str(plot)}, "\n".join(lines))
     return 0
 
 

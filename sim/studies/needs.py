@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from sim.experiments.needs import Needs
     from sim.scene.from_launch import LaunchedScene
 
+_ROUNDING = 1e-15
+"""Positions are a few centimetres in double precision [m]."""
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
@@ -87,13 +90,18 @@ def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
     }
 
 
+def _micrometres(length: float) -> str:
+    """Give a length; what the arithmetic of a device at rest leaves is nought."""
+    return "0" if length < _ROUNDING else f"{1e6 * length:.3g}"
+
+
 def _text(name: str, model: Any, found: Needs) -> str:
     now = found.outcome
     stiffest = "" if now.h1_max_n_per_m is None else f", K_max (H(1)) {now.h1_max_n_per_m:.5g} N/m"
     lines = [
         f"{name}: for {', '.join(model.outcome)}; tolerance {100 * model.tolerance:g} %",
         f"settles in {now.settling_s:.3g} s, peak {now.peak_force_n:.3g} N, at rest {now.rest_force_n:.3g} N, swing at rest "
-        f"{1e6 * now.limit_cycle_m:.3g} µm{stiffest}; {found.tick_us:.3g} µs per tick in plain Python",
+        f"{_micrometres(now.limit_cycle_m)} µm{stiffest}; {found.tick_us:.3g} µs per tick in plain Python",
         "",
         f"{'term':24} {'switched':34} {'moves':>9}  {'of which most':14} {'costs µs':>14}  verdict",
     ]

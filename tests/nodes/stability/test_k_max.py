@@ -182,6 +182,24 @@ def test_kmax_draws_the_boundary(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert Path(figures["plot"]).read_bytes()[:4] == b"\x89PNG"
 
 
+def test_the_first_line_says_what_was_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loop = "m 0.2 kg, b 1.5 N s/m, hand 50 N/m, delay 1 ticks, 1000 Hz"
+    device = ["--mass", "0.2", "--damping", "1.5", "--hand", "50", "--delay", "1", "--rate", "1000"]
+    assert main(["study", "kmax", "--law", "pd", "--gain", "3", *device]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == f"pd B 3; {loop}"
+    assert main(["study", "analyse", "pd", "--gain", "3", *device, "--out", str(tmp_path)]) == 2
+    assert "--stiffness K" in capsys.readouterr().err
+    assert main(["study", "analyse", "pd", "--gain", "3", "--stiffness", "900", *device, "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == f"pd K 900 N/m, B 3; {loop}"
+
+
+def test_law_show_says_what_it_leaves_out(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["law", "show", "{kind: pd_windowed, stiffness: 900.0, damping: 3.0, resolution: 2.3e-5}"]) == 0
+    assert "its own code is left out of H(1)" in capsys.readouterr().out
+    assert main(["law", "show", "pd", "--stiffness", "900", "--gain", "3"]) == 0
+    assert "left out" not in capsys.readouterr().out
+
+
 def test_kmax_says_when_nothing_is_stable(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "kmax", "--law", "pd", "--gain", "500", "--json"]) == 1
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["k_max_n_per_m"] is None
@@ -191,6 +209,8 @@ def test_kmax_says_when_nothing_is_stable(capsys: pytest.CaptureFixture[str]) ->
     ("words", "message"),
     [
         ("study kmax --law pdq", "law.kind: 'pdq'"),
+        ("study kmax --law pd", "--gain B; 0 is a bare spring"),
+        ("study analyse pd", "--gain B; 0 is a bare spring"),
         ("study kmax --law pd --gain 3 --delay 1 --method closed_form", "closed_form needs"),
         ("study analyse {kind:", "law: not valid YAML"),
         ("study analyse {kind: pd, stiffness: -1}", r"law.stiffness"),

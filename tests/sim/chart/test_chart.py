@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -326,3 +327,34 @@ def test_the_best_gain_at_equal_demand_is_not_lost_between_two_tries() -> None:
         assert not keeps(way(1.002 * best, gain), RADII["stable"])
     assert keeps(way(best, at), RADII["stable"])
     assert best == pytest.approx(1966.5, rel=2e-3)
+
+
+def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done: list[str] = []
+
+    def integrator_groups(step: Callable[[str], None], quick: bool) -> list[Group]:
+        del step, quick
+        done.append("integrators")
+        rows = (("exact map", 1.0, 0.0), ("semi-implicit Euler 10", 2.0, 0.1), ("Runge-Kutta 4", 3.0, 1e-9))
+        points = tuple(Point(*row) for row in rows)
+        names = ("integrator_trajectory", "integrator_k_max")
+        return [Group(name, name, "cost", "error", points) for name in names]
+
+    def stopped(step: Callable[[str], None], quick: bool) -> list[Group]:
+        del step, quick
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sim.chart.integrators.integrator_groups", integrator_groups)
+    monkeypatch.setattr("sim.chart.k_max.kmax_groups", stopped)
+    words = ["study", "chart", "--parts", "integrators,kmax", "--quick", "--out", str(tmp_path), "--json"]
+    assert main(words) == 1
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["failures"] == ["kmax: interrupted; the same command goes on here"]
+    assert {point["group"] for point in told["points"]} == {"integrator_trajectory", "integrator_k_max"}
+    assert Path(told["page"]).is_file()
+    assert main(words) == 1
+    again = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert again["points"] == told["points"]
+    assert done == ["integrators"]
