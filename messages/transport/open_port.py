@@ -33,6 +33,9 @@ MOST_GROWTH = 128 << 20
 QUEUE = 4096
 """Messages queued for one listener before its newest ones are dropped."""
 
+GIVEN_BACK = 10.0
+"""How long ZeroMQ may take to give back a port that was closed, under thousands of connections [s]."""
+
 _PERIOD = 0.5
 _PAGE = resource.getpagesize()
 
@@ -121,7 +124,7 @@ class OpenPort:
         self._socket.close(linger=0)
         self._wanted = 0
         place = split(self._endpoint)[0].removeprefix("ipc://") if not self._is_open else ""
-        deadline = time.monotonic() + 1.0
+        deadline = time.monotonic() + GIVEN_BACK
         # ZeroMQ's thread gives the port back, or removes the file, in its own time; it must not remove the new one's.
         while place and os.path.exists(place) and time.monotonic() < deadline:
             time.sleep(0.001)

@@ -196,13 +196,13 @@ class Publisher:
         self.tend(1000)
         return self._subscriptions.total()
 
-    def tend(self, most: int = 16) -> bool:
+    def tend(self, most: int = 128) -> bool:
         """Take in what listeners have sent, of which only subscriptions and their ends count, and not too many at once.
 
         Parameters
         ----------
         most : int
-            How many at once; each costs the publishing thread some microseconds.
+            How many at once; each costs the publishing thread a microsecond, and what is left waits in memory.
 
         Returns
         -------
