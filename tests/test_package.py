@@ -22,7 +22,7 @@ from tests.support import ROOT
 from tests.support.launching import assert_nothing_left, private_runtime_dir
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-PACKAGES = ("messages", "nodes", "sim")
+PACKAGES = ("haptic", "messages", "nodes", "sim")
 
 
 def pip(*words: str) -> None:

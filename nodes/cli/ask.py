@@ -1,19 +1,15 @@
-"""Asking the nodes of a running launch, for the verbs: which run, which node, and refusals as exit codes."""
+"""Asking the nodes of a running launch, for the verbs: nodes/client, with exit codes in place of its errors."""
 
 from __future__ import annotations
 
 import argparse
-import difflib
-import os
 from typing import Any
 
-from messages.transport.requests import ControlError, call
-from messages.transport.sockets import new_context
+from messages.transport.requests import ControlError
 from nodes.cli.main import RefusedError, UsageError, add_json, add_run_name
-from nodes.launcher.runs import RunError, RunInfo, find_run
-
-TIMEOUT = 10.0
-"""Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
+from nodes.client import launches
+from nodes.client.launches import NoSuchNameError
+from nodes.launcher.runs import RunError, RunInfo
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
@@ -24,41 +20,31 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 def chosen_run(arguments: argparse.Namespace) -> RunInfo:
     """Find the run that is meant: by --run, else by the variable HAPTIC_RUN, else the only one."""
-    told = os.environ.get("HAPTIC_RUN") or None
     try:
-        return find_run(arguments.run_name or told)
+        return launches.find(arguments.run_name)
     except RunError as error:
-        source = f" (HAPTIC_RUN is {told!r})" if told and not arguments.run_name else ""
-        raise UsageError(f"{error}{source}") from error
+        raise UsageError(str(error)) from error
 
 
 def node_name(run: RunInfo, name: str) -> str:
     """Find a node by name, with or without the leading slash."""
-    plain = name.removeprefix("/")
-    if plain in run.nodes:
-        return plain
-    close = difflib.get_close_matches(plain, run.nodes, 1)
-    hint = f"did you mean {close[0]}?" if close else f"there is: {', '.join(run.nodes)}"
-    raise UsageError(f"{run.run}: no node is named {name!r}; {hint}")
+    try:
+        return launches.node_name(run, name)
+    except NoSuchNameError as error:
+        raise UsageError(str(error)) from error
 
 
 def known_topic(run: RunInfo, topic: str) -> str:
     """Check that a topic is published in a run; names are whole names."""
-    known = list(run.endpoints())
-    if topic not in known:
-        close = difflib.get_close_matches(topic, known, 1)
-        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
-        raise UsageError(f"{run.run}: no topic {topic!r}; {hint}")
-    return topic
-
-
-def ask(run: RunInfo, node: str, op: str, **args: object) -> Any:
-    """Ask one node."""
-    context = new_context()
     try:
-        return call(context, run.nodes[node].control, op, timeout=TIMEOUT, **args)
-    except (ControlError, ValueError, OverflowError, TypeError) as error:
-        # Beside refusals: an endpoint or key that cannot be used, a value that no message can carry.
+        return launches.known_topic(run, topic)
+    except NoSuchNameError as error:
+        raise UsageError(str(error)) from error
+
+
+def ask(run: RunInfo, node: str, op: str, **args: Any) -> Any:
+    """Ask one node."""
+    try:
+        return launches.ask(run, node, op, **args)
+    except ControlError as error:
         raise RefusedError(str(error)) from error
-    finally:
-        context.term()

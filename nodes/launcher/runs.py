@@ -8,6 +8,7 @@ belongs to somebody else and stays.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import stat
@@ -22,6 +23,9 @@ from nodes.base.setup import Setup
 
 MAX_IPC_PATH = 107
 """Longest path of a Unix socket [bytes]."""
+
+LONGEST_NAME = 32
+"""Longest name of a node [letters]."""
 
 
 class RunError(HapticError):
@@ -126,14 +130,21 @@ def is_marked(path: Path) -> bool:
         return False
 
 
+def _place(run: str) -> Path:
+    """Directory of a run: its name, or a short one where the paths of sockets would be too long for the kernel."""
+    for name in (run, hashlib.sha256(run.encode()).hexdigest()[:8]):
+        path = runs_dir() / name
+        longest = len(os.fsencode(path / ("n" * LONGEST_NAME + ".listen")))
+        if longest <= MAX_IPC_PATH:
+            return path
+    raise RunError(
+        f"{path}: socket paths could reach {longest} bytes, limit {MAX_IPC_PATH}; set HAPTIC_RUNTIME_DIR to a shorter path"
+    )
+
+
 def new_run_dir(run: str) -> Path:
     """Make the private directory of a run."""
-    path = runs_dir() / run
-    longest = len(os.fsencode(path / ("n" * 32 + ".listen")))
-    if longest > MAX_IPC_PATH:
-        raise RunError(
-            f"{path}: socket paths could reach {longest} bytes, limit {MAX_IPC_PATH}; set HAPTIC_RUNTIME_DIR to a shorter path"
-        )
+    path = _place(run)
     try:
         path.mkdir(mode=0o700)
     except FileExistsError as error:
@@ -148,7 +159,7 @@ OWNER = "owner"
 
 def new_node_dir(run: str) -> Path:
     """Make the private directory of a node whose launcher is elsewhere, or take over that of its killed predecessor."""
-    path = runs_dir() / run
+    path = _place(run)
     if not is_marked(path) or not (path / OWNER).exists() or _is_kept(path):
         new_run_dir(run)
     (path / OWNER).write_text(f"{os.getpid()} {started_at(os.getpid())}", encoding="ascii")
@@ -207,8 +218,8 @@ def ended_why(run_dir: str) -> str:
     return path.read_text(encoding="utf-8") if run_dir and path.exists() else ""
 
 
-def runs() -> dict[str, RunInfo]:
-    """List the live runs of this user on this machine."""
+def _live() -> dict[Path, RunInfo]:
+    """List the live runs by their directories, the oldest first."""
     found = []
     for path in runs_dir().glob("*/run.json"):
         try:
@@ -217,8 +228,13 @@ def runs() -> dict[str, RunInfo]:
         except (FileNotFoundError, msgspec.DecodeError):
             continue
         if info.lives:
-            found.append((started, info))
-    return {info.run: info for _, info in sorted(found, key=lambda item: item[0])}
+            found.append((started, path.parent, info))
+    return {folder: info for _, folder, info in sorted(found, key=lambda item: item[:2])}
+
+
+def runs() -> dict[str, RunInfo]:
+    """List the live runs of this user on this machine."""
+    return {info.run: info for info in _live().values()}
 
 
 def find_run(name: str | None = None) -> RunInfo:
@@ -237,10 +253,10 @@ def find_run(name: str | None = None) -> RunInfo:
 def sweep() -> list[str]:
     """Remove the directories of runs whose launcher and nodes are all gone; only what bears the mark of a run."""
     swept = []
-    live = runs()
+    live = _live()
     for path in runs_dir().iterdir():
         # A directory that is being set up has no run.json yet; its launcher takes well under a minute.
-        if not is_marked(path) or path.name in live or time.time() - path.stat().st_mtime < 60.0:
+        if not is_marked(path) or path in live or time.time() - path.stat().st_mtime < 60.0:
             continue
         pids = [int(entry) for entry in os.listdir("/proc") if entry.isdigit()]
         if not _is_kept(path) and not any(belongs(pid, path) for pid in pids):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import msgspec
 
+from nodes.parameters.checked import check_fields
 from nodes.parameters.registry import Registry
 
 if TYPE_CHECKING:
@@ -118,9 +119,18 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     ----------
     kind : str
         Class variable: the registered name.
+
+    Raises
+    ------
+    ParameterError
+        When a parameter is of the wrong type, out of its limits or not finite.
     """
 
     kind: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        """Check what Python code gives as YAML is checked."""
+        check_fields(self, self.kind)
 
     def compile(self, period: float) -> CompiledLaw:
         """Turn the parameters into taps.

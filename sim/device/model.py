@@ -18,6 +18,8 @@ from typing import Annotated
 
 import msgspec
 
+from nodes.parameters.checked import check_fields
+
 __all__ = [
     "Coefficients",
     "DeviceModel",
@@ -257,13 +259,6 @@ def split_delay(delay: float) -> tuple[int, float]:
     return whole, delay - whole
 
 
-def _require_finite(struct: msgspec.Struct) -> None:
-    for name in struct.__struct_fields__:
-        value = getattr(struct, name)
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ValueError(f"{name} is {value}, expected a finite number: leave it out for a device without it")
-
-
 class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A hand that holds the device: mass and damper on the device, spring to a point that moves along a path.
 
@@ -289,10 +284,8 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     damping: NonNegative = 0.0
 
     def __post_init__(self) -> None:
-        _require_finite(self)
-        for i, (time, position) in enumerate(self.path):
-            if not (math.isfinite(time) and math.isfinite(position)):
-                raise ValueError(f"path[{i}] is {time}, {position}, expected finite numbers")
+        check_fields(self, "hand")
+        for i, (time, _) in enumerate(self.path):
             if i and time <= self.path[i - 1][0]:
                 raise ValueError(f"path[{i}] has time {time} s after {self.path[i - 1][0]} s: times must increase")
         if self.repeat is not None and self.repeat < self.path[-1][0]:
@@ -351,7 +344,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     hand: Hand | None = None
 
     def __post_init__(self) -> None:
-        _require_finite(self)
+        check_fields(self, "device")
 
     @property
     def moving_mass(self) -> float:

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import os
+import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from nodes.launcher.runs import MARK, is_marked, new_run_dir, runs_dir, sweep
+from nodes.launcher.runs import (
+    MARK,
+    RunError,
+    RunInfo,
+    find_run,
+    is_marked,
+    new_run_dir,
+    runs_dir,
+    sweep,
+    write_run,
+)
 from tests.support.launching import haptic, private_runtime_dir
 
 LONG_AGO = 3600.0
@@ -74,3 +85,39 @@ def test_the_sweep_leaves_what_belongs_to_somebody_else(home: Path) -> None:
     os.chown(path, 65534, 65534)
     assert not is_marked(path)
     assert sweep() == []
+
+
+@pytest.mark.parametrize("base", ["/run/user/1000/haptic", "/run/user/1234567/haptic"])
+def test_a_long_scenario_starts_where_desktops_keep_runs(base: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The paths of sockets have 107 bytes; every name of a node has 32 letters to itself."""
+    with private_runtime_dir() as folder:
+        home = folder / ("d" * (len(base) - len(str(folder)) - 1))
+        assert len(str(home)) == len(base)
+        monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(home))
+        names = [f"{'s' * 18}-20261122-142531-62240{n}" for n in range(2)]
+        made = [new_run_dir(name) for name in names]
+        assert made[0] != made[1]
+        for path in made:
+            with socket.socket(socket.AF_UNIX) as longest:
+                longest.bind(str(path / ("n" * 32 + ".listen")))
+        with pytest.raises(RunError, match="exists already"):
+            new_run_dir(names[0])
+
+
+def test_a_run_in_a_short_directory_is_found_by_its_name(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deep = home / ("d" * 28)
+    environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(deep)}
+    done = haptic(
+        tmp_path, "launch", "floor_drop_fast", "pace:=lockstep", "duration:=0.1", "--no-plot", environment=environment
+    )
+    assert "done after" in done.stdout
+    monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(deep))
+    name = "s" * 40
+    path = new_run_dir(name)
+    assert path.name != name
+    write_run(path, RunInfo(run=name, scenario="s", launcher=os.getpid(), nodes={}))
+    assert find_run(name).run == name
+    sweep()
+    assert path.exists()

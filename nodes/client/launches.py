@@ -1,0 +1,181 @@
+"""Find a running launch, know which node is its driver, environment and coupling, and ask its nodes.
+
+The command line, the studies and Python programs all come through here.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import time
+from typing import Any
+
+from messages import topics
+from messages.errors import HapticError
+from messages.transport.requests import ControlError, call
+from messages.transport.sockets import new_context
+from nodes.launcher.runs import RunError, RunInfo, find_run, runs
+
+__all__ = [
+    "NoSuchNameError",
+    "ask",
+    "find",
+    "known_topic",
+    "node_name",
+    "roles",
+]
+
+TIMEOUT = 10.0
+"""Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
+
+PATIENCE = 2.0
+"""How long a launch that was started a moment ago may take to appear [s]."""
+
+_PUBLISHES = {"driver": topics.DEVICE_STATE, "environment": topics.PROXY, "coupling": topics.FORCE}
+
+
+class NoSuchNameError(HapticError):
+    """A launch has no node or topic of that name; the text names those that it has."""
+
+
+def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
+    """Find the launch that is meant.
+
+    Parameters
+    ----------
+    name : str, optional
+        Name of the run or of its scenario; left out, the variable HAPTIC_RUN, else the only launch that runs.
+    patience : float
+        How long to wait while nothing runs [s]: a launch that was started a moment ago has not appeared yet.
+
+    Returns
+    -------
+    RunInfo
+        Its nodes and where they listen.
+
+    Raises
+    ------
+    RunError
+        When none is meant, or several are.
+    """
+    told = os.environ.get("HAPTIC_RUN") or None
+    until = time.monotonic() + patience
+    while not runs() and time.monotonic() < until:
+        time.sleep(0.05)
+    try:
+        return find_run(name or told)
+    except RunError as error:
+        source = f" (HAPTIC_RUN is {told!r})" if told and not name else ""
+        raise RunError(f"{error}{source}") from error
+
+
+def node_name(run: RunInfo, name: str) -> str:
+    """Find a node by name, with or without the leading slash.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The launch.
+    name : str
+        Name of the node.
+
+    Returns
+    -------
+    str
+        Its plain name.
+
+    Raises
+    ------
+    NoSuchNameError
+        When there is none; the text has the nearest name.
+    """
+    plain = name.removeprefix("/")
+    if plain in run.nodes:
+        return plain
+    raise NoSuchNameError(f"{run.run}: no node is named {name!r}; {_hint(plain, list(run.nodes))}")
+
+
+def known_topic(run: RunInfo, topic: str) -> str:
+    """Check that a topic is published in a run; names are whole names.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The launch.
+    topic : str
+        Name of the topic.
+
+    Returns
+    -------
+    str
+        The same name.
+
+    Raises
+    ------
+    NoSuchNameError
+        When nobody publishes it; the text has the nearest name.
+    """
+    known = list(run.endpoints())
+    if topic not in known:
+        raise NoSuchNameError(f"{run.run}: no topic {topic!r}; {_hint(topic, known)}")
+    return topic
+
+
+def _hint(name: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(name, known, 1)
+    return f"did you mean {close[0]}?" if close else f"it has {', '.join(known)}"
+
+
+def roles(run: RunInfo) -> dict[str, str]:
+    """Tell which node has which part in the loop, by what it publishes: its name may be any.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The launch.
+
+    Returns
+    -------
+    dict of str to str
+        ``driver``, ``environment`` and ``coupling`` to the node's name; without those that the launch lacks.
+    """
+    from nodes.base.kinds import load
+
+    published = {name: load(setup.factory).publishes for name, setup in run.nodes.items()}
+    return {role: name for role, topic in _PUBLISHES.items() for name, mine in published.items() if topic in mine}
+
+
+def ask(run: RunInfo, node: str, op: str, timeout: float = TIMEOUT, **args: Any) -> Any:
+    """Ask one node.
+
+    Parameters
+    ----------
+    run : RunInfo
+        The launch.
+    node : str
+        Name of the node.
+    op : str
+        What is asked, e.g. ``status`` or ``param.get`` (messages/PROTOCOL.md).
+    timeout : float
+        Longest wait for the answer [s].
+    **args : object
+        Arguments of the request.
+
+    Returns
+    -------
+    object
+        The answer, in plain lists, dicts, strings and numbers.
+
+    Raises
+    ------
+    ControlError
+        When the node refuses, does not answer, or cannot be asked that; the text says why.
+    """
+    context = new_context()
+    try:
+        return call(context, run.nodes[node_name(run, node)].control, op, timeout=timeout, **args)
+    except (ValueError, OverflowError, TypeError) as error:
+        # An endpoint or key that cannot be used, a value that no message can carry.
+        raise ControlError(str(error)) from error
+    finally:
+        context.term()

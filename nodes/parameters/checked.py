@@ -1,0 +1,41 @@
+"""Structs that Python code makes are checked as those that YAML makes: types, limits, numbers of numpy."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, get_type_hints
+
+import msgspec
+
+from nodes.parameters.store import convert
+
+
+@functools.cache
+def _unchecked(kind: type[msgspec.Struct]) -> type[Any]:
+    """Make a struct of the same fields that does not check itself, for msgspec to check."""
+    hints = get_type_hints(kind, include_extras=True)
+    return msgspec.defstruct(kind.__name__, [(name, hints[name]) for name in kind.__struct_fields__], kw_only=True)
+
+
+def _plain(value: Any) -> Any:
+    """Turn structs and numbers of numpy into what YAML gives."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return msgspec.to_builtins(value, enc_hook=lambda other: other.tolist())
+
+
+def check_fields(made: msgspec.Struct, name: str = "") -> None:
+    """Check all fields of a struct that was just made, as `convert` checks a mapping; for ``__post_init__``.
+
+    Raises
+    ------
+    ParameterError
+        With path, value and limit.
+    """
+    kind = type(made)
+    values = {field: getattr(made, field) for field in kind.__struct_fields__}
+    whole = convert({field: _plain(value) for field, value in values.items()}, _unchecked(kind), name or kind.__name__)
+    for field, value in values.items():
+        found = getattr(whole, field)
+        if type(found) is not type(value):
+            msgspec.structs.force_setattr(made, field, found)

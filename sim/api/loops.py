@@ -1,0 +1,341 @@
+"""Laws on a device, without starting a process: stability, the drop, and launch files played in one process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nodes.stability import k_max as stability
+from nodes.stability.closed_loop import pole_radius, state_matrix
+from nodes.stability.k_max import Plant
+from sim.api.laws import LawLike, compiled, plain
+from sim.api.laws import law as made
+from sim.api.results import Array, Result, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from sim.scene.loop import Trace
+
+__all__ = [
+    "KMax",
+    "Played",
+    "Poles",
+    "drop",
+    "k_max",
+    "play",
+    "poles",
+]
+
+_SHOWN = 41
+
+
+@dataclass(frozen=True, repr=False)
+class KMax(Result):
+    """How stiff a law may get on a device.
+
+    Attributes
+    ----------
+    k_max_n_per_m : float or None
+        Largest stable nominal stiffness [N/m]; None when none is stable.
+    h1_max_n_per_m : float or None
+        Stiffness that is felt there, H(1) [N/m].
+    method : str
+        ``closed_form`` or ``pole_radius``.
+    stable : tuple of (float, float)
+        Stable intervals of the nominal stiffness [N/m].
+    plant : Plant
+        The device.
+    rate_hz : float
+        Of the loop [Hz].
+    """
+
+    k_max_n_per_m: float | None
+    h1_max_n_per_m: float | None
+    method: str
+    stable: tuple[tuple[float, float], ...]
+    plant: Plant
+    rate_hz: float
+    _derivative: Any
+
+    def plot(self) -> Figure:
+        """Draw the pole radius over the nominal stiffness.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Stable where the line is below 1.
+        """
+        figure, (axes,) = new_figure()
+        top = 1.3 * (self.k_max_n_per_m or 1000.0)
+        if not np.isfinite(top):
+            top = 1e5
+        stiffness = np.linspace(top / _SHOWN, top, _SHOWN)
+        period = 1.0 / self.rate_hz
+        radius = [
+            _radius(stability.with_spring(self._derivative, value), period, self.plant) for value in stiffness.tolist()
+        ]
+        axes.plot(stiffness, radius, label="pole radius")
+        axes.axhline(1.0, color="0.5", lw=0.8, label="edge of stability")
+        if self.k_max_n_per_m is not None and np.isfinite(self.k_max_n_per_m):
+            axes.axvline(self.k_max_n_per_m, color="0.5", ls="--", lw=0.8, label=f"K_max {self.k_max_n_per_m:.4g} N/m")
+        axes.set(xlabel="nominal stiffness K [N/m]", ylabel="pole radius")
+        axes.legend(frameon=False)
+        return figure
+
+
+@dataclass(frozen=True, repr=False)
+class Poles(Result):
+    """Poles of a law on a device.
+
+    Attributes
+    ----------
+    radius : float
+        The largest; the loop decays by this factor per tick.
+    stable : bool
+        Whether it is below 1.
+    real, imaginary : ndarray, shape (n,)
+        All poles, the largest first.
+    """
+
+    radius: float
+    stable: bool
+    real: Array
+    imaginary: Array
+
+    def plot(self) -> Figure:
+        """Draw the poles in the z plane.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            With the unit circle.
+        """
+        figure, (axes,) = new_figure(width=4.2, height=4.2)
+        angle = np.linspace(0.0, 2.0 * np.pi, 361)
+        axes.plot(np.cos(angle), np.sin(angle), color="0.6", lw=0.8)
+        axes.plot(self.real, self.imaginary, "x")
+        axes.set(xlabel="Re z", ylabel="Im z", aspect="equal", title=f"pole radius {self.radius:.5g}")
+        return figure
+
+
+@dataclass(frozen=True, repr=False)
+class Played(Result):
+    """A run in one process, one value per tick.
+
+    Attributes
+    ----------
+    name : str
+        What was played.
+    rate_hz : float
+        Of the loop [Hz].
+    settled : bool or None
+        Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing was dropped.
+    peak_force_n, final_position_m : float
+        Largest force [N], and where the device ended [m].
+    time_s, position_m, velocity_m_per_s, measured_m, deflection_m, force_n : ndarray, shape (ticks,)
+        What happened; ``measured_m`` is what the encoder read.
+    """
+
+    name: str
+    rate_hz: float
+    settled: bool | None
+    peak_force_n: float
+    final_position_m: float
+    time_s: Array
+    position_m: Array
+    velocity_m_per_s: Array
+    measured_m: Array
+    deflection_m: Array
+    force_n: Array
+
+    def plot(self) -> Figure:
+        """Draw position and force over time.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Two panels.
+        """
+        figure, (top, below) = new_figure(2, height=2.2)
+        top.plot(self.time_s, self.position_m * 1e3)
+        top.set(ylabel="position [mm]", title=self.name)
+        below.step(self.time_s, self.force_n, where="post")
+        below.set(ylabel="force [N]", xlabel="time [s]")
+        return figure
+
+
+def _radius(law: Any, period: float, plant: Plant) -> float:
+    return pole_radius(law, period, plant.mass, plant.damping, plant.delay, plant.stiffness)
+
+
+def k_max(law: LawLike, plant: Plant, rate: float = 500.0) -> KMax:
+    """Find the largest stable stiffness of a law, everything else fixed.
+
+    Parameters
+    ----------
+    law : str, mapping, sequence of float, Law or CompiledLaw
+        Its own stiffness does not matter.
+    plant : Plant
+        Mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
+    rate : float
+        Of the loop [Hz].
+
+    Returns
+    -------
+    KMax
+        The edge; ``.plot()`` draws the way to it.
+
+    Raises
+    ------
+    ValueError
+        For a law with code of its own, which has no poles.
+
+    Examples
+    --------
+    >>> k_max(made("pd", stiffness=1, damping=3), Plant(mass=0.1, damping=1.0)).k_max_n_per_m
+    3781.8660...
+    """
+    from nodes.laws import CompiledLaw
+
+    period = 1.0 / rate
+    if isinstance(law, CompiledLaw):
+        derivative = stability.with_spring(law, -law.h1)
+    else:
+        derivative = stability.without_spring(made(law), period)
+    found = stability.k_max(derivative, period, plant)
+    return KMax(found.k_max_n_per_m, found.h1_max_n_per_m, found.method, found.stable, plant, rate, derivative)
+
+
+def poles(law: LawLike, plant: Plant, rate: float = 500.0) -> Poles:
+    """Find the poles of a law on a device, exactly: force held between ticks, delay included.
+
+    Parameters
+    ----------
+    law : str, mapping, sequence of float, Law or CompiledLaw
+        The law.
+    plant : Plant
+        Mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
+    rate : float
+        Of the loop [Hz].
+
+    Returns
+    -------
+    Poles
+        Stable when the radius is below 1.
+
+    Raises
+    ------
+    ValueError
+        For a law with code of its own, which has no poles.
+
+    Examples
+    --------
+    >>> poles({"kind": "pd", "stiffness": 1500, "damping": 3}, Plant(0.1, 1.0)).stable
+    True
+    """
+    taps = compiled(law, rate)
+    if taps.evaluate is not None:
+        raise ValueError("law: has code of its own and no poles; play it instead")
+    matrix = state_matrix(taps, 1.0 / rate, plant.mass, plant.damping, plant.delay, plant.stiffness)
+    found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+    found = found[np.argsort(-np.abs(found))]
+    radius = _radius(taps, 1.0 / rate, plant)
+    return Poles(radius, radius < 1.0, found.real.copy(), found.imag.copy())
+
+
+def drop(law: LawLike, plant: Plant, rate: float = 500.0, height: float = 0.01, ticks: int = 1500) -> Played:
+    """Drop a mass on a virtual floor, the experiment of the paper.
+
+    Parameters
+    ----------
+    law : str, mapping, sequence of float, Law or CompiledLaw
+        The law.
+    plant : Plant
+        Mass [kg], damping [N s/m] and delay [ticks]; nobody holds what is dropped.
+    rate : float
+        Of the loop [Hz].
+    height : float
+        Of the fall [m].
+    ticks : int
+        How long [ticks].
+
+    Returns
+    -------
+    Played
+        The run, and whether it settled.
+
+    Raises
+    ------
+    ValueError
+        When the plant has a hand: nobody holds what is dropped.
+
+    Examples
+    --------
+    >>> drop({"kind": "pd", "stiffness": 1000, "damping": 3}, Plant(0.1, 1.0)).settled
+    True
+    """
+    from sim.device.model import DeviceModel
+    from sim.experiments.drop import Criterion, drop_scene, settled
+    from sim.scene.loop import run
+
+    if plant.stiffness:
+        raise ValueError(f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: nobody holds what is dropped")
+    device = DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay)
+    scene = drop_scene(device, 1.0 / rate, raw=False, clamp=False, height=height)
+    taps = compiled(law, rate)
+    trace = run(scene, taps, ticks)
+    rested = settled(scene, taps, trace.position, trace.force, Criterion(ticks))
+    return _played(f"drop from {height * 1e3:g} mm", rate, trace, rested)
+
+
+def _played(name: str, rate: float, trace: Trace, rested: bool | None) -> Played:
+    return Played(
+        name,
+        rate,
+        rested,
+        float(np.max(np.abs(trace.force))),
+        trace.final[0],
+        trace.time,
+        trace.position,
+        trace.velocity,
+        trace.measured,
+        trace.deflection,
+        trace.force,
+    )
+
+
+def play(scenario: str, **arguments: Any) -> Played:
+    """Play a scenario's launch file in one process: the bits of its lockstep run, thousands of times faster.
+
+    Parameters
+    ----------
+    scenario : str
+        Name or path of a launch file; ``haptic.scenarios()`` lists them.
+    **arguments : object
+        Arguments of the launch file, e.g. ``stiffness=1500``.
+
+    Returns
+    -------
+    Played
+        The run.
+
+    Raises
+    ------
+    nodes.parameters.store.ParameterError
+        When the launch file refuses an argument, or holds what one process does not play.
+
+    Examples
+    --------
+    >>> play("floor_drop", stiffness=1500).final_position_m
+    -0.000654...
+    """
+    from nodes.launcher import launch_file
+    from sim.scene.from_launch import from_launch
+
+    launch = launch_file.read(scenario, plain(arguments))
+    scene = from_launch(launch)
+    return _played(launch.scenario, launch.run.rate, scene.play(), None)

@@ -1,0 +1,46 @@
+"""How far something is: a bar in a notebook or on a terminal, nothing elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+_WIDE = 40
+
+
+@contextlib.contextmanager
+def progress(title: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """Show a bar while the block runs; the block calls what it gets with how much is done."""
+    handle = _notebook_handle(title)
+    terminal = handle is None and sys.stderr.isatty()
+
+    def step(done: int) -> None:
+        if handle is not None:
+            handle.update(_html(title, done, total))
+        elif terminal:
+            bar = "#" * (_WIDE * done // total if total else 0)
+            sys.stderr.write(f"\r{title} [{bar:{_WIDE}}] {done}")
+
+    try:
+        yield step
+    finally:
+        if terminal:
+            sys.stderr.write("\r\033[K")
+
+
+def _notebook_handle(title: str) -> Any:
+    """Something that a running notebook shows and that can be shown anew; None elsewhere."""
+    if "IPython" not in sys.modules:
+        return None
+    shell = importlib.import_module("IPython").get_ipython()
+    if shell is None or type(shell).__name__ != "ZMQInteractiveShell":
+        return None
+    return importlib.import_module("IPython.display").display(_html(title, 0, None), display_id=True)
+
+
+def _html(title: str, done: int, total: int | None) -> Any:
+    share = f"value='{done}' max='{total}'" if total else ""
+    return importlib.import_module("IPython.display").HTML(f"{title} <progress {share}></progress> {done}")

@@ -1,0 +1,141 @@
+"""Results that a notebook shows: small objects with their figures, a picture and a table."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import importlib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "Array",
+    "Result",
+    "new_figure",
+]
+
+Array = NDArray[np.float64]
+
+_LONGEST = 6
+
+
+class Result:
+    """Base of all results: a dataclass whose fields are figures, with units in their names.
+
+    What is an array is a column of `to_pandas`; everything else is a row of what a notebook shows.
+    """
+
+    def figures(self) -> dict[str, Any]:
+        """List what is no column.
+
+        Returns
+        -------
+        dict of str to object
+            Figure by name; the unit is the end of the name.
+        """
+        return {name: value for name, value in self._fields().items() if not isinstance(value, np.ndarray)}
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """List what has one value per tick or per point.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Column by name; empty where a result has only figures.
+        """
+        return {name: value for name, value in self._fields().items() if isinstance(value, np.ndarray)}
+
+    def _fields(self) -> dict[str, Any]:
+        # A field that begins with an underscore is kept for plot().
+        fields = dataclasses.fields(self)  # type: ignore[arg-type]
+        return {field.name: getattr(self, field.name) for field in fields if not field.name.startswith("_")}
+
+    def plot(self) -> Figure:
+        """Draw it.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``.savefig("name.pdf")`` keeps it.
+        """
+        raise TypeError(f"{type(self).__name__} has only figures, and nothing to draw: {self}")
+
+    def to_pandas(self) -> Any:
+        """Turn it into a table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row per tick or point; for a result of figures alone, one row.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            When pandas is not installed.
+        """
+        try:
+            pandas = importlib.import_module("pandas")
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError("to_pandas() needs pandas: pip install pandas") from error
+        columns = self.columns()
+        flat = {
+            name if values.ndim == 1 else f"{name}_{'xyz'[i]}": values if values.ndim == 1 else values[:, i]
+            for name, values in columns.items()
+            for i in range(1 if values.ndim == 1 else values.shape[1])
+        }
+        return pandas.DataFrame(flat or [self.figures()])
+
+    def __str__(self) -> str:
+        lines = [f"  {name:28} {_short(value)}" for name, value in self.figures().items()]
+        count = next((len(values) for values in self.columns().values()), 0)
+        lines += [f"  {count} rows of {', '.join(self.columns())}"] if count else []
+        return "\n".join([type(self).__name__, *lines])
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(name)}</th>"
+            f"<td style='text-align:left'>{html.escape(_short(value))}</td></tr>"
+            for name, value in self.figures().items()
+        )
+        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, bool) or value is None:
+        return str(value)
+    if isinstance(value, float | np.floating):
+        return f"{value:.6g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_short(inner)}" for key, inner in list(value.items())[:_LONGEST])
+    if isinstance(value, list | tuple):
+        more = f", … {len(value) - _LONGEST} more" if len(value) > _LONGEST else ""
+        return "[" + ", ".join(_short(inner) for inner in value[:_LONGEST]) + more + "]"
+    return str(value)
+
+
+def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[Figure, list[Any]]:
+    """Make a figure that no global state keeps: a notebook shows it once.
+
+    Parameters
+    ----------
+    rows : int
+        Panels, one under the other.
+    width, height : float
+        Of the figure, and of each panel [inches].
+
+    Returns
+    -------
+    matplotlib.figure.Figure, list of matplotlib.axes.Axes
+        The figure and its panels.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height * rows), layout="constrained")
+    axes = figure.subplots(rows, 1, squeeze=False, sharex=True)
+    return figure, [row[0] for row in axes]

@@ -1,0 +1,546 @@
+"""Launches from Python: start one, or connect to one that runs; change it, record it, wait for it, read what came out.
+
+A launch is started as ``haptic launch`` starts it, in processes of its own. However the program or the notebook's cell ends,
+nothing is left behind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from messages.errors import HapticError
+from nodes.base.realtime import die_with_parent
+from nodes.client import launches
+from nodes.launcher.child import PYTHON
+from nodes.launcher.runs import RunInfo, alive, runs
+from sim.api.laws import plain
+from sim.api.progress import progress
+from sim.api.recordings import Recorded, read
+from sim.api.results import Result
+
+__all__ = [
+    "LaunchError",
+    "Laws",
+    "Parameters",
+    "Run",
+    "Summary",
+    "connect",
+    "launch",
+]
+
+HAPTIC = (*PYTHON, "-m", "nodes.cli.main")
+
+STARTS_WITHIN = 60.0
+"""When a launch that has not ticked is given up [s]."""
+
+ENDS_WITHIN = 60.0
+"""How long a launch may take to end [s]."""
+
+
+class LaunchError(HapticError):
+    """A launch did not start, or did not end as asked; the text holds what it wrote."""
+
+
+@dataclass(frozen=True, repr=False)
+class Summary(Result):
+    """What a launch reported at its end: the figures of ``haptic launch --json``.
+
+    Attributes
+    ----------
+    scenario, exit_reason : str
+        What was launched, and why it ended.
+    ticks, missed : int
+        Ticks done, and those whose force was late.
+    rate_hz : float
+        Measured [Hz].
+    response_us : dict of str to float
+        Percentiles of the response time [µs].
+    final : dict
+        Position [m], force [N] and motion at the end.
+    recording : str or None
+        Path of the recording.
+    all : dict
+        Everything.
+    """
+
+    scenario: str
+    exit_reason: str
+    ticks: int
+    missed: int
+    rate_hz: float
+    response_us: dict[str, float]
+    final: dict[str, Any]
+    recording: str | None
+    all: dict[str, Any]
+
+    def figures(self) -> dict[str, Any]:
+        """List the figures that fit on a screen."""
+        return {name: value for name, value in super().figures().items() if name != "all"}
+
+
+class Parameters:
+    """Parameters of a running launch: ``run.param["coupling.laws.pd.stiffness"] = 1500``.
+
+    Parameters
+    ----------
+    run : Run
+        The launch.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+
+    def __getitem__(self, name: str) -> Any:
+        """Read ``node.path``, or all parameters of ``node``."""
+        node, _, path = name.partition(".")
+        return self._run.ask(node, "param.get", name=path) if path else self._run.ask(node, "param.dump")
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [f"{node}.{path}" for node in self._run.info.nodes for path in self.list(node)]
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Change one; what would be unstable is refused."""
+        node, _, path = name.partition(".")
+        self.set(node, {path: value})
+
+    def set(self, node: str, values: dict[str, Any], force: bool = False) -> dict[str, Any]:
+        """Change several parameters of a node between two ticks, all or nothing.
+
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+        values : dict of str to object
+            Path of the parameter to its value.
+        force : bool
+            Take a change with which the loop becomes unstable.
+
+        Returns
+        -------
+        dict
+            The receipt: tick, old and new values, force step.
+        """
+        wanted = {"force": True} if force else {}
+        receipt: dict[str, Any] = self._run.ask(node, "param.set", values=plain(values), **wanted)
+        return receipt
+
+    def list(self, node: str) -> dict[str, Any]:
+        """List a node's parameters.
+
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+
+        Returns
+        -------
+        dict of str to object
+            Path to value.
+        """
+        found: dict[str, Any] = self._run.ask(node, "param.list")
+        return found
+
+
+class Laws:
+    """Laws of a running launch.
+
+    Parameters
+    ----------
+    run : Run
+        The launch.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+
+    def switch(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
+        """Switch the law between two ticks.
+
+        Parameters
+        ----------
+        law : str
+            One of `list`.
+        ramp : int, optional
+            Cross-fade [ticks]; the coupling's own when left out.
+        force : bool
+            Take a law with which the loop becomes unstable.
+
+        Returns
+        -------
+        dict
+            The receipt: tick, force step, what was and what is rendered.
+        """
+        wanted: dict[str, Any] = {"force": True} if force else {}
+        if ramp is not None:
+            wanted["ramp"] = ramp
+        receipt: dict[str, Any] = self._run.ask(self._run.role("coupling"), "law.switch", law=law, **wanted)
+        return receipt
+
+    def list(self) -> dict[str, dict[str, Any]]:
+        """List the laws that the coupling can switch to.
+
+        Returns
+        -------
+        dict of str to dict
+            Name to kind and parameters.
+        """
+        found: dict[str, dict[str, Any]] = self._run.ask(self._run.role("coupling"), "law.list")["laws"]
+        return found
+
+    @property
+    def active(self) -> str:
+        """Name of the law that renders now."""
+        return str(self._run.ask(self._run.role("coupling"), "law.list")["active"])
+
+
+class Run:
+    """A launch: one that this program started, or one that it is connected to.
+
+    Parameters
+    ----------
+    info : RunInfo
+        Its nodes.
+    process : subprocess.Popen, optional
+        The launcher, when this program started it; the end of a ``with`` block ends it.
+    folder : tempfile.TemporaryDirectory, optional
+        What the launcher writes to.
+
+    Attributes
+    ----------
+    info : RunInfo
+        Its nodes.
+    param : Parameters
+        Reads and changes parameters.
+    law : Laws
+        Lists and switches laws.
+    """
+
+    def __init__(
+        self,
+        info: RunInfo,
+        process: subprocess.Popen[bytes] | None = None,
+        folder: tempfile.TemporaryDirectory[str] | None = None,
+    ) -> None:
+        self.info = info
+        self.param = Parameters(self)
+        self.law = Laws(self)
+        self._process = process
+        self._folder = folder
+        self._summary: Summary | None = None
+
+    def __enter__(self) -> Self:
+        """Go on with it."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End a launch that this program started; leave any other alone."""
+        if self._process is not None:
+            self.stop()
+
+    def __repr__(self) -> str:
+        state = "running" if self.running else "ended"
+        return f"<{self.info.run}: {self.info.scenario}, {state}, nodes {', '.join(self.info.nodes)}>"
+
+    @property
+    def running(self) -> bool:
+        """Whether it goes on."""
+        if self._process is not None:
+            return self._process.poll() is None
+        return alive(self.info.launcher, self.info.launcher_started)
+
+    def role(self, part: str) -> str:
+        """Name the node that has a part in the loop.
+
+        Parameters
+        ----------
+        part : {"driver", "environment", "coupling"}
+            Its part.
+
+        Returns
+        -------
+        str
+            Its name.
+        """
+        found = launches.roles(self.info)
+        if part not in found:
+            raise LaunchError(f"{self.info.run}: no node is its {part}; it has {', '.join(self.info.nodes)}")
+        return found[part]
+
+    def ask(self, node: str, op: str, **args: Any) -> Any:
+        """Ask a node; see messages/PROTOCOL.md.
+
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+        op : str
+            E.g. ``status``.
+        **args : object
+            Arguments of the request.
+
+        Returns
+        -------
+        object
+            The answer.
+        """
+        return launches.ask(self.info, node, op, **args)
+
+    @property
+    def url(self) -> str:
+        """URL of the page, for a launch with ``view=True``."""
+        lines = [] if self._folder is None else _lines(self._folder)
+        if not lines or "url" not in (told := json.loads(lines[0])):
+            raise LaunchError(f"{self.info.run}: no page; launch with view=True")
+        return str(told["url"])
+
+    @property
+    def ticks(self) -> int:
+        """Ticks that the driver has done."""
+        return int(self.ask(self.role("driver"), "status")["ticks"])
+
+    def record(self, duration: float, out: str | Path | None = None) -> Recorded:
+        """Attach one more logger for a while.
+
+        Parameters
+        ----------
+        duration : float
+            How long [s].
+        out : str or Path, optional
+            File that does not exist yet; a name with the time when left out.
+
+        Returns
+        -------
+        Recorded
+            What it recorded.
+        """
+        path = Path(out) if out is not None else Path(f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap")
+        words = ["bag", "record", "--run", self.info.run, "--duration", str(duration), "--out", str(path), "--json"]
+        done = subprocess.run([*HAPTIC, *words], capture_output=True, text=True, check=False, process_group=0)
+        if done.returncode:
+            raise LaunchError(f"bag record ended with exit code {done.returncode}: {done.stderr.strip()}")
+        return read(path)
+
+    def wait(self, timeout: float | None = None) -> Summary:
+        """Wait for its end; an interrupted cell ends the launch.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait [s].
+
+        Returns
+        -------
+        Summary
+            What it reported.
+
+        Raises
+        ------
+        LaunchError
+            When it failed, or takes longer.
+        """
+        process = self._started_here("wait for")
+        until = None if timeout is None else time.monotonic() + timeout
+        driver = launches.roles(self.info).get("driver")
+        total = self.info.nodes[driver].ticks if driver else None
+        try:
+            with progress(self.info.scenario, total) as step:
+                while process.poll() is None:
+                    if until is not None and time.monotonic() > until:
+                        raise LaunchError(f"{self.info.run}: still running after {timeout:g} s")
+                    with contextlib.suppress(HapticError):
+                        step(self.ticks if driver else 0)
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        process.wait(0.1)
+        except KeyboardInterrupt:
+            self.stop()
+            raise
+        return self.summary
+
+    def stop(self) -> None:
+        """End it as Ctrl-C does: force to zero first, recordings complete."""
+        process = self._process
+        if process is None:
+            done = subprocess.run([*HAPTIC, "stop", self.info.run], capture_output=True, text=True, check=False)
+            if done.returncode:
+                raise LaunchError(done.stderr.strip())
+            return
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(ENDS_WITHIN)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def _started_here(self, what: str) -> subprocess.Popen[bytes]:
+        if self._process is None:
+            raise LaunchError(f"{self.info.run}: started elsewhere; only its own launcher can {what} its end")
+        return self._process
+
+    @property
+    def summary(self) -> Summary:
+        """What the launch reported at its end.
+
+        Raises
+        ------
+        LaunchError
+            When it goes on, failed, or was started elsewhere.
+        """
+        process = self._started_here("report")
+        if self._summary is None:
+            if process.poll() is None:
+                raise LaunchError(f"{self.info.run}: still running; wait() or stop() first")
+            assert self._folder is not None  # noqa: S101  # a process has one
+            lines = _lines(self._folder)
+            if not lines or process.returncode == 1:
+                raise LaunchError(f"{self.info.run}: exit code {process.returncode}: {_errors(self._folder)}")
+            told = json.loads(lines[-1])
+            keys = ("scenario", "exit_reason", "ticks", "missed", "rate_hz", "response_us", "final", "recording")
+            self._summary = Summary(**{key: told[key] for key in keys}, all=told)
+        return self._summary
+
+    @property
+    def recording(self) -> Recorded:
+        """Recording of the launch, after its end.
+
+        Raises
+        ------
+        LaunchError
+            When it made none on this machine.
+        """
+        path = self.summary.recording
+        if path is None or not Path(path).exists():
+            raise LaunchError(f"{self.info.run}: no recording on this machine ({path})")
+        return read(path)
+
+
+def _lines(folder: tempfile.TemporaryDirectory[str]) -> list[str]:
+    return (Path(folder.name) / "stdout.txt").read_text(encoding="utf-8").splitlines()
+
+
+def _errors(folder: tempfile.TemporaryDirectory[str]) -> str:
+    text = (Path(folder.name) / "stderr.txt").read_text(encoding="utf-8", errors="replace")
+    return text.strip()[-2000:]
+
+
+def connect(name: str | None = None) -> Run:
+    """Connect to a launch that runs already.
+
+    Parameters
+    ----------
+    name : str, optional
+        Name of the run or of its scenario; left out, the only one.
+
+    Returns
+    -------
+    Run
+        The launch; it goes on when this program ends.
+
+    Raises
+    ------
+    nodes.launcher.runs.RunError
+        When none is meant, or several are.
+
+    Examples
+    --------
+    >>> run = connect()  # doctest: +SKIP
+    >>> run.law.switch("multi_term", ramp=50)  # doctest: +SKIP
+    """
+    return Run(launches.find(name))
+
+
+def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = None, **arguments: Any) -> Run:
+    """Start a scenario in processes of its own, and return at its first tick.
+
+    Parameters
+    ----------
+    scenario : str
+        Name or path of a launch file; ``haptic.scenarios()`` lists them.
+    view : bool
+        Serve the page; its URL is in ``run.url``.
+    out_dir : str or Path, optional
+        Directory of recordings; as the launch file says when left out.
+    **arguments : object
+        Arguments of the launch file, e.g. ``stiffness=1500, pace="lockstep"``.
+
+    Returns
+    -------
+    Run
+        The launch; the end of a ``with`` block ends it.
+
+    Raises
+    ------
+    LaunchError
+        When it does not start; the text says why.
+
+    Examples
+    --------
+    >>> with launch("floor_drop", stiffness=1500, pace="lockstep") as run:  # doctest: +SKIP
+    ...     print(run.wait())
+    """
+    words = [
+        f"{name}:={value if isinstance(value, str) else json.dumps(value)}" for name, value in plain(arguments).items()
+    ]
+    if view:
+        words.append("--view")
+    if out_dir is not None:
+        words += ["--out-dir", str(out_dir)]
+    folder = tempfile.TemporaryDirectory(prefix="haptic-", ignore_cleanup_errors=True)
+    place = Path(folder.name)
+    with open(place / "stdout.txt", "wb") as out, open(place / "stderr.txt", "wb") as errors:
+        process = subprocess.Popen(
+            [*HAPTIC, "launch", scenario, *words, "--json", "--no-plot"],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=errors,
+            # An interrupt of the notebook's cell is not one of the launch: run.wait() ends it in order.
+            process_group=0,
+            preexec_fn=die_with_parent,
+        )
+    try:
+        return Run(_appeared(process, folder), process, folder)
+    except BaseException:
+        process.send_signal(signal.SIGINT)
+        process.wait(ENDS_WITHIN)
+        raise
+
+
+def _appeared(process: subprocess.Popen[bytes], folder: tempfile.TemporaryDirectory[str]) -> RunInfo:
+    until = time.monotonic() + STARTS_WITHIN
+    for _ in _polls(until):
+        info = next((info for info in runs().values() if info.launcher == process.pid), None)
+        ended = process.poll() is not None
+        if info is not None and (ended or _ticks(info)):
+            return info
+        if ended and process.returncode == 0:
+            # In lockstep a short one is over before anybody looks.
+            told = json.loads(_lines(folder)[-1])
+            return RunInfo(run=told["run"], scenario=told["scenario"], launcher=process.pid, nodes={})
+        if ended:
+            raise LaunchError(f"haptic launch: exit code {process.returncode}: {_errors(folder)}")
+    raise LaunchError(f"haptic launch: no tick within {STARTS_WITHIN:g} s: {_errors(folder)}")
+
+
+def _polls(until: float) -> Iterator[None]:
+    while time.monotonic() < until:
+        yield
+        time.sleep(0.01)
+
+
+def _ticks(info: RunInfo) -> bool:
+    driver = launches.roles(info).get("driver")
+    with contextlib.suppress(HapticError):
+        return driver is None or launches.ask(info, driver, "status", timeout=1.0)["ticks"] > 0
+    return False

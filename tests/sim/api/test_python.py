@@ -1,0 +1,171 @@
+"""``import haptic``: what a notebook does, on real launches; laws and plants are refused as YAML's are."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import haptic
+import numpy as np
+import pytest
+
+from nodes.laws.fir import FIR
+from nodes.laws.pd import PD
+from nodes.parameters.store import ParameterError
+from sim.device.model import DeviceModel
+from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
+
+
+@pytest.fixture(scope="module")
+def place() -> Iterator[Path]:
+    with private_runtime_dir() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HAPTIC_RUNTIME_DIR", str(folder))
+        patch.chdir(folder)
+        yield folder
+        assert_nothing_left(folder)
+
+
+def test_everything_that_is_offered_is_there_and_documented() -> None:
+    for name in haptic.__all__:
+        assert getattr(haptic, name).__doc__, name
+    assert set(dir(haptic)) == set(haptic.__all__)
+    with pytest.raises(AttributeError, match=r"it has .*launch"):
+        _ = haptic.nonsense
+
+
+def test_it_loads_nothing_until_it_is_used() -> None:
+    code = "import sys; before = set(sys.modules); import haptic; print(*sorted(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert loaded.isdisjoint({"numpy", "numba", "scipy", "matplotlib", "zmq", "msgspec", "asyncio"}), loaded
+
+
+@pytest.mark.parametrize(
+    ("bad", "text"),
+    [
+        ({"stiffness": "a"}, r"pd\.stiffness: expected a number, got 'a'"),
+        ({"stiffness": -1.0}, r"pd\.stiffness: .*above 0"),
+        ({"stiffness": float("nan")}, r"pd\.stiffness: nan"),
+        ({"stiffness": 1.0, "damping": -0.5}, r"pd\.damping"),
+    ],
+)
+def test_a_law_made_in_python_is_checked_as_yaml_is(bad: dict[str, float], text: str) -> None:
+    with pytest.raises(ParameterError, match=text):
+        PD(**bad)
+    with pytest.raises(ParameterError, match=text):
+        haptic.law("pd", **bad)
+
+
+def test_a_device_made_in_python_is_checked_as_yaml_is() -> None:
+    with pytest.raises(ParameterError, match=r"mass: .*above 0, got -1"):
+        DeviceModel(mass=-1)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    made = haptic.law("pd", stiffness=np.float64(3.0), damping=np.int64(2))
+    assert made == PD(stiffness=3.0, damping=2.0)
+    assert isinstance(made, PD)
+    assert type(made.damping) is float
+    assert haptic.law(np.array([1000.0, -200.0])) == FIR(taps=(1000.0, -200.0))
+
+
+def test_whatever_means_a_law_is_taken() -> None:
+    plant = haptic.Plant(mass=0.1, damping=1.0)
+    mapping = {"kind": "pd", "stiffness": 1500, "damping": 3}
+    pd = haptic.law("pd", stiffness=1500, damping=3)
+    # PD is h = [K + B/T, −B/T]: three ways to say the same law (THEORY.md §1).
+    for law in (mapping, pd, [1500 + 3 / 0.002, -3 / 0.002], pd.compile(0.002)):
+        assert haptic.poles(law, plant).radius == pytest.approx(haptic.poles(pd, plant).radius, abs=1e-12)
+    assert haptic.law(pd, stiffness=800) == PD(stiffness=800.0, damping=3.0)
+
+
+def test_k_max_is_the_closed_form_and_the_edge_of_the_poles() -> None:
+    plant = haptic.Plant(mass=0.1, damping=1.0)
+    pd = haptic.law("pd", stiffness=1, damping=3)
+    found = haptic.k_max(pd, plant)
+    assert found.method == "closed_form"
+    edge = found.k_max_n_per_m
+    assert edge is not None
+    # One part in 10⁶ on either side: far above rounding (10⁻¹⁶), far below what anybody feels.
+    assert haptic.poles(haptic.law(pd, stiffness=edge * (1 - 1e-6)), plant).stable
+    assert not haptic.poles(haptic.law(pd, stiffness=edge * (1 + 1e-6)), plant).stable
+    assert len(found.plot().axes) == 1
+
+
+def test_results_show_themselves() -> None:
+    fallen = haptic.drop({"kind": "pd", "stiffness": 1000, "damping": 3}, haptic.Plant(0.1, 1.0))
+    assert fallen.settled
+    # At rest the spring bears the weight.
+    assert fallen.final_position_m == pytest.approx(-0.1 * 9.81 / 1000.0, rel=1e-6)
+    table = fallen.to_pandas()
+    assert len(table) == 1500
+    assert "force_n" in table
+    assert "settled" in fallen._repr_html_()
+    assert len(haptic.plot(fallen).axes) == 2
+    with pytest.raises(ValueError, match="nobody holds"):
+        haptic.drop([1000.0], haptic.Plant(0.1, 1.0, stiffness=5.0))
+
+
+def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
+    with haptic.launch("floor_drop", stiffness=1500, pace="lockstep", duration=0.4, out_dir=place / "r") as run:
+        summary = run.wait()
+    assert (summary.exit_reason, summary.ticks) == ("done", 200)
+    played = haptic.play("floor_drop", stiffness=1500, duration=0.4)
+    np.testing.assert_array_equal(run.recording["position"][:-1, 2], played.measured_m)
+    assert haptic.read(run.recording.path).messages["/device/state"] == 201
+
+
+def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> None:
+    with haptic.launch("wall_press", duration=0, out_dir=place / "r") as run:
+        assert run.running
+        run.param["coupling.laws.pd.stiffness"] = 800
+        assert haptic.connect().param["coupling.laws.pd.stiffness"] == 800
+        assert run.law.switch("multi_term", ramp=5)["to"] == run.law.active == "multi_term"
+        with pytest.raises(haptic.HapticError, match="no node is named 'nobody'"):
+            run.param["nobody.x"]
+        with pytest.raises(haptic.HapticError, match="unstable"):
+            run.param["coupling.laws.multi_term.stiffness"] = 1e6
+        extra = run.record(0.3, place / "extra.mcap")
+        assert len(extra["time"]) > 50
+    assert run.summary.exit_reason == "SIGINT"
+    assert not run.running
+
+
+def test_a_scenario_that_does_not_start_says_why(place: Path) -> None:
+    with pytest.raises(haptic.LaunchError, match=r"stiffness"):
+        haptic.launch("floor_drop", stiffness=-1)
+    with pytest.raises(haptic.LaunchError, match=r"no_such"):
+        haptic.launch("no_such")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["interrupted", "killed"])
+def test_a_program_that_ends_leaves_nothing(place: Path, number: signal.Signals) -> None:
+    code = """
+import haptic, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background of a shell ignores it
+run = haptic.launch("wall_press", duration=0)
+print(run.ticks, flush=True)
+run.wait()
+"""
+    with private_runtime_dir() as folder:
+        program = subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(folder)},
+            cwd=folder,
+        )
+        assert program.stdout is not None
+        with program.stdout:
+            assert int(program.stdout.readline()) > 0
+        try:
+            program.send_signal(number)
+            program.wait(60)
+        finally:
+            program.kill()
+        wait_for(lambda: not processes_of(folder), "the end of the launch")
+        assert_nothing_left(folder)
