@@ -16,15 +16,6 @@ from messages.transport.requests import ControlError, call
 from messages.transport.sockets import new_context
 from nodes.launcher.runs import RunError, RunInfo, find_run, runs
 
-__all__ = [
-    "NoSuchNameError",
-    "ask",
-    "find",
-    "known_topic",
-    "node_name",
-    "roles",
-]
-
 TIMEOUT = 10.0
 """Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
-import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw, Law
-from nodes.laws.parse import compile_law, law_to_dict, parse_law
+from nodes.laws.parse import compile_law, parse_law
+from sim.api.values import plain
 
 __all__ = [
     "LawLike",
@@ -58,30 +58,19 @@ def law(kind: LawLike, **parameters: Any) -> Law:
     return parse_law({"kind": "fir", "taps": [float(tap) for tap in kind], **parameters})
 
 
-def plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Turn what a notebook holds into what YAML holds: numbers and arrays of numpy, and laws."""
-    return {name: _plain(value) for name, value in values.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return law_to_dict(value) if isinstance(value, Law) else value
-
-
 def _values(made: Law) -> dict[str, Any]:
     return {name: getattr(made, name) for name in made.__struct_fields__}
 
 
-def compiled(kind: LawLike, rate: float) -> CompiledLaw:
+def compiled(kind: LawLike, period: float) -> CompiledLaw:
     """Compile whatever is taken for a law.
 
     Parameters
     ----------
     kind : str, mapping, sequence of float, Law or CompiledLaw
         As for `law`.
-    rate : float
-        Of the loop [Hz].
+    period : float
+        Sampling period T [s].
 
     Returns
     -------
@@ -93,4 +82,4 @@ def compiled(kind: LawLike, rate: float) -> CompiledLaw:
     nodes.laws.parse.LawRefusedError
         When it must not be rendered.
     """
-    return kind if isinstance(kind, CompiledLaw) else compile_law(law(kind), 1.0 / rate)
+    return kind if isinstance(kind, CompiledLaw) else compile_law(law(kind), period)

@@ -9,14 +9,14 @@ import numpy as np
 
 from nodes.stability import k_max as stability
 from nodes.stability.closed_loop import pole_radius, state_matrix
-from nodes.stability.k_max import Plant
-from sim.api.laws import LawLike, compiled, plain
+from nodes.stability.plant import Plant
+from sim.api.laws import LawLike, compiled
 from sim.api.laws import law as made
 from sim.api.results import Array, Result, new_figure
+from sim.api.values import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
     from sim.scene.loop import Trace
 
@@ -48,9 +48,7 @@ class KMax(Result):
     stable : tuple of (float, float)
         Stable intervals of the nominal stiffness [N/m].
     plant : Plant
-        The device.
-    rate_hz : float
-        Of the loop [Hz].
+        The device and the loop's period.
     """
 
     k_max_n_per_m: float | None
@@ -58,7 +56,6 @@ class KMax(Result):
     method: str
     stable: tuple[tuple[float, float], ...]
     plant: Plant
-    rate_hz: float
     _derivative: Any
 
     def plot(self) -> Figure:
@@ -74,9 +71,8 @@ class KMax(Result):
         if not np.isfinite(top):
             top = 1e5
         stiffness = np.linspace(top / _SHOWN, top, _SHOWN)
-        period = 1.0 / self.rate_hz
         radius = [
-            _radius(stability.with_spring(self._derivative, value), period, self.plant) for value in stiffness.tolist()
+            pole_radius(stability.with_spring(self._derivative, value), self.plant) for value in stiffness.tolist()
         ]
         axes.plot(stiffness, radius, label="pole radius")
         axes.axhline(1.0, color="0.5", lw=0.8, label="edge of stability")
@@ -168,11 +164,7 @@ class Played(Result):
         return figure
 
 
-def _radius(law: Any, period: float, plant: Plant) -> float:
-    return pole_radius(law, period, plant.mass, plant.damping, plant.delay, plant.stiffness)
-
-
-def k_max(law: LawLike, plant: Plant, rate: float = 500.0) -> KMax:
+def k_max(law: LawLike, plant: Plant) -> KMax:
     """Find the largest stable stiffness of a law, everything else fixed.
 
     Parameters
@@ -180,9 +172,7 @@ def k_max(law: LawLike, plant: Plant, rate: float = 500.0) -> KMax:
     law : str, mapping, sequence of float, Law or CompiledLaw
         Its own stiffness does not matter.
     plant : Plant
-        Mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
-    rate : float
-        Of the loop [Hz].
+        Period [s], mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
 
     Returns
     -------
@@ -196,21 +186,20 @@ def k_max(law: LawLike, plant: Plant, rate: float = 500.0) -> KMax:
 
     Examples
     --------
-    >>> k_max(made("pd", stiffness=1, damping=3), Plant(mass=0.1, damping=1.0)).k_max_n_per_m
+    >>> k_max(made("pd", stiffness=1, damping=3), Plant(period=0.002, mass=0.1, damping=1.0)).k_max_n_per_m
     3781.8660...
     """
     from nodes.laws import CompiledLaw
 
-    period = 1.0 / rate
     if isinstance(law, CompiledLaw):
         derivative = stability.with_spring(law, -law.h1)
     else:
-        derivative = stability.without_spring(made(law), period)
-    found = stability.k_max(derivative, period, plant)
-    return KMax(found.k_max_n_per_m, found.h1_max_n_per_m, found.method, found.stable, plant, rate, derivative)
+        derivative = stability.without_spring(made(law), plant.period)
+    found = stability.k_max(derivative, plant)
+    return KMax(found.k_max_n_per_m, found.h1_max_n_per_m, found.method, found.stable, plant, derivative)
 
 
-def poles(law: LawLike, plant: Plant, rate: float = 500.0) -> Poles:
+def poles(law: LawLike, plant: Plant) -> Poles:
     """Find the poles of a law on a device, exactly: force held between ticks, delay included.
 
     Parameters
@@ -218,9 +207,7 @@ def poles(law: LawLike, plant: Plant, rate: float = 500.0) -> Poles:
     law : str, mapping, sequence of float, Law or CompiledLaw
         The law.
     plant : Plant
-        Mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
-    rate : float
-        Of the loop [Hz].
+        Period [s], mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
 
     Returns
     -------
@@ -234,20 +221,20 @@ def poles(law: LawLike, plant: Plant, rate: float = 500.0) -> Poles:
 
     Examples
     --------
-    >>> poles({"kind": "pd", "stiffness": 1500, "damping": 3}, Plant(0.1, 1.0)).stable
+    >>> poles({"kind": "pd", "stiffness": 1500, "damping": 3}, Plant(0.002, 0.1, 1.0)).stable
     True
     """
-    taps = compiled(law, rate)
+    taps = compiled(law, plant.period)
     if taps.evaluate is not None:
         raise ValueError("law: has code of its own and no poles; play it instead")
-    matrix = state_matrix(taps, 1.0 / rate, plant.mass, plant.damping, plant.delay, plant.stiffness)
+    matrix = state_matrix(taps, plant)
     found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
     found = found[np.argsort(-np.abs(found))]
-    radius = _radius(taps, 1.0 / rate, plant)
+    radius = pole_radius(taps, plant)
     return Poles(radius, radius < 1.0, found.real.copy(), found.imag.copy())
 
 
-def drop(law: LawLike, plant: Plant, rate: float = 500.0, height: float = 0.01, ticks: int = 1500) -> Played:
+def drop(law: LawLike, plant: Plant, height: float = 0.01, ticks: int = 1500) -> Played:
     """Drop a mass on a virtual floor, the experiment of the paper.
 
     Parameters
@@ -255,9 +242,7 @@ def drop(law: LawLike, plant: Plant, rate: float = 500.0, height: float = 0.01, 
     law : str, mapping, sequence of float, Law or CompiledLaw
         The law.
     plant : Plant
-        Mass [kg], damping [N s/m] and delay [ticks]; nobody holds what is dropped.
-    rate : float
-        Of the loop [Hz].
+        Period [s], mass [kg], damping [N s/m] and delay [ticks]; nobody holds what is dropped.
     height : float
         Of the fall [m].
     ticks : int
@@ -275,7 +260,7 @@ def drop(law: LawLike, plant: Plant, rate: float = 500.0, height: float = 0.01, 
 
     Examples
     --------
-    >>> drop({"kind": "pd", "stiffness": 1000, "damping": 3}, Plant(0.1, 1.0)).settled
+    >>> drop({"kind": "pd", "stiffness": 1000, "damping": 3}, Plant(0.002, 0.1, 1.0)).settled
     True
     """
     from sim.device.model import DeviceModel
@@ -285,11 +270,11 @@ def drop(law: LawLike, plant: Plant, rate: float = 500.0, height: float = 0.01, 
     if plant.stiffness:
         raise ValueError(f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: nobody holds what is dropped")
     device = DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay)
-    scene = drop_scene(device, 1.0 / rate, raw=False, clamp=False, height=height)
-    taps = compiled(law, rate)
+    scene = drop_scene(device, plant.period, raw=False, clamp=False, height=height)
+    taps = compiled(law, plant.period)
     trace = run(scene, taps, ticks)
     rested = settled(scene, taps, trace.position, trace.force, Criterion(ticks))
-    return _played(f"drop from {height * 1e3:g} mm", rate, trace, rested)
+    return _played(f"drop from {height * 1e3:g} mm", 1.0 / plant.period, trace, rested)
 
 
 def _played(name: str, rate: float, trace: Trace, rested: bool | None) -> Played:

@@ -23,10 +23,10 @@ from nodes.base.realtime import die_with_parent
 from nodes.client import launches
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive, runs
-from sim.api.laws import plain
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, read
 from sim.api.results import Result
+from sim.api.values import plain
 
 __all__ = [
     "LaunchError",

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import IO, Any
 
 from nodes.base.realtime import die_with_parent
-from sim.api.laws import plain
 from sim.api.progress import progress
 from sim.api.results import Result
 from sim.api.runs import ENDS_WITHIN, HAPTIC, LaunchError
+from sim.api.values import plain
 
 __all__ = [
     "Answer",

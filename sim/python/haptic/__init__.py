@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from messages.errors import HapticError
     from nodes.laws.parse import LawRefusedError
-    from nodes.stability.k_max import Plant
+    from nodes.stability.plant import Plant
     from sim.api.catalogue import laws, scenarios
     from sim.api.laws import law
     from sim.api.loops import drop, k_max, play, poles
@@ -46,7 +46,7 @@ _HOME = {
     "HapticError": "messages.errors",
     "LaunchError": "sim.api.runs",
     "LawRefusedError": "nodes.laws.parse",
-    "Plant": "nodes.stability.k_max",
+    "Plant": "nodes.stability.plant",
     "Run": "sim.api.runs",
     "connect": "sim.api.runs",
     "design": "sim.api.verbs",

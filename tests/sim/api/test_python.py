@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import haptic
 import numpy as np
@@ -17,6 +19,7 @@ from nodes.laws.fir import FIR
 from nodes.laws.pd import PD
 from nodes.parameters.store import ParameterError
 from sim.device.model import DeviceModel
+from tests.support import ROOT
 from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
 
 
@@ -74,7 +77,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
 
 
 def test_whatever_means_a_law_is_taken() -> None:
-    plant = haptic.Plant(mass=0.1, damping=1.0)
+    plant = haptic.Plant(period=0.002, mass=0.1, damping=1.0)
     mapping = {"kind": "pd", "stiffness": 1500, "damping": 3}
     pd = haptic.law("pd", stiffness=1500, damping=3)
     # PD is h = [K + B/T, −B/T]: three ways to say the same law (THEORY.md §1).
@@ -84,7 +87,7 @@ def test_whatever_means_a_law_is_taken() -> None:
 
 
 def test_k_max_is_the_closed_form_and_the_edge_of_the_poles() -> None:
-    plant = haptic.Plant(mass=0.1, damping=1.0)
+    plant = haptic.Plant(period=0.002, mass=0.1, damping=1.0)
     pd = haptic.law("pd", stiffness=1, damping=3)
     found = haptic.k_max(pd, plant)
     assert found.method == "closed_form"
@@ -97,7 +100,7 @@ def test_k_max_is_the_closed_form_and_the_edge_of_the_poles() -> None:
 
 
 def test_results_show_themselves() -> None:
-    fallen = haptic.drop({"kind": "pd", "stiffness": 1000, "damping": 3}, haptic.Plant(0.1, 1.0))
+    fallen = haptic.drop({"kind": "pd", "stiffness": 1000, "damping": 3}, haptic.Plant(0.002, 0.1, 1.0))
     assert fallen.settled
     # At rest the spring bears the weight.
     assert fallen.final_position_m == pytest.approx(-0.1 * 9.81 / 1000.0, rel=1e-6)
@@ -107,7 +110,7 @@ def test_results_show_themselves() -> None:
     assert "settled" in fallen._repr_html_()
     assert len(haptic.plot(fallen).axes) == 2
     with pytest.raises(ValueError, match="nobody holds"):
-        haptic.drop([1000.0], haptic.Plant(0.1, 1.0, stiffness=5.0))
+        haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0, stiffness=5.0))
 
 
 def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
@@ -117,6 +120,15 @@ def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
     played = haptic.play("floor_drop", stiffness=1500, duration=0.4)
     np.testing.assert_array_equal(run.recording["position"][:-1, 2], played.measured_m)
     assert haptic.read(run.recording.path).messages["/device/state"] == 201
+
+
+def test_the_readme_s_lines_run(place: Path) -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(compile(block, "README.md", "exec"), names)  # noqa: S102  # our own page
+    # The closed form (THEORY.md §3), by the page's own numbers.
+    assert names["edge"].k_max_n_per_m == pytest.approx(3781.866, abs=1e-3)
+    assert list(names["table"]["position_z"][:-1]) == list(names["played"].measured_m)
 
 
 def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> None:
