@@ -84,8 +84,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     export.add_argument("file", type=Path)
     export.add_argument(
         "--format",
-        choices=("csv", "npz", "mat", "parquet"),
-        help="csv: a directory, with a file per topic too (default); npz: numpy; mat: MATLAB; parquet: ticks only. "
+        choices=("csv", "npz", "mat", "parquet", "ros2"),
+        help="csv: a directory, with a file per topic too (default); npz: numpy; mat: MATLAB; parquet: ticks only; "
+        "ros2: a directory that ros2 bag play takes. "
         "Taken from the ending of --out when left out",
     )
 
@@ -105,7 +106,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
     for own, default in (
         (recover, "FILE.recovered.mcap"),
-        (export, "the directory FILE_csv, or FILE.npz, .mat, .parquet"),
+        (export, "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet"),
         (plot, "FILE.png, FILE_xy.png, FILE_overlay.png; .svg and .pdf are what they are called"),
     ):
         own.add_argument(
@@ -283,15 +284,19 @@ def _recover(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from nodes.recording.export import FORMATS
+    from nodes.recording.export import FORMATS as TABLES
+    from nodes.recording.export_ros2 import export_ros2
     from nodes.recording.reader import Recording
+
+    formats = {**TABLES, "ros2": export_ros2}
 
     source: Path = arguments.file
     ending = arguments.out.suffix.removeprefix(".") if arguments.out else ""
-    form = arguments.format or (ending if ending in FORMATS else "csv")
-    beside = source.with_name(f"{source.stem}_csv") if form == "csv" else source.with_suffix(f".{form}")
+    form = arguments.format or (ending if ending in formats else "csv")
+    is_folder = form in ("csv", "ros2")
+    beside = source.with_name(f"{source.stem}_{form}") if is_folder else source.with_suffix(f".{form}")
     out = _free(arguments.out or beside, arguments.force)
-    files = FORMATS[form](Recording(source), out, overwrite=arguments.force)
+    files = formats[form](Recording(source), out, overwrite=arguments.force)
     answer(arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files)))
     return 0
 

@@ -83,7 +83,7 @@ def node_name(run: RunInfo, name: str) -> str:
     plain = name.removeprefix("/")
     if plain in run.nodes:
         return plain
-    raise NoSuchNameError(f"{run.run}: no node is named {name!r}; {_hint(plain, list(run.nodes))}")
+    raise NoSuchNameError(f"{run.run}: no node is named {name!r}; {_hint(plain, list(run.nodes), 'there is:')}")
 
 
 def known_topic(run: RunInfo, topic: str) -> str:
@@ -108,13 +108,13 @@ def known_topic(run: RunInfo, topic: str) -> str:
     """
     known = list(run.endpoints())
     if topic not in known:
-        raise NoSuchNameError(f"{run.run}: no topic {topic!r}; {_hint(topic, known)}")
+        raise NoSuchNameError(f"{run.run}: no topic {topic!r}; {_hint(topic, known, 'there are')}")
     return topic
 
 
-def _hint(name: str, known: list[str]) -> str:
+def _hint(name: str, known: list[str], otherwise: str) -> str:
     close = difflib.get_close_matches(name, known, 1)
-    return f"did you mean {close[0]}?" if close else f"it has {', '.join(known)}"
+    return f"did you mean {close[0]}?" if close else f"{otherwise} {', '.join(known)}"
 
 
 def roles(run: RunInfo) -> dict[str, str]:

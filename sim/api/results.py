@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import html
 import importlib
+import io
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -120,7 +121,7 @@ def _short(value: Any) -> str:
 
 
 def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[Figure, list[Any]]:
-    """Make a figure that no global state keeps: a notebook shows it once.
+    """Make a figure that shows itself in a notebook, whatever matplotlib's backend is, and that no global state keeps.
 
     Parameters
     ----------
@@ -136,6 +137,12 @@ def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height * rows), layout="constrained")
+    class Picture(Figure):
+        def _repr_png_(self) -> bytes:
+            stream = io.BytesIO()
+            self.savefig(stream, format="png", dpi=96)
+            return stream.getvalue()
+
+    figure = Picture(figsize=(width, height * rows), layout="constrained")
     axes = figure.subplots(rows, 1, squeeze=False, sharex=True)
     return figure, [row[0] for row in axes]

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import signal
 import subprocess
 import tempfile
 import time
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -212,8 +214,8 @@ class Run:
         Its nodes.
     process : subprocess.Popen, optional
         The launcher, when this program started it; the end of a ``with`` block ends it.
-    folder : tempfile.TemporaryDirectory, optional
-        What the launcher writes to.
+    folder : Path, optional
+        What the launcher writes to; removed with the run.
 
     Attributes
     ----------
@@ -229,13 +231,15 @@ class Run:
         self,
         info: RunInfo,
         process: subprocess.Popen[bytes] | None = None,
-        folder: tempfile.TemporaryDirectory[str] | None = None,
+        folder: Path | None = None,
     ) -> None:
         self.info = info
         self.param = Parameters(self)
         self.law = Laws(self)
         self._process = process
         self._folder = folder
+        if folder is not None:
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self._summary: Summary | None = None
 
     def __enter__(self) -> Self:
@@ -426,12 +430,12 @@ class Run:
         return read(path)
 
 
-def _lines(folder: tempfile.TemporaryDirectory[str]) -> list[str]:
-    return (Path(folder.name) / "stdout.txt").read_text(encoding="utf-8").splitlines()
+def _lines(folder: Path) -> list[str]:
+    return (folder / "stdout.txt").read_text(encoding="utf-8").splitlines()
 
 
-def _errors(folder: tempfile.TemporaryDirectory[str]) -> str:
-    text = (Path(folder.name) / "stderr.txt").read_text(encoding="utf-8", errors="replace")
+def _errors(folder: Path) -> str:
+    text = (folder / "stderr.txt").read_text(encoding="utf-8", errors="replace")
     return text.strip()[-2000:]
 
 
@@ -497,9 +501,8 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
         words.append("--view")
     if out_dir is not None:
         words += ["--out-dir", str(out_dir)]
-    folder = tempfile.TemporaryDirectory(prefix="haptic-", ignore_cleanup_errors=True)
-    place = Path(folder.name)
-    with open(place / "stdout.txt", "wb") as out, open(place / "stderr.txt", "wb") as errors:
+    folder = Path(tempfile.mkdtemp(prefix="haptic-"))
+    with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as errors:
         process = subprocess.Popen(
             [*HAPTIC, "launch", scenario, *words, "--json", "--no-plot"],
             stdin=subprocess.DEVNULL,
@@ -514,10 +517,11 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
     except BaseException:
         process.send_signal(signal.SIGINT)
         process.wait(ENDS_WITHIN)
+        shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
-def _appeared(process: subprocess.Popen[bytes], folder: tempfile.TemporaryDirectory[str]) -> RunInfo:
+def _appeared(process: subprocess.Popen[bytes], folder: Path) -> RunInfo:
     until = time.monotonic() + STARTS_WITHIN
     for _ in _polls(until):
         info = next((info for info in runs().values() if info.launcher == process.pid), None)
