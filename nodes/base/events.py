@@ -6,6 +6,7 @@ Nothing here waits: what is published goes into an outbox, which the loop emptie
 from __future__ import annotations
 
 import math
+import os
 import sys
 import threading
 import time
@@ -97,7 +98,7 @@ class Telling:
     def say(self, text: str) -> None:
         """Write one line to standard error, named; in a node's process it only joins a queue (nodes/base/words.py)."""
         # On a terminal the launcher's status line stands where this goes.
-        clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+        clear = "\r\x1b[K" if sys.stderr.isatty() and os.environ.get("TERM") != "dumb" else ""
         sys.stderr.write(f"{clear}[{self.setup.name}] {text}\n")
 
     def tell(self, kind: str, reason: str, always: bool = False) -> None:
@@ -105,7 +106,7 @@ class Telling:
         count = self._told[kind] = self._told.get(kind, 0) + 1
         seldom = count & (count - 1) == 0
         if seldom:
-            repeat = f" ({count} times)" if count > 1 else ""
+            repeat = f" ({count} events of this kind)" if count > 1 else ""
             self.say(f"{kind}: {reason}{repeat}")
         if seldom or always:
             self._post_event(kind, reason)

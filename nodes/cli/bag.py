@@ -292,7 +292,9 @@ def _export(arguments: argparse.Namespace) -> int:
 
     source: Path = arguments.file
     ending = arguments.out.suffix.removeprefix(".") if arguments.out else ""
-    form = arguments.format or (ending if ending in formats else "csv")
+    form = arguments.format or ending or "csv"
+    if form not in formats:
+        raise UsageError(f"{arguments.out}: {ending!r} is no format; take one of {', '.join(formats)} with --format")
     is_folder = form in ("csv", "ros2")
     beside = source.with_name(f"{source.stem}_{form}") if is_folder else source.with_suffix(f".{form}")
     out = _free(arguments.out or beside, arguments.force)

@@ -5,11 +5,17 @@ from __future__ import annotations
 import os
 from typing import TextIO
 
+
+def is_smart(stream: TextIO) -> bool:
+    """Whether a stream is a terminal that knows escape sequences."""
+    return stream.isatty() and os.environ.get("TERM") != "dumb"
+
+
 _CODES = {"red": 31, "green": 32, "yellow": 33, "bold": 1, "dim": 2}
 
 
 def coloured(text: str, colour: str, stream: TextIO) -> str:
     """Colour a text for where it is printed."""
-    if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+    if not is_smart(stream) or os.environ.get("NO_COLOR"):
         return text
     return f"\x1b[{_CODES[colour]}m{text}\x1b[0m"

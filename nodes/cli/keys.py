@@ -34,7 +34,7 @@ def _telling(function: Callable[[argparse.Namespace], int]) -> Callable[[argpars
     def run(arguments: argparse.Namespace) -> int:
         try:
             return function(arguments)
-        except (keys.KeyRefusedError, OSError) as error:
+        except keys.KeyRefusedError as error:
             raise UsageError(str(error)) from error
 
     return run

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import signal
 import sys
@@ -225,8 +226,6 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
     if figures["ticks"] and isinstance(final["position_m"], float):
         lines.append(_ending(final, figures["safety"].get("state") == "stopped"))
     lines += [f"  recording {path}" for path in figures["recordings"]]
-    if figures["plot"]:
-        lines.append(f"  plot      {figures['plot']}")
     return "\n".join(lines)
 
 
@@ -266,9 +265,15 @@ def _places(launch: Launch) -> Iterator[tuple[str, Path]]:
 
 
 def _check_places(launch: Launch) -> None:
-    """Refuse, before anything is started, a place that no recording of this machine can be written to."""
-    for _, path in _places(launch):
+    """Refuse, before anything is started, places that no recording of this machine can be written to, and one for two."""
+    taken: dict[Path, str] = {}
+    for name, path in _places(launch):
         refuse_unwritable(path, "--out-dir")
+        if (other := taken.setdefault(path.absolute(), name)) != name:
+            raise UsageError(
+                f"{launch.scenario}: {other} and {name} both record to {path}; give one of them another "
+                f"nodes.{name}.parameters.path"
+            )
 
 
 def _into(launch: Launch, folder: Path) -> Launch:
@@ -294,6 +299,14 @@ def _plot(recording: str, say: Callable[[str], None]) -> str | None:
         say(f"no plot: {error}")
         return None
     return str(picture)
+
+
+def _print(text: str) -> None:
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        # Nobody reads the answer; the exit code tells all the same.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
@@ -322,6 +335,9 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     status.clear()
     figures = summarise(launch, supervisor)
     _note_cut(supervisor, figures["ticks"])
+    if not arguments.json:
+        # First what happened: drawing takes a second.
+        _print(_text(launch, figures))
     if launch.run.tick == "auto" and supervisor.tick == "plain" and figures["ticks"]:
         processors = {cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus}
         with realtime.off(processors):
@@ -335,11 +351,10 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             say(f"no plot: interrupted; haptic bag plot {here[0]} draws it")
     last_words()
     page.drain()
-    try:
-        answer(arguments.json, figures, _text(launch, figures))
-    except BrokenPipeError:
-        # Nobody reads the answer; the exit code tells all the same.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if arguments.json:
+        _print(json.dumps(figures))
+    elif figures["plot"]:
+        _print(f"  plot      {figures['plot']}")
     if supervisor.failed or supervisor.failures:
         return 1
     early = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}

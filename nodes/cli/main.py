@@ -116,6 +116,8 @@ def main(argv: list[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else argv
     # A node waits for signals in a thread and blocks them everywhere else; a command that it starts inherits that.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    # Verbs draw into files: what else matplotlib is told to draw on must not stop them.
+    os.environ["MPLBACKEND"] = "agg"
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A terminal or a locale without µ gets a question mark, not a traceback.
@@ -162,7 +164,9 @@ def _run(argv: list[str]) -> int:
         return 2
     try:
         return int(run(arguments))
-    except RefusedError as error:
+    except UsageError:
+        raise
+    except HapticError as error:
         if getattr(arguments, "json", False):
             print(json.dumps({"error": str(error)}), flush=True)
         complain(error)

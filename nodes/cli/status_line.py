@@ -16,7 +16,7 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.transport.requests import ControlError, call
 from messages.types import ZERO, Vector
 from nodes.base.kinds import load
-from nodes.cli.colour import coloured
+from nodes.cli.colour import coloured, is_smart
 from nodes.environment.surfaces import Meeting, parse_surface
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.supervisor import Supervisor
@@ -68,7 +68,7 @@ class StatusLine:
         self._launch = launch
         self._axis = "xyz".index(launch.run.axes[0])
         self._before = (time.monotonic(), 0)
-        self._live = sys.stderr.isatty()
+        self._live = is_smart(sys.stderr)
         self._asked = 0
         self._law = ""
         self._meet: Callable[[Vector], Meeting] | None = None

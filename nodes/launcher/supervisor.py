@@ -205,7 +205,7 @@ class Supervisor:
                     self._note_ready(child)
                     break
                 if time.monotonic() - begun > patience:
-                    raise LaunchFailedError(f"{name}: still {state} after {patience:g} s")
+                    raise LaunchFailedError(f"{name}: still {state} after {patience:g} s{_burdened()}")
                 time.sleep(0.01)
 
     def _note_ready(self, child: Child) -> None:
@@ -349,3 +349,9 @@ class Supervisor:
         if report:
             self.reports[name] = report
         return report
+
+
+def _burdened() -> str:
+    """Name a machine that has more to do than it can as the reason of what takes too long."""
+    load, processors = os.getloadavg()[0], len(os.sched_getaffinity(0))
+    return f"; this machine is busy: load {load:.0f} on {processors} processors" if load > 2 * processors else ""

@@ -111,6 +111,9 @@ _Loader.add_constructor("tag:yaml.org,2002:bool", _Loader.construct_bool)
 _Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
 
 
+_TAB = r"found character '\t' that cannot start any token"
+
+
 def parse_yaml(text: str, source: str) -> Any:
     """Read one YAML document, bounded in size and depth."""
     if len(text) > MAX_CHARACTERS:
@@ -119,7 +122,8 @@ def parse_yaml(text: str, source: str) -> Any:
         # _Loader is a SafeLoader: it constructs builtins only.
         return yaml.load(text, Loader=_Loader)  # noqa: S506
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise ParameterError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
+        told = " ".join(str(error).split()).replace(_TAB, "a tab, where YAML takes spaces")
+        raise ParameterError(f"{source}: not valid YAML: {told}") from error
 
 
 def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:

@@ -1,7 +1,7 @@
 """A recording as a ROS 2 bag: ``ros2 bag play`` plays it, RViz and PlotJuggler show it.
 
-A folder with an MCAP file and ``metadata.yaml`` of version 8, which Humble and all that is newer reads. Stamps are wall-clock time,
-positions metres; frames follow REP 103 (x forward, y left, z up), which is ours.
+A folder with an MCAP file and ``metadata.yaml`` of version 8, which Humble and all newer ones read. Stamps are
+wall-clock time, positions metres; frames follow REP 103 (x forward, y left, z up), which is ours.
 """
 
 from __future__ import annotations
