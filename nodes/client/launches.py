@@ -169,4 +169,5 @@ def ask(run: RunInfo, node: str, op: str, timeout: float = TIMEOUT, **args: Any)
         # An endpoint or key that cannot be used, a value that no message can carry.
         raise ControlError(str(error)) from error
     finally:
-        context.term()
+        # With whatever socket an interrupt left open: term() alone would wait for it for ever.
+        context.destroy(linger=0)

@@ -47,7 +47,9 @@ def test_ros_2_s_own_layout_reads_back(bag: Path, recording: Path) -> None:
                 forces.append(message.wrench.force.z)
     # CDR holds doubles: to the bit.
     assert heights == table["position"][:, 2].tolist()
-    assert forces == table["force_asked"][:-1, 2].tolist()
+    # The run's last state is answered by nobody, or too late to count.
+    assert len(heights) - len(forces) in (0, 1)
+    assert forces == table["force_asked"][: len(forces), 2].tolist()
     steps = {b - a for a, b in itertools.pairwise(stamps)}
     # T = 2 ms; a stamp is rounded to a nanosecond.
     assert all(abs(step - 2_000_000) <= 1 for step in steps)
@@ -60,7 +62,7 @@ def test_stamps_are_wall_clock_time(bag: Path, recording: Path) -> None:
         assert summary is not None
         assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
         first = next(iter(reader.iter_decoded_messages(topics=["/haptic/device/force"])))
-    assert first.ros_msg.header.frame_id == "haptic"
+    assert first.decoded_message.header.frame_id == "haptic"
     # A bag made today: the file's own time is the oracle, a run takes well under an hour.
     assert abs(first.message.log_time / 1e9 - recording.stat().st_mtime) < 3600.0
     assert "version: 8" in (bag / "metadata.yaml").read_text(encoding="utf-8")
