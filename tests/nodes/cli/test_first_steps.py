@@ -17,7 +17,7 @@ from tests.support.launching import HAPTIC, Running, haptic, launch_json
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    return folder / launch_json(folder, "floor_drop", "duration:=0.2", "pace:=lockstep")["recording"]
+    return folder / str(launch_json(folder, "floor_drop", "duration:=0.2", "pace:=lockstep")["recording"])
 
 
 def test_the_summary_comes_before_the_picture(tmp_path: Path) -> None:

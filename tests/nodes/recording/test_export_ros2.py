@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -20,7 +21,7 @@ from tests.support.launching import launch_json
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    return folder / launch_json(folder, "floor_drop", "duration:=0.4", "pace:=lockstep")["recording"]
+    return folder / str(launch_json(folder, "floor_drop", "duration:=0.4", "pace:=lockstep")["recording"])
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def test_ros_2_s_own_layout_reads_back(bag: Path, recording: Path) -> None:
         assert kinds["/haptic/device/force"] == "geometry_msgs/msg/WrenchStamped"
         stamps, heights, forces = [], [], []
         for line, at, raw in reader.messages():
-            message = store.deserialize_cdr(raw, line.msgtype)
+            message: Any = store.deserialize_cdr(raw, line.msgtype)
             if line.topic == "/haptic/device/pose":
                 stamps.append(at)
                 heights.append(message.pose.position.z)
