@@ -25,6 +25,7 @@ STUDIES: dict[str, str] = {
     "coverage": "sim.studies.coverage",
     "kmax": "sim.studies.kmax",
     "optimise": "sim.studies.optimise",
+    "price": "sim.studies.price",
     "proxies": "sim.studies.proxies",
     "two_rate": "sim.studies.two_rate",
 }
