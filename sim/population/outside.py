@@ -101,6 +101,7 @@ class Outside:
 @compiled()
 def _push(
     wanted: Array,
+    taps: Array,
     law: tuple[float, float, float, float],
     body: tuple[float, float, float, float, float, float],
     odd: Array,
@@ -113,16 +114,15 @@ def _push(
     forces: Array,
 ) -> None:
     """Push in closed loop, as `sim.population.virtual` does; everything that acts is taken in the middle of each step."""
-    spring, damper, reach, peak = law
+    centre, reach, peak, start = law
     mass, damping, friction, share, joint, loss = body
     quadratic, lag, gap, hardening, presliding, stribeck, uneven, cogging, ripple, warming, deadband = odd
     own = mass * (1.0 - share)
     beyond = mass * share
     step = period / 64.0
-    x, v, y, w = 0.0, 0.0, 0.0, 0.0
+    x, v, y, w = start, 0.0, start, 0.0
     given, acting, bristle = 0.0, 0.0, 0.0
-    centre = quantise(0.0, resolution)
-    before = centre
+    deflections = np.zeros(len(taps))
     arrived = 0
     ticks = len(wanted)
     for k in range(ticks):
@@ -180,9 +180,11 @@ def _push(
                 if ripple > 0.0:
                     read += ripple * math.sin(2.0 * math.pi * x / 0.0013)
                 measured = quantise(read, resolution)
-                force = held_back(wanted[k], centre - measured, reach)
-                force -= spring * (measured - centre) + damper * (measured - before) / period
-                before = measured
+                deflections[1:] = deflections[:-1].copy()
+                deflections[0] = centre - measured
+                force = held_back(wanted[k], deflections[0], reach)
+                for m in range(len(taps)):
+                    force += taps[m] * deflections[m]
                 positions[k] = measured
                 forces[k] = min(max(force, -peak), peak)
             elif what == 2:
@@ -212,9 +214,49 @@ def excite_outside(device: Outside, period: float, seconds: float, seed: int, pe
         As a driver records it: a tick's position counts as sampled at the tick, whenever it was.
     """
     ticks = round(seconds / period)
-    rng = np.random.default_rng([seed, 7])
     signal = Telegraph(PUSH.amplitude, PUSH.clocks, seed)
     wanted: Array = np.array([signal.next() for _ in range(ticks)])
+    damper = PUSH.damping / period
+    taps = np.array([PUSH.stiffness + damper, -damper])
+    return lockstep(period, *_played(device, period, wanted, taps, (0.0, PUSH.reach, peak, 0.0), seed))
+
+
+def knock_outside(
+    device: Outside, taps: Array, step: float, period: float, ticks: int, peak: float, start: float = 0.0
+) -> Array:
+    """Let a law feel a step of the deflection on such a device at rest.
+
+    Parameters
+    ----------
+    device : Outside
+        The device.
+    taps : ndarray, shape (n + 1,)
+        The law [N/m].
+    step : float
+        The step [m].
+    period : float
+        Sampling period T [s].
+    ticks : int
+        How long.
+    peak : float
+        Largest force [N].
+    start : float
+        Where it is, as a part of an encoder step.
+
+    Returns
+    -------
+    ndarray, shape (ticks,)
+        What the encoder reads [m].
+    """
+    place = start * (device.rigid.resolution or 0.0)
+    return _played(device, period, np.zeros(ticks), taps, (step, math.inf, peak, place), 0)[0]
+
+
+def _played(
+    device: Outside, period: float, wanted: Array, taps: Array, law: tuple[float, float, float, float], seed: int
+) -> tuple[Array, Array]:
+    ticks = len(wanted)
+    rng = np.random.default_rng([seed, 7])
     sample = rng.uniform(0.0, device.jitter, ticks) if device.jitter else np.zeros(ticks)
     late = rng.uniform(0.0, device.late, ticks) if device.late else np.zeros(ticks)
     arrive = np.maximum.accumulate(np.arange(ticks) + device.rigid.delay + late)
@@ -229,11 +271,11 @@ def excite_outside(device: Outside, period: float, seconds: float, seed: int, pe
         ]
     )  # fmt: skip
     _push(
-        wanted, (PUSH.stiffness, PUSH.damping, PUSH.reach, peak),
+        wanted, np.asarray(taps, dtype=np.float64), law,
         (rigid.mass, rigid.damping, rigid.friction or 0.0, device.share, joint, loss), odd, sample, arrive, noise,
         rigid.resolution or 1e-9, period, positions, forces,
     )  # fmt: skip
-    return lockstep(period, positions, forces)
+    return positions, forces
 
 
 def _between(low: float, high: float) -> Callable[[np.random.Generator], float]:

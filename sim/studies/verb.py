@@ -27,6 +27,7 @@ STUDIES: dict[str, str] = {
     "optimise": "sim.studies.optimise",
     "price": "sim.studies.price",
     "proxies": "sim.studies.proxies",
+    "tuned": "sim.studies.tuned",
     "two_rate": "sim.studies.two_rate",
 }
 

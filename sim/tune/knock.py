@@ -12,7 +12,7 @@ one does not, they go down.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,6 +47,8 @@ DYING = 0.9
 """A motion dies when the last third of the longest window has so much of the third before it."""
 GROWING = 1.05
 """One that has more than this of it grows, and is watched no longer."""
+STARTS = (0.0, 0.25, 0.5, 0.75)
+"""Where in an encoder step a knock on a model begins: near the edge that decides, and the worst of them counts."""
 FAR = 3.0
 """A deflection of so many knocks ends the trial."""
 
@@ -200,16 +202,31 @@ def knocked(
     """Make knocks on a model."""
     import msgspec
 
-    device = msgspec.structs.replace(model, position=-knock, velocity=0.0, gravity=None)
-    scene = Scene(device=device, surface=Surface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew)
+    def begun(start: float) -> Scene:
+        place = start * (model.resolution or 0.0) - knock
+        device = msgspec.structs.replace(model, position=place, velocity=0.0, gravity=None)
+        return Scene(
+            device=device, surface=Surface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew
+        )
+
+    scenes = [begun(start) for start in (STARTS if model.resolution else STARTS[:1])]
 
     def once(step: int) -> Verdict:
         factor = factor_of(step)
-        verdict = judge(run(scene, scaled(law, factor), LONGEST).measured, knock, factor)
-        assert verdict is not None  # noqa: S101  # the longest window decides
-        return verdict
+        tried = scaled(law, factor)
+        return worst(judge(run(scene, tried, LONGEST).measured, knock, factor) for scene in scenes)
 
     return once
+
+
+def worst(verdicts: Iterable[Verdict | None]) -> Verdict:
+    """Take the first knock that does not come to rest, or the last one that does."""
+    last: Verdict | None = None
+    for last in verdicts:
+        if last is not None and not last.rests:
+            break
+    assert last is not None  # noqa: S101  # the longest window decides
+    return last
 
 
 def planned(knock: Callable[[int], Verdict], linear: float) -> tuple[Plan, Edge]:

@@ -61,6 +61,7 @@ class Trials:
     ) -> None:
         self._loop, self._held, self._say = loop, held, say
         self._taps, self._knock, self._load = list(taps), knock, load
+        self._near, self._sign = 0, -1.0
         # A launch that has a guard of its own keeps it.
         self._own = ask(loop.run, loop.driver, "param.get", name="passivity")
         self._guarded = not (self._own and self._own["guard"] == "on")
@@ -69,6 +70,7 @@ class Trials:
     def climb(self, plan: Plan, steps: Edge) -> Edge:
         """Try the law from far below up to its edge; `steps` takes the verdicts as they come."""
         loop = self._loop
+        self._near = plan.near
         try:
             self.hold()
             return climb(plan, self._verdict, steps)
@@ -93,11 +95,15 @@ class Trials:
 
     def _verdict(self, step: int) -> Verdict:
         """Knock until one verdict was not disturbed; one that does not rest is confirmed by another."""
-        factor, doubted, disturbed = factor_of(step), False, ""
+        factor, doubted, disturbed, rested = factor_of(step), False, "", 0
         for _ in range(AGAIN):
             verdict, disturbed = self._try(factor)
             if verdict.why.startswith("the driver stopped"):
                 return verdict
+            rested += verdict.rests and not disturbed
+            if verdict.rests and not disturbed and rested < 2 and step >= self._near:
+                # Near the edge it decides where in a step of the encoder a knock begins: once more, the other way.
+                continue
             if not disturbed and (verdict.rests or doubted):
                 self._say(f"{factor:.3f} times the law: {100 * verdict.left:.0f} % of the knock left")
                 return verdict
@@ -110,13 +116,14 @@ class Trials:
         """Knock once, and tell what disturbed it."""
         loop = self._loop
         self._held.check()
-        law = law_of(self._taps, factor, self._knock, self._load, len(loop.axes))
+        self._sign = -self._sign
+        law = law_of(self._taps, factor, self._sign * self._knock, self._load, len(loop.axes))
         ask(loop.run, loop.coupling, "param.set", values={f"laws.{TRIAL}": law})
         if self._guarded:
             # Afresh: every knock has the whole allowance.
             ask(loop.run, loop.driver, "param.set", values={"passivity": self._allowance})
         position, why, disturbed = self._window(factor)
-        verdict = judge(position, self._knock, factor)
+        verdict = judge(position, self._sign * self._knock, factor)
         if disturbed and verdict is None:
             verdict = Verdict(factor, 0.0, False, disturbed)
         if why or verdict is None:
@@ -155,7 +162,7 @@ class Trials:
                 return np.array(positions), f"the loop gave out {state.energy - energy:.2g} J after one knock", ""
             # Judged when a window is full, or each tick once it is far; the longest window always decides.
             if len(positions) % WINDOW == 0 or abs(positions[-1] - positions[0]) > 2.0 * self._knock:
-                verdict = judge(np.array(positions), self._knock, factor)
+                verdict = judge(np.array(positions), self._sign * self._knock, factor)
                 if verdict is not None:
                     break
             if state.seq >= began + LONGEST:

@@ -62,7 +62,7 @@ def knock_size(taps: tuple[float, ...], edge: float, found: Identified, peak: fl
     float
         At most 1 mm, at least eight encoder steps [m].
     """
-    strongest = 0.5 * (peak or 6.0) / (edge * max(map(abs, taps)))
+    strongest = 0.8 * (peak or 4.0) / (edge * max(map(abs, taps)))
     return max(min(1e-3, strongest), 8.0 * (found.encoder.value or 1e-6))
 
 

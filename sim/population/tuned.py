@@ -1,0 +1,133 @@
+"""Random devices, inside the model and outside, tuned from end to end without knowing them, and judged by their true poles.
+
+The chain is `haptic tune`'s own: push, identify, refuse a refuted model, design, predict, climb by knocks, judge. Only the loop
+between law and device is played in one process. The judge knows the device: the poles of its loop, joint and lag included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.stability.flexible import FlexiblePlant, flexible_radius
+from sim.identify.identified import refusal
+from sim.identify.identify import identify
+from sim.population.outside import KINDS, Outside, draw_outside, excite_outside, knock_outside
+from sim.population.virtual import draw, excite
+from sim.tune.design import Wanted, design
+from sim.tune.knock import LONGEST, Verdict, climb, factor_of, judge, knocked, scaled, worst
+from sim.tune.outcome import verified
+from sim.tune.predict import predict
+
+PEAK = 3.3
+"""Largest force of every driver [N]."""
+INSIDE = "inside the model"
+
+
+def kinds() -> list[str]:
+    """List the kinds of devices: inside the model, and every one outside."""
+    return [INSIDE, *KINDS]
+
+
+def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Draw, push, identify and tune one device; say what was delivered, and what it is on the true device."""
+    period, kind = 1.0 / job["rate"], job["kind"]
+    row: dict[str, Any] = {"kind": kind, "number": job["number"], "delivered": False, "holds": None}
+    if kind == INSIDE:
+        model = draw(job["number"], job["seed"], held=False)
+        device = Outside(model, "rigid")
+        experiment = excite(model, period, job["seconds"], job["number"], PEAK)
+    else:
+        device = draw_outside(kind, job["number"], job["seed"])
+        experiment = excite_outside(device, period, job["seconds"], job["number"], PEAK)
+    found = identify(experiment)
+    row["refuted"] = refusal(found)
+    if row["refuted"] and not job["refuted"]:
+        return row | {"stopped": f"refused: {row['refuted']}"}
+    try:
+        law, _, asked = design(found, Wanted(job["taps"], land=job["land"], nyquist=job["nyquist"]))
+        if law.found is None:
+            return row | {"stopped": "no law keeps the demand"}
+        compiled = law.found.law
+        row["h1_n_per_m"] = compiled.h1
+        figures, _, plan = predict(compiled, asked, found, PEAK, None)
+    except ValueError as error:
+        return row | {"stopped": str(error)}
+    once = knocks(device, compiled, figures["knock_m"], period)
+    told = verified(figures, climb(plan, once))
+    row |= {
+        "holds": told["holds"],
+        "delivered": told["holds"],
+        "edge_n_per_m": told["edge_by_poles_h1_n_per_m"],
+        "predicted_edge_n_per_m": figures["edge_linear_h1_n_per_m"],
+        "true_radius": true_radius(compiled, device, period),
+        "true_edge_n_per_m": true_edge(compiled, device, period),
+        "knocks": len(told["steps"]),
+        "ended": told["ended"],
+    }
+    return row
+
+
+def knocks(device: Outside, law: CompiledLaw, knock: float, period: float) -> Callable[[int], Verdict]:
+    """Make knocks on the true device."""
+    if device.kind == "rigid":
+        return knocked(law, device.rigid, period, knock, PEAK, None)
+
+    def once(step: int) -> Verdict:
+        factor = factor_of(step)
+        taps = np.array(scaled(law, factor).taps)
+        # Two knocks, as on a real device, begin wherever in a step of the encoder it is.
+        played = (knock_outside(device, taps, knock, period, LONGEST, PEAK, start) for start in (0.1, 0.6))
+        return worst(judge(position, knock, factor) for position in played)
+
+    return once
+
+
+def _plants(device: Outside) -> list[FlexiblePlant]:
+    """Give the linear devices that a device may be: with the shortest delay and the longest."""
+    import dataclasses
+
+    plant = device.plant
+    return [plant, *([dataclasses.replace(plant, delay=plant.delay + device.late)] if device.late else [])]
+
+
+def true_radius(law: CompiledLaw, device: Outside, period: float) -> float:
+    """Find the largest pole of the loop with the true device; dry friction left out."""
+    return max(flexible_radius(law, period, plant) for plant in _plants(device))
+
+
+def true_edge(law: CompiledLaw, device: Outside, period: float) -> float | None:
+    """Find the stiffness at which a pole of the true loop reaches the unit circle [N/m]; None above 20 times the law."""
+    low, high = 0.02, 0.02
+    while true_radius(scaled(law, high), device, period) < 1.0:
+        low, high = high, high * 1.02
+        if high > 20.0:
+            return None
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if true_radius(scaled(law, middle), device, period) < 1.0 else (low, middle)
+    return low * law.h1
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Count what was delivered, and what of it was wrong."""
+    tried = [row for row in rows if row["holds"] is not None]
+    edges = [
+        row["edge_n_per_m"] / row["true_edge_n_per_m"] - 1.0
+        for row in tried
+        if row["edge_n_per_m"] and row["true_edge_n_per_m"]
+    ]
+    return {
+        "devices": len(rows),
+        "refused": sum(bool(row["refuted"]) for row in rows),
+        "tried": len(tried),
+        "unstable_laws_designed": sum(row["true_radius"] >= 1.0 for row in tried),
+        "delivered": sum(row["delivered"] for row in rows),
+        "delivered_unstable": sum(row["delivered"] and row["true_radius"] >= 1.0 for row in tried),
+        "edges": len(edges),
+        "edge_error_largest": max(map(abs, edges), default=None),
+        "edges_within_5_percent": sum(abs(error) <= 0.05 for error in edges),
+    }
