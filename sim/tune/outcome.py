@@ -8,6 +8,8 @@ from typing import Any
 
 from sim.tune.knock import STEP, Edge
 
+AGREES = 0.1
+"""An edge so far from the predicted one is another device's: then the model tells nothing of this one's poles either."""
 MARGIN = 1.05
 """A law holds when it rests up to so many times itself: what dry friction lends a small knock, a large one lacks."""
 
@@ -17,23 +19,31 @@ def verified(predicted: Mapping[str, Any], edge: Edge) -> dict[str, Any]:
 
     Knocks see the edge a little early where a motion dies slowly, and late where friction is strong. How much is known from the
     model, on which edges by knocks and by poles are both known: the edge that the poles of the device have is the measured one,
-    times the ratio of these two.
+    times the ratio of these two. Where device and model do not agree about the edge, that ratio is worth nothing: dry friction
+    may hold a mode that the model does not have. Such a law is not delivered, even if small knocks on it come to rest.
     """
     h1, factor, rested = predicted["h1_n_per_m"], edge.factor, edge.rested
+    expected = predicted["edge_factor"]
+    agrees = factor is expected is None or (factor and expected and abs(factor / expected - 1.0) <= AGREES)
     correction = predicted["edge_linear_factor"] / predicted["edge_factor"] if predicted["edge_factor"] else 1.0
     # Between the last that rests and the first that does not.
-    by_poles = None if factor is None or rested is None else correction * factor
+    by_poles = None if factor is None or rested is None or not agrees else correction * factor
     below_law = [step for step in edge.steps if step.factor <= 1.0 + 1e-12]
     climbed = bool(below_law) and all(step.rests for step in below_law) and below_law[-1].factor > 1.0 / STEP
-    holds = climbed and rested is not None and rested >= 1.0 and (by_poles is None or by_poles >= MARGIN)
+    rests = climbed and rested is not None and rested >= 1.0
+    holds = bool(rests and agrees and (by_poles is None or by_poles >= MARGIN))
+    ended = edge.ended
+    if rests and not agrees and edge.ended:
+        ended = f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that was identified"
     return {
         "holds": holds,
+        "agrees": bool(agrees),
         "edge_factor": factor,
         "edge_h1_n_per_m": None if factor is None else factor * h1,
         "edge_by_poles_h1_n_per_m": None if by_poles is None else by_poles * h1,
         "stiffest_at_rest_n_per_m": None if rested is None else rested * h1,
         **compared(predicted["edge_factor"], factor),
-        "ended": edge.ended,
+        "ended": ended,
         "steps": [asdict(step) for step in edge.steps],
     }
 
