@@ -141,8 +141,7 @@ def _demand(arguments: argparse.Namespace) -> tuple[Demand, Measured | None]:
 
 
 def _say(what: str) -> None:
-    if sys.stderr.isatty():
-        print(f"{what} ...", file=sys.stderr, flush=True)
+    print(f"{what} ...", file=sys.stderr, flush=True)
 
 
 def _wanted(demand: Demand) -> dict[str, Any]:
@@ -191,9 +190,16 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         )
     if law.found is not None and law.law is not None:
         path = fresh(arguments.out / "designed.yaml")
-        path.write_text(to_yaml(law.law, comment=_describe(demand)), encoding="utf-8")
+        lands = all(drops(law.found.law, demand).values())
+        comment = _describe(demand) + ("" if lands else "\nit does NOT bear a landing: --land")
+        path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
+        if not lands:
+            lines.insert(
+                0, "This law does NOT bear a landing: a drop on a floor does not settle; --land designs one that does"
+            )
         figures["designed"] = _row(law, demand) | {
             "yaml": str(path),
+            "lands": lands,
             "every_delay": certificate(law.found.law, demand),
         }
         proof = figures["designed"]["every_delay"]
