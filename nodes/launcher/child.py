@@ -23,8 +23,8 @@ from nodes.base.standstill import held_in
 PYTHON = (sys.executable, "-P")
 """The interpreter that our processes run in: without the working directory on its path, where a ``sim.py`` may be anybody's."""
 
-START_TIMEOUT = 30.0
-"""How long a node's process may take until it is ready [s]."""
+START_TIMEOUT = 90.0
+"""How long a node's process may take until it is ready [s]: eight launches at once on two processors take more than 30 s."""
 
 
 class Child:
@@ -150,7 +150,7 @@ class Child:
         """Whether the kernel holds on to it; one that has only not got its turn to die yet is not."""
         with contextlib.suppress(OSError, AttributeError):
             text = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="ascii", errors="replace")  # type: ignore[union-attr]
-            return text.rsplit(")", 1)[1].split()[0] in "DTt"
+            return text.rsplit(")", 1)[1].split()[0] in "Tt"
         return False
 
     def progress(self) -> int:
