@@ -101,9 +101,9 @@ class Telling:
         clear = "\r\x1b[K" if sys.stderr.isatty() and os.environ.get("TERM") != "dumb" else ""
         sys.stderr.write(f"{clear}[{self.setup.name}] {text}\n")
 
-    def tell(self, kind: str, reason: str, always: bool = False) -> None:
-        """Publish an event and say it; repeats of one kind at powers of two only."""
-        count = self._told[kind] = self._told.get(kind, 0) + 1
+    def tell(self, kind: str, reason: str, always: bool = False, count: int = 0) -> None:
+        """Publish an event and say it; repeats of one kind at powers of two only, which who counts them itself gives."""
+        count = self._told[kind] = count or self._told.get(kind, 0) + 1
         seldom = count & (count - 1) == 0
         if seldom:
             repeat = f" ({count} events of this kind)" if count > 1 else ""

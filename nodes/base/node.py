@@ -125,6 +125,17 @@ class Node(Telling, Changeable):
         del setup
 
     @classmethod
+    def modules(cls) -> set[str]:
+        """Tell what is compiled for the kind.
+
+        Returns
+        -------
+        set of str
+            Modules of nodes/tick.
+        """
+        return {cls.kernel_module} - {""}
+
+    @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
         """Tell which axes the scene must compute for what a node does.
 

@@ -306,13 +306,13 @@ def _packages() -> Finding:
 
 def _compiled_tick() -> Finding:
     """Look whether `run.tick: auto` finds the compiled ticks: it takes what is built, and never waits for the compiler."""
-    modules = {""}
+    modules: set[str] = set()
     for factory in node_kinds().values():
         # A kind that cannot be imported is named under "other packages".
         with contextlib.suppress(ParameterError):
-            modules.add(load(factory).kernel_module)
+            modules |= load(factory).modules()
     try:
-        missing = sorted(module for module in modules - {""} if find(module) is None)
+        missing = sorted(module for module in modules if find(module) is None)
     except CacheRefusedError as error:
         return Finding(
             "compiled tick",

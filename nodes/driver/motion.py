@@ -2,129 +2,107 @@
 
 A tick can be lost because the driver was held up, or because the position it got is no position. Then the next sample ends a
 longer step: its displacement is divided by all the ticks that it took, and its energy is that of the mean force over them.
+Within a tick the mean force is split where the measured arrivals changed it, for energies exact under zero-order hold: between
+two samples the device is taken to move evenly, and with one force per tick nothing is assumed.
 """
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from typing import Any, Final
 
-from messages.types import ZERO, Vector
 from nodes.driver.ending import Ending, ending
-from nodes.driver.mean_force import Latency
-from nodes.driver.passivity import observe
+from nodes.driver.passivity import line_of, observe, through
+from nodes.tick.memory import reals_at
 
-RECENT = 0.25
+RECENT: Final = 0.25
 """Time at the end of a run that tells how it ends [s]; at least `LEAST` ticks."""
 
-LEAST = 64
+LEAST: Final = 64
 
 
-class Motion:
-    """Samples of one device.
+def set_motion(s: Any, latency: float) -> list[array[float]]:
+    """Lay down where samples and forces under way are kept; the arrays, which must live as long as the state.
 
-    Parameters
-    ----------
-    period : float
-        Sampling period T [s].
-    axes : list of int
-        Axes that the scene computes.
-    virtual : bool
-        Whether the device lives in the time of the ticks; another one goes on moving while a sample is late.
-    latency : Latency or None
-        What is between handing a force over and its acting; None for nothing.
-
-    Attributes
-    ----------
-    position, before : tuple of float, shape (3,)
-        Newest sample and the one before it [m].
-    elapsed : int
-        Ticks between the two.
-    acting : list of float, shape (3,)
-        Mean force handed over since the newest sample [N].
-    acted : list of float, shape (3,)
-        Mean force that acted between the two newest samples [N].
-    energy, highest : float
-        Energy given out up to the newest sample, and the most so far [J].
-    covered : int
-        Ticks since the newest sample whose forces are in `acting`.
-    at, at_before : float
-        When the two newest samples were taken [s].
-    samples, kept : int
-        Samples so far, and how many of them are kept.
-    recent : array of float, shape (3 kept,)
-        The newest samples, the n-th at 3 (n modulo kept) [m].
+    `latency` is what is between handing a force over and its acting [ticks].
     """
+    s.places_count = max(LEAST, round(RECENT / s.period))
+    line, part = line_of(latency) if latency else ([], 0.0)
+    kept = [array("d", [0.0]) * (3 * s.places_count), array("d", [0.0]) * (3 * len(line))]
+    s.places, s.lines = (numbers.buffer_info()[0] for numbers in kept)
+    s.line_length, s.line_part = len(line), part
+    s.elapsed = 1
+    return kept
 
-    def __init__(self, period: float, axes: list[int], virtual: bool, latency: Latency | None = None) -> None:
-        self._period, self._axes, self._virtual = period, axes, virtual
-        self.position: Vector = ZERO
-        self.before: Vector = ZERO
-        self.elapsed = 1
-        self.acting: list[float] = [0.0, 0.0, 0.0]
-        self.acted = self.acting
-        self._latency = latency
-        self.samples, self.kept = 0, max(LEAST, round(RECENT / period))
-        self.recent = array("d", [0.0]) * (3 * self.kept)
-        self.energy = self.highest = 0.0
-        self.covered = 0
-        self._begun = False
-        self.at = self.at_before = 0.0
 
-    def sample(self, position: Vector, at: float) -> bool:
-        """Take a new sample; whether ticks have passed since the last one, at the end of a run none have."""
-        if self._begun and not self.covered:
-            self.position, self.at = position, at
-            return False
-        self.at_before, self.at = self.at, at
-        n = 3 * (self.samples % self.kept)
-        self.recent[n], self.recent[n + 1], self.recent[n + 2] = position
-        self.samples += 1
-        if not self._begun:
-            self._begun = True
-            self.before = self.position = position
-            self.covered = 0
-            return False
-        before = self.before = self.position
-        self.position = position
-        self.elapsed = self.covered
-        self.covered = 0
-        acted = self.acting if self._latency is None else self._latency.acted(self.acting, self.elapsed)
-        energy = self.energy
-        for i in self._axes:
-            energy = observe(energy, acted[i], position[i] - before[i])
-        self.acted = acted
-        self.energy = energy
-        if energy > self.highest:
-            self.highest = energy
-        return True
+def sample(s: Any, at: float) -> bool:
+    """Take the position that was read as the newest sample; whether ticks have passed since the one before."""
+    if s.begun != 0 and s.covered == 0:
+        # At the end of a run.
+        s.at = at
+        for i in range(3):
+            s.position[i] = s.place[i]
+        return False
+    s.at_before, s.at = s.at, at
+    places = reals_at(s.places + 24 * (s.samples % s.places_count), 3)
+    stepped = bool(s.begun != 0)
+    for i in range(3):
+        places[i] = s.place[i]
+        s.before[i] = s.position[i] if stepped else s.place[i]
+        s.position[i] = s.place[i]
+    s.samples += 1
+    if stepped:
+        s.elapsed = s.covered
+        energy = s.energy
+        for i in range(3):
+            s.acted[i] = s.acting[i]
+            if s.line_length > 0:
+                line = reals_at(s.lines + 8 * i * s.line_length, s.line_length)
+                total = through(line, s.acting[i], s.line_part)
+                for _ in range(1, s.elapsed):
+                    total += through(line, s.acting[i], s.line_part)
+                s.acted[i] = total if s.elapsed == 1 else total / s.elapsed
+        for n in range(s.axes):
+            i = s.axis[n]
+            energy = observe(energy, s.acted[i], s.position[i] - s.before[i])
+        s.energy = energy
+        s.highest = max(s.highest, energy)
+    s.begun = 1
+    s.covered = 0
+    return stepped
 
-    def act(self, force: list[float], ticks: int = 1) -> None:
-        """Let ticks pass."""
-        covered = self.covered
+
+def act(s: Any, ticks: int) -> None:
+    """Let ticks pass with the mean force."""
+    covered = s.covered
+    for i in range(3):
         if covered:
-            mean = self.acting
-            self.acting = [
-                (before * covered + now * ticks) / (covered + ticks) for before, now in zip(mean, force, strict=True)
-            ]
+            s.acting[i] = (s.acting[i] * covered + s.mean[i] * ticks) / (covered + ticks)
         else:
-            self.acting = force
-        self.covered = covered + ticks
-
-    def endings(self, force: Vector) -> list[Ending]:
-        """Tell how the device has moved lately."""
-        order = [n % self.kept for n in range(max(0, self.samples - self.kept), self.samples)]
-        return [ending([self.recent[3 * n + i] for n in order], acting, self._period) for i, acting in enumerate(force)]
-
-    def velocity(self) -> Vector:
-        """Find the velocity between the last two samples."""
-        span = self.elapsed * self._period
-        if not self._virtual:
-            span = max(span, self.at - self.at_before)
-        now, before = self.position, self.before
-        return (now[0] - before[0]) / span, (now[1] - before[1]) / span, (now[2] - before[2]) / span
+            s.acting[i] = s.mean[i]
+    s.covered = covered + ticks
 
 
-def scaled(force: Sequence[float], share: float) -> list[float]:
-    """Scale a force."""
-    return [share * value for value in force]
+def split(s: Any, offset: float) -> None:
+    """Take into the tick's mean force what acted up to a place in it."""
+    share = offset - s.split
+    if share > 0.0:
+        for i in range(3):
+            s.mean[i] += share * s.handed[i]
+        s.split = offset
+
+
+def find_velocity(s: Any) -> None:
+    """Find the velocity between the last two samples; a device that exists goes on moving while a sample is late."""
+    span = s.elapsed * s.period
+    if s.virtual == 0:
+        span = max(span, s.at - s.at_before)
+    for i in range(3):
+        s.velocity[i] = (s.position[i] - s.before[i]) / span
+
+
+def endings(s: Any) -> list[Ending]:
+    """Tell how the device has moved lately, axis by axis."""
+    places = reals_at(s.places, 3 * s.places_count)
+    order = [n % s.places_count for n in range(max(0, s.samples - s.places_count), s.samples)]
+    return [ending([places[3 * n + i] for n in order], s.force[i], s.period) for i in range(3)]

@@ -2,84 +2,73 @@
 
 Heat is the mean square of the force, forgotten with one time constant. Cutting the force when the heat reaches its limit
 would be a jump of several newtons under somebody's hand, so the force is lowered early enough: at any time the way down to
-the continuous force, at the slew limit, still fits below the heat limit.
+the continuous force, at the slew limit, still fits below the heat limit, even when so many ticks as the watchdog has are lost
+first, in which the device holds what it has.
+
+Let φ = exp(−T/τ), h the heat [N²], C the limit, s the largest change in a tick, n the watchdog's ticks and κ = φ^(1+n). Before
+each tick holds κh + (1−κ)F² + (1−φ)R(F) ≤ C², where R(F) = (F³ − C³)/(3s) for F > C bounds the sum of the squares on the way
+down from F to C. Going down by s keeps that inequality, so there is always a force that respects it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from typing import Any, Final
 
-HALVINGS = 24
+HALVINGS: Final = 24
 """Steps of the bisection between the forces that are safe and wanted: 1e-7 of their difference."""
 
 
-class Motor:
-    """Keeps the root-mean-square force within a limit.
+def set_heat(s: Any, continuous: float | None, thermal_time: float, period: float) -> None:
+    """Lay down a limit, if there is one."""
+    s.continuous = math.inf if continuous is None else continuous
+    s.heat_keep = 1.0 if continuous is None else math.exp(-period / thermal_time)
+    s.heat_reserve = s.heat_keep ** (1 + s.watchdog)
 
-    Let φ = exp(−T/τ), h the heat [N²] and C the limit. Before each tick holds φh + (1−φ)(F² + R(F)) ≤ C², where
-    R(F) = (F³ − C³)/(3s) for F > C bounds the sum of the squares on the way down from F to C in steps of s. Going down by s
-    keeps that inequality, so there is always a force that respects it.
 
-    Parameters
-    ----------
-    continuous : float
-        Largest root-mean-square force C [N].
-    thermal_time : float
-        Time constant τ [s].
-    period : float
-        Sampling period T [s].
-    slew : float or None
-        Largest change of force per tick s [N]; None for no limit.
+def close_tick(s: Any, ticks: int) -> None:
+    """Count the tick that is over, and further ones during which the force was held."""
+    if s.heat_keep < 1.0 and ticks > 0:
+        held = s.force[0] * s.force[0] + s.force[1] * s.force[1] + s.force[2] * s.force[2]
+        s.heat = s.heat_keep * s.heat + (1.0 - s.heat_keep) * s.heat_largest
+        rest = s.heat_keep ** (ticks - 1)
+        s.heat = rest * s.heat + (1.0 - rest) * held
+        s.heat_largest = 0.0
 
-    Attributes
-    ----------
-    heat : float
-        Mean square of the force, forgotten with τ [N²].
-    """
 
-    def __init__(self, continuous: float, thermal_time: float, period: float, slew: float | None) -> None:
-        self._bound = continuous * continuous
-        self._continuous = continuous
-        self._keep = math.exp(-period / thermal_time)
-        self._slew = slew
-        self._largest = 0.0
-        self.heat = 0.0
+def note_heat(s: Any) -> None:
+    """Note a force of this tick; the largest one counts."""
+    squared = s.wanted[0] * s.wanted[0] + s.wanted[1] * s.wanted[1] + s.wanted[2] * s.wanted[2]
+    s.heat_largest = max(s.heat_largest, squared)
 
-    def close(self, held: Sequence[float], ticks: int) -> None:
-        """Count the tick that is over, and further ones during which the force was held."""
-        if ticks > 0:
-            self.heat = self._keep * self.heat + (1.0 - self._keep) * self._largest
-            rest = self._keep ** (ticks - 1)
-            self.heat = rest * self.heat + (1.0 - rest) * sum(value * value for value in held)
-        self._largest = 0.0
 
-    def note(self, force: Sequence[float]) -> None:
-        """Note a force of this tick; the largest one counts."""
-        self._largest = max(self._largest, sum(value * value for value in force))
+def _fits(s: Any, x: float, y: float, z: float) -> bool:
+    squared = x * x + y * y + z * z
+    size = math.sqrt(squared)
+    way = 0.0
+    if size > s.continuous and math.isfinite(s.slew):
+        way = (size**3 - s.continuous**3) / (3.0 * s.slew)
+    reserved = s.heat_reserve * s.heat + (1.0 - s.heat_reserve) * squared
+    return bool(reserved + (1.0 - s.heat_keep) * way <= s.continuous * s.continuous)
 
-    def _fits(self, force: Sequence[float]) -> bool:
-        squared = sum(value * value for value in force)
-        size = math.sqrt(squared)
-        way = 0.0
-        if self._slew is not None and size > self._continuous:
-            way = (size**3 - self._continuous**3) / (3.0 * self._slew)
-        return self._keep * self.heat + (1.0 - self._keep) * (squared + way) <= self._bound
 
-    def lower(self, last: Sequence[float], wanted: list[float], left: float | None) -> list[float]:
-        """Lower a force as far as the heat asks for."""
-        if self._fits(wanted):
-            return wanted
-        largest = max(map(abs, last))
-        share = 0.0 if left is None or left >= largest else 1.0 - left / largest
-        safe = [value * share for value in last]
-        low, high = 0.0, 1.0
-        found = safe
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            between = [a + middle * (b - a) for a, b in zip(safe, wanted, strict=True)]
-            if self._fits(between):
-                low, found = middle, between
-            else:
-                high = middle
-        return found
+def lower_heat(s: Any) -> bool:
+    """Lower what is wanted as far as the heat asks for; whether it was."""
+    a, b, c = s.wanted[0], s.wanted[1], s.wanted[2]
+    if _fits(s, a, b, c):
+        return False
+    largest = max(abs(s.force[0]), abs(s.force[1]), abs(s.force[2]))
+    left = s.slew
+    for n in range(s.axes):
+        left = min(left, max(s.slew - s.slewed[s.axis[n]], 0.0))
+    share = 0.0 if left >= largest else 1.0 - left / largest
+    x, y, z = s.force[0] * share, s.force[1] * share, s.force[2] * share
+    low, high, found = 0.0, 1.0, 0.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if _fits(s, x + middle * (a - x), y + middle * (b - y), z + middle * (c - z)):
+            low = found = middle
+        else:
+            high = middle
+    s.wanted[0], s.wanted[1], s.wanted[2] = x + found * (a - x), y + found * (b - y), z + found * (c - z)
+    return True

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
@@ -22,19 +20,25 @@ from messages.codec import Decoder, encode
 from messages.transport.sockets import TimedOut
 from messages.types import ZERO, DeviceState, Force, Vector
 from nodes.base import realtime
-from nodes.base.node import IDLE_MS
+from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
-from nodes.base.standstill import LastResort, Standstill
-from nodes.driver.ahead import Ahead, Belated
-from nodes.driver.answers import Answers
+from nodes.base.standstill import LastResort
+from nodes.driver.calls import numbers_of
 from nodes.driver.device import Device
-from nodes.driver.limits import STOP_TIME, undeclared
-from nodes.driver.mean_force import Latency, Split
-from nodes.driver.motion import Motion, scaled
+from nodes.driver.limits import STOP_TIME, lower, undeclared
+from nodes.driver.motion import set_motion
 from nodes.driver.parameters import DriverParameters, check
-from nodes.driver.response_times import ResponseTimes
-from nodes.driver.safety import Safety
+from nodes.driver.passivity import set_guard
+from nodes.driver.report import DriverReport
+from nodes.driver.safety import set_safety, soft_stop
+from nodes.driver.state import BETWEEN, SAFETY, DriverState
+from nodes.driver.tick import BROKEN, GOT, NONE, REFUSED, SILENT, UNREAD, Port, make_ticks, take_sample
+from nodes.driver.watch import Watch
 from nodes.parameters.store import ParameterError, convert
+
+if TYPE_CHECKING:
+    from nodes.driver.compiled_tick import DriverTicks
+    from nodes.tick.library import Kernel
 
 __all__ = [
     "ASK_AGAIN",
@@ -49,21 +53,57 @@ SOFT_STOP = STOP_TIME + 1.0
 """After so long on the way down to zero force the device is taken to hang [s]."""
 
 
-class Driver(Answers):
+NEVER = 2**62
+"""A tick that does not come."""
+
+
+def _kept(name: str) -> Any:
+    """Let a counter that every node has stand in the driver's state."""
+    return property(lambda node: getattr(node.driving, name), lambda node, value: setattr(node.driving, name, value))
+
+
+class Driver(Node):
     """Base of the drivers: a kind of device defines `make_device` and adds its own parameters.
 
     Attributes
     ----------
     virtual : bool
         Whether the device lives in simulated time and can wait.
+    device_module : str
+        Module of the device's compiled calls (nodes/driver/calls.py); empty for a device written in Python, or in C.
+    driving : DriverState
+        All that it keeps from tick to tick.
     """
 
     Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
     publishes: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
     virtual: ClassVar[bool] = False
-    # A stop may be asked for before the node is configured.
-    _ahead: Ahead | None = None
+    kernel_module: ClassVar[str] = "nodes.driver.kernel"
+    device_module: ClassVar[str] = ""
+
+    seq = _kept("asked")
+    ticks = _kept("ticks")
+    skipped = _kept("skipped")
+    sent = _kept("states_sent")
+    received = _kept("taken")
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        # The tick is every driver's; a kind only makes its device.
+        cls.kernel_module = Driver.kernel_module
+
+    def __init__(self, setup: Setup) -> None:
+        self.driving: Any = DriverState()
+        self._report = DriverReport(self.driving)
+        self._ahead: DriverTicks | None = None
+        self._payload = b""
+        super().__init__(setup)
+
+    @classmethod
+    def modules(cls) -> set[str]:
+        """Tell what is compiled for the kind: the tick, and its device where it has compiled calls of its own."""
+        return {cls.kernel_module, cls.device_module} - {""}
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -97,347 +137,290 @@ class Driver(Answers):
         raise TypeError(f"driver kind {self.setup.kind!r} does not define make_device()")
 
     def configure(self) -> None:
-        """Make the device and its safety."""
+        """Make the device and lay down what holds for the run."""
+        parameters, s, period = self.store.current, self.driving, self.setup.period
         self._device = self.make_device()
-        if not self.virtual and (refusal := undeclared(self.store.current.safety, self._device.limits)):
+        limits = self._device.limits
+        if not self.virtual and (refusal := undeclared(parameters.safety, limits)):
             self._device.close()
             raise ParameterError(f"{self.setup.name}: {refusal}")
-        self._axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
-        self._untold: deque[tuple[str, str]] = deque(maxlen=1000)
-        self._safety = Safety(
-            self.store.current.safety,
-            self._device.limits,
-            self.setup.period,
-            self._axes,
-            self._tell_safety,
-            f"{self.setup.name}.safety",
-        )
-        self._guard = self._guard_of(self.store.current.passivity)
-        self._guard_is_own = self._guard is not None
-        latency = self._device.limits.latency
-        if latency is None and self._guard is not None:
+        axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
+        s.period, s.realtime, s.virtual = period, self.setup.pace == "realtime", self.virtual
+        s.next_tick = self.setup.apply == "next_tick"
+        s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
+        # The device lets go by itself so many ticks after the last force that was written.
+        s.bears = limits.hold / period
+        held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
+        if s.realtime == 0:
+            # Only the tick's own answer counts.
+            held = msgspec.structs.replace(held, max_age=0)
+        set_safety(s, parameters.safety, held, period)
+        self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
+        set_guard(s, parameters.passivity)
+        self._report.begin(self._device, held, s.guard_on != 0)
+        if limits.latency is None and s.guard_on:
             self.tell(
                 "guard", "the device does not tell its latency: the guard takes forces to act when they are handed over"
             )
-        self._latency = Latency(round(latency / self.setup.period, 9)) if latency else None
-        self._motion = Motion(self.setup.period, self._axes, self.virtual, self._latency)
+        debugged = parameters.safety.hang is None
+        self._watch = Watch(self, self._device.limits, None if self.virtual or debugged else LastResort(self.setup))
         self._open = False
-        self._soft_stop_ticks = 0
-        # What is on the device, which under ``next_tick`` is not yet what was decided last; and the tick it was written in.
-        self._handed: Vector = ZERO
-        self._written = 0
-        # The device lets go by itself so many ticks after the last force that was written.
-        self._bears = self._device.limits.hold / self.setup.period
-        self._standstill = Standstill()
-        debugged = self.store.current.safety.hang is None
-        self._last_resort = None if self.virtual or debugged else LastResort(self.setup)
-        # What the loop's thread is at, and how long it may take [s].
-        self._doing = ("", math.inf)
-        self._first_seq = 0
-        self._response = self._lateness = self._delay = 0.0
-        self._age = self._missed = self._overruns = 0
-        self._responses = ResponseTimes()
-        self._oldest_age = 0
-        self._first_stamp = self._last_stamp = 0.0
-        self._complete = False
 
-    # -- one tick ----------------------------------------------------------------------------------------------------
+    # -- the port of the plain tick ----------------------------------------------------------------------------------
 
-    def _sample(self, seq: int, stamp: float) -> float:
-        """Sample the device and publish its state, with the report of the tick before; when it was published [s]."""
-        position = self._device.read_position(seq)
-        safety, motion, guard = self._safety, self._motion, self._guard
-        if safety.watch_position(position, seq):
-            stepped = motion.sample(position, stamp)
-            if guard is not None and stepped:
-                guard.observe(motion.acted, motion.before, position, motion.elapsed)
-            if safety.swings:
-                safety.watch_swings(motion.energy, motion.velocity, seq)
-        self.seq = seq
-        payload = encode(
-            DeviceState(
-                seq=seq,
-                stamp=stamp,
-                position=motion.position,
-                force=safety.force,
-                force_seq=safety.force_seq,
-                age=self._age,
-                response=self._response,
-                lateness=self._lateness,
-                missed=self._missed,
-                overruns=self._overruns,
-                safety=safety.state,
-                energy=motion.energy,
-                delay=self._delay,
-                guard=guard.energy if guard is not None else 0.0,
-                target=self.target,
+    def _plain_ticks(self) -> Callable[[Any], int]:
+        inbox = self.inbox
+        assert inbox is not None  # noqa: S101  # every kind that listens has one
+        device, clock, publisher = self._device, time.monotonic, self.publisher
+        topic, expected, decoder = topics.DEVICE_STATE.encode(), topics.FORCE.encode(), Decoder(Force)
+        what = f"{self.setup.name}: {type(device).__name__}"
+
+        def sleep_until(s: Any, deadline: float) -> float:
+            del s
+            return realtime.sleep_until(deadline)
+
+        def read(s: Any, seq: int) -> bool:
+            s.place[:] = numbers_of(device.read_position(seq), what)
+            s.target[:] = self.target
+            return True
+
+        def write(s: Any, seq: int, offset: float) -> bool:
+            x, y, z = s.handed
+            device.write_force((x, y, z), seq, offset)
+            return True
+
+        def publish(s: Any, seq: int, stamp: float) -> None:
+            payload = encode(
+                DeviceState(
+                    seq=seq,
+                    stamp=stamp,
+                    position=tuple(s.position),
+                    force=tuple(s.force),
+                    force_seq=s.force_seq,
+                    age=s.age,
+                    response=s.response,
+                    lateness=s.lateness,
+                    missed=s.missed,
+                    overruns=s.overruns,
+                    safety=SAFETY[s.safety],
+                    energy=s.energy,
+                    delay=s.delay,
+                    guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
+                    target=tuple(s.target),
+                )
             )
-        )
-        self.sent += 1
-        # Taken before sending: under FIFO the whole chain may run before the call returns.
-        published = time.monotonic()
-        self.publisher.send_hop(self._topic, payload)
-        self._unlistened = payload
-        return published
+            s.states_sent += 1
+            # Taken before sending: under FIFO the whole chain may run before the call returns.
+            s.sampled = clock()
+            publisher.send_hop(topic, payload)
+            self._payload = payload
 
-    def _guarded(self, pending: Vector, share: float) -> Callable[[Vector], Vector] | None:
-        """Give what the guard makes of a force, with what still acts before it; None without a guard."""
-        if self._guard is None:
-            return None
-        backlog = ZERO if self._latency is None else self._latency.backlog()
-        return partial(self._guard.control, pending=pending, share=share, backlog=backlog)
+        def receive(s: Any, until: float) -> int:
+            if s.realtime == 0:
+                try:
+                    frames = inbox.next_frame(), inbox.next_frame()
+                except TimedOut:
+                    return NONE
+            else:
+                wait = inbox.receive_soon if s.patient != 0 else inbox.receive_until
+                received = wait(until)
+                if received is None:
+                    return NONE
+                frames = received
+            s.arrival = clock()
+            while frames[1] == expected:
+                # A message of one frame, and the beginning of the next.
+                self.refuse("a message of one frame where topic and payload were expected")
+                s.skipped += 1
+                frames = expected, inbox.next_frame()
+            force = self.take(decoder, frames, expected)
+            if force is None:
+                return REFUSED
+            s.got_seq = force.seq
+            s.got[:] = force.force
+            return GOT
 
-    def _tell_listeners(self) -> None:
-        """Publish the tick's state to the listeners too, when nothing waits for it any more."""
-        if self.publisher.apart:
-            self.publisher.send_aside(self._topic, self._unlistened)
+        def aside(s: Any) -> None:
+            del s
+            if publisher.apart:
+                publisher.send_aside(topic, self._payload)
+
+        def called(s: Any) -> bool:
+            del s
+            return self.called or self.stopping
+
+        self._receive, self._publish, self._aside = receive, publish, aside
+        lockstep, paced = make_ticks(Port(sleep_until, read, write, publish, receive, aside, called))
+        return paced if self.driving.realtime else lockstep
+
+    # -- the loop ----------------------------------------------------------------------------------------------------
 
     def loop(self) -> None:
         """Tick until stopped or done."""
-        self._topic = topics.DEVICE_STATE.encode()
-        self._expected = topics.FORCE.encode()
-        self._decoder = Decoder(Force)
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         if self.stopping:
             return
         # Set first: a device that failed half-way is closed too.
         self._open = True
-        self._begin("open()", self._device.limits.opening)
+        self._watch.begin("open()", self._device.limits.opening)
         self._device.open()
-        self._begin("")
+        self._watch.begin("")
         self.started.wait()
         self.state = "running"
-        ticks: Any = self.compiled()
-        self._ahead = ticks
+        ticks = self._plain_ticks()
+        self.compiled()
+        if self._ahead is not None:
+            ticks = self._ahead.run
+        s = self.driving
+        s.until, s.most = self.setup.ticks or NEVER, NEVER
         if not self.stopping:
-            end = self.setup.ticks or 2**62
-            if self.setup.pace == "lockstep":
-                self._lockstep(end)
+            if s.realtime:
+                # A virtual device waits for whoever debugs it; what exists does not.
+                self._begin_at_epoch()
+                self._watch.begin("a tick", self.store.current.safety.hang or math.inf)
             else:
-                self._realtime(end)
-            self._complete = self.seq >= end
-            if self._complete:
+                self.inbox.set_timeout(IDLE_MS)
+                self._report.first = time.monotonic()
+            self._tick(ticks)
+            end = realtime.sleep_until(s.epoch + s.seq * s.period) if s.realtime else time.monotonic()
+            self._report.last = end
+            self._last_sample(end + self.clock_offset if s.realtime else s.seq * s.period)
+            self._report.complete = s.seq >= s.until
+            if self._report.complete:
                 self.stop("done")
+
+    def _tick(self, ticks: Callable[[Any], int]) -> None:
+        """Let ticks go on, and do what they cannot."""
+        s = self.driving
+        asked = 0.0
+        while s.seq < s.until and not self.stopping:
+            why = ticks(s)
+            if why == SILENT:
+                asked = max(asked, s.sampled)
+                if time.monotonic() - asked > ASK_AGAIN:
+                    asked = time.monotonic()
+                    self.tell("unanswered", f"tick {s.seq} has no answer; asking again")
+                    payload = self._payload if self._ahead is None else self._ahead.last_sent()
+                    self.publisher.send_hop(topics.DEVICE_STATE.encode(), payload)
+            elif why == BROKEN:
+                self._mend()
+            elif why == UNREAD:
+                arrival = s.arrival
+                s.given = self._receive(s, arrival) == GOT
+                s.skipped += not s.given
+                s.arrival = arrival
+            if self.called or s.notes_count:
+                self.between_ticks(s.seq)
+
+    def _mend(self) -> None:
+        """Ask the device itself what a call of it that failed has to say, which raises it; else go on with what it gives."""
+        s = self.driving
+        if self._ahead is not None:
+            self._ahead.raise_error()
+        if s.failed:
+            s.failed = 0
+            self._device.write_force(tuple(s.handed), s.seq, 0.0)
+        else:
+            s.place[:] = numbers_of(
+                self._device.read_position(s.seq), f"{self.setup.name}: {type(self._device).__name__}"
+            )
+            s.place_given = 1
+
+    def _last_sample(self, stamp: float) -> None:
+        """Publish where the device came to rest."""
+        s = self.driving
+        s.place[:] = numbers_of(self._device.read_position(s.seq), self.setup.name)
+        s.target[:] = self.target
+        take_sample(s, s.seq, stamp)
+        self._publish(s, s.seq, stamp)
+        self._aside(s)
+        s.phase = BETWEEN
+
+    def compiled_ticks(self, kernel: Kernel) -> DriverTicks:
+        """Make the compiled ticks."""
+        from nodes.driver.compiled_tick import DriverTicks
+
+        self._ahead = DriverTicks(self, kernel, self._device)
+        return self._ahead
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare another guard, its account at zero: all of a driver that changes, where the launch file asked for none."""
+        if msgspec.structs.replace(parameters, passivity=None) != msgspec.structs.replace(
+            self.store.current, passivity=None
+        ):
+            raise ParameterError(
+                f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs, all but passivity"
+            )
+        if self._report.own_guard:
+            raise ParameterError(f"{self.setup.name}.passivity: the launch file's own guard is fixed while it runs")
+
+        def apply(seq: int) -> dict[str, Any]:
+            set_guard(self.driving, parameters.passivity)
+            return {"seq": seq}
+
+        return apply
+
+    def _tell_notes(self) -> None:
+        for kind, reason, is_change, count in self._report.notes():
+            # Every change of state is published, whatever else happened.
+            self.tell(kind, reason, is_change, count)
+
+    def between_ticks(self, seq: int) -> None:
+        """Tell what happened, then do what every node does."""
+        self._tell_notes()
+        super().between_ticks(seq)
+
+    def look_after(self) -> None:
+        """Look whether the loop goes on (control thread)."""
+        self._watch.look((*self.counted(), self._report.soft_stop_ticks))
+
+    def operations(self) -> dict[str, Callable[..., Any]]:
+        """Offer what the launcher's status line asks for."""
+        limits = self._device.limits
+        times = {"opening_s": limits.opening, "closing_s": limits.closing}
+        return {"progress": lambda: self._report.progress(self.setup.ticks), "device": lambda: times}
+
+    def report(self) -> dict[str, Any]:
+        """Summarise the run."""
+        return self._report.summary()
 
     def wake(self) -> None:
         """Ask compiled ticks, too, to come back."""
-        if self._ahead is not None:
-            self._ahead.wake()
+        self.driving.attention = 1
+        super().wake()
 
-    def _lockstep(self, end: int) -> None:
-        inbox = self.inbox
-        assert inbox is not None  # noqa: S101
-        next_frame, device, safety, period = inbox.next_frame, self._device, self._safety, self.setup.period
-        inbox.set_timeout(IDLE_MS)
-        clock, note, act = time.monotonic, self._responses.add, self._motion.act
-        late = 1 if self.setup.apply == "next_tick" else 0
-        self._first_stamp = time.monotonic()
-        seq = 0
-        acting = ZERO
-        sent: float | None
-        while seq < end and not self.stopping:
-            sent = None
-            if self._ahead is not None:
-                seq, sent, _, _, done = self._ahead.run(seq, end, 0.0, None, None)
-                acting = self._handed
-                if done and sent is None:
-                    self.between_ticks(seq)
-                    continue
-            if sent is None:
-                sent = self._sample(seq, seq * period)
-            asked = sent
-            while not self.stopping:
-                try:
-                    frames = next_frame(), next_frame()
-                except TimedOut:
-                    if time.monotonic() - asked > ASK_AGAIN:
-                        asked = time.monotonic()
-                        self.tell("unanswered", f"tick {seq} has no answer; asking again")
-                        self.publisher.send_hop(self._topic, self._unlistened)
-                    self.between_ticks(seq)
-                    continue
-                force = self.take(self._decoder, frames, self._expected)
-                if force is not None and force.seq == seq and safety.admit(force, seq):
-                    self._response = response = clock() - sent
-                    note(response)
-                    command = safety.command(
-                        force.force, seq, seq, self._motion.velocity, self._guarded(acting, float(late))
-                    )
-                    device.write_force(command, seq + late, 0.0)
-                    self._handed = command
-                    act(list(acting if late else command))
-                    acting = command
-                    self.ticks += 1
-                    self._delay = float(late)
-                    seq += 1
-                    break
-                self.skipped += 1
-            self._tell_listeners()
-            if self.called:
-                self.between_ticks(seq)
-        self._last_stamp = time.monotonic()
-        self._sample(seq, seq * period)
-        self._tell_listeners()
-
-    def _epoch(self) -> float:
-        """When tick 0 is or was: a respawned driver goes on counting where its predecessor was killed."""
+    def _begin_at_epoch(self) -> None:
+        """Set when tick 0 is or was: a respawned driver goes on counting where its predecessor was killed."""
+        s = self.driving
         path = Path(self.setup.run_dir) / f"{self.setup.name}.epoch"
         if path.exists():
-            self._safety.resume()
-            return float(path.read_text(encoding="ascii"))
-        epoch = time.monotonic() + 0.002
-        path.write_text(repr(epoch), encoding="ascii")
-        return epoch
-
-    def _realtime(self, end: int) -> None:
-        inbox = self.inbox
-        assert inbox is not None  # noqa: S101
-        period, safety, write = self.setup.period, self._safety, self._write
-        next_tick = self.setup.apply == "next_tick"
-        if self._ahead is not None:
-            self._ahead.rehearse()
-        epoch = self._epoch()
-        seq = self._first_seq = max(0, math.ceil((time.monotonic() - epoch) / period))
-        following_command: Vector | None = None
-        belated: Belated | None = None
-        heard = False
-        sent: float | None
-        # A virtual device waits for whoever debugs it; what exists does not.
-        self._begin("a tick", self.store.current.safety.hang or math.inf)
-        while seq < end and not self.stopping:
-            sent = None
-            if self._ahead is not None:
-                seq, sent, following_command, belated, done = self._ahead.run(
-                    seq, end, epoch, following_command, belated
-                )
-                heard = heard or done > 0
-                if done and sent is None:
-                    self.between_ticks(seq)
-                    continue
-            deadline = epoch + seq * period
-            if sent is None:
-                now = realtime.sleep_until(deadline)
-                late = now - deadline
-                if late >= period:
-                    # The driver itself was held up: the ticks that are over cannot be sampled any more, only counted.
-                    lost = min(int(late / period), end - seq)
-                    self._overruns += lost
-                    self._lateness = late
-                    let_go = self._hold(seq, lost)
-                    seq += lost
-                    if let_go or (following_command is not None and seq - safety.force_seq > safety.limits.max_age):
-                        # What was still to be handed over is too old by now.
-                        following_command = None
-                        safety.hold(self._handed)
-                    continue
-                self._lateness = late
-                if following_command is not None:
-                    # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
-                    write(following_command, seq, 0.0)
-                    following_command = None
-                sent = self._sample(seq, now + self.clock_offset)
-                if not self.ticks:
-                    self._first_stamp = now
-            following = deadline + period
-            self._age = seq - safety.force_seq if safety.force_seq >= 0 else 0
-            # An answer that comes a little late is waited for, and the next tick sampled late: sampled on time, it would take
-            # the processor from that answer and be answered late itself, and so would the next. Not so when nothing came.
-            receive = inbox.receive_soon if heard else inbox.receive_until
-            answered = heard = False
-            split = Split(self._handed, self._handed if next_tick else None)
-            while not answered:
-                if belated is not None:
-                    frames, arrival = belated
-                    belated = None
-                else:
-                    received = receive(following)
-                    if received is None:
-                        break
-                    frames, arrival, heard = received, time.monotonic(), True
-                    if arrival >= following:
-                        # Nor must whoever floods the topic keep the driver from its next tick.
-                        belated = frames, arrival
-                        break
-                force = self.take(self._decoder, frames, self._expected)
-                if force is None or not safety.admit(force, seq):
-                    self.skipped += 1
-                else:
-                    answered = force.seq == seq
-                    self._age = seq - force.seq
-                    offset = min(max((arrival - deadline) / period, 0.0), 1.0)
-                    guarded = self._guarded(self._handed, 1.0 if next_tick else offset)
-                    command = safety.command(force.force, force.seq, seq, self._motion.velocity, guarded)
-                    if next_tick:
-                        following_command = command
-                        self._delay = 1.0 + self._age
-                    else:
-                        write(command, seq, offset)
-                        split.change(command, offset)
-                        self._delay = offset + self._age
-                    if answered:
-                        self._response = arrival - sent
-                        self._responses.add(self._response)
-            if self._age > self._oldest_age:
-                self._oldest_age = self._age
-            if not answered:
-                # In a fault there is no position that could have been answered.
-                self._missed += safety.state != "fault"
-                self._response = 0.0
-                guarded = self._guarded(self._handed, 1.0)
-                held = None if guarded is None else guarded(safety.force)
-                command_now = safety.missed(seq, self._motion.velocity(), held)
-                if command_now is not None:
-                    following_command = None
-                    write(command_now, seq + 1, 0.0)
-                elif following_command is None and seq + 1 - self._written >= self._bears:
-                    self._handed = ZERO
-                    safety.let_go(seq, self._written + self._bears)
-            self._motion.act(split.mean())
-            self.ticks += 1
-            seq += 1
-            self._tell_listeners()
-            if self.called:
-                self.between_ticks(seq)
-        self._last_stamp = realtime.sleep_until(epoch + seq * period)
-        self._sample(seq, self._last_stamp + self.clock_offset)
-        self._tell_listeners()
-
-    def _write(self, force: Vector, seq: int, offset: float) -> None:
-        self._device.write_force(force, seq, offset)
-        self._handed = force
-        self._written = seq
-
-    def _hold(self, seq: int, lost: int) -> bool:
-        """Take into the mean force what acted during ticks that were left out; whether the device let go meanwhile."""
-        force = self._handed
-        acted = min(max(self._bears - (seq - self._written), 0.0), float(lost))
-        self._motion.act(scaled(force, acted / lost), lost)
-        if acted == lost or force == ZERO:
-            return False
-        self._handed = ZERO
-        self._safety.let_go(seq + lost, self._written + self._bears)
-        self._tell_safety("device", f"no force from tick {self._written} to {seq + lost}; the device let go by itself")
-        return True
+            # It was killed with a force on the device: the first force is a recovery.
+            s.ramp_ticks = s.recovery_ticks
+            s.epoch = float(path.read_text(encoding="ascii"))
+        else:
+            s.epoch = time.monotonic() + 0.002
+            path.write_text(repr(s.epoch), encoding="ascii")
+        self._report.first = time.monotonic()
+        s.seq = self._report.first_seq = max(0, math.ceil((time.monotonic() - s.epoch) / s.period))
 
     def finish(self) -> None:
         """Bring the force down to zero and close the device, on every way out."""
         if not self._open:
             return
         self._open = False
-        period = self.setup.period
+        s, period = self.driving, self.setup.period
+        x, y, z = s.handed
         try:
-            self._begin("the soft stop", SOFT_STOP)
+            self._watch.begin("the soft stop", SOFT_STOP)
             start = time.monotonic()
-            for n, force in enumerate(self._safety.soft_stop(self._handed), 1):
-                self._soft_stop_ticks = n
-                self._device.write_force(force, self.seq + n - 1, 0.0)
-                self._handed = force
-                if self.setup.pace == "realtime":
+            for n, force in enumerate(soft_stop((x, y, z), s.slew, period), 1):
+                self._report.soft_stop_ticks = n
+                self._device.write_force(force, s.seq + n - 1, 0.0)
+                s.handed[:] = force
+                if s.realtime:
                     realtime.sleep_until(start + n * period)
         finally:
-            self._begin("close()", self._device.limits.closing)
+            self._watch.begin("close()", self._device.limits.closing)
             self._device.close()
-            self._begin("")
-            if self._last_resort is not None:
-                self._last_resort.stop()
-            self._tell_all()
+            self._watch.end()
+            self._tell_notes()

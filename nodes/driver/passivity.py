@@ -24,11 +24,11 @@ much earlier, and what is still in the line will act before anything that is cho
 from __future__ import annotations
 
 from collections.abc import MutableSequence, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
-from messages.types import ZERO, Vector
+from nodes.tick.memory import reals_at
 
 
 class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -122,65 +122,45 @@ def control(energy: float, force: float, step: float, rate: float) -> float:
     return force
 
 
-class PassivityGuard:
-    """The guard of a driver: one observer and controller per axis.
+def set_guard(s: Any, parameters: PassivityParameters | None) -> None:
+    """Take up a guard with its accounts at zero, or none."""
+    s.guard_on = parameters is not None and parameters.guard == "on"
+    for i in range(3):
+        s.guard_energy[i] = s.guard_step[i] = 0.0
+    s.lowered = s.raised = 0
+    s.guard_highest = 0.0
+    if parameters is not None:
+        s.guard_bounded = parameters.stiffness is not None
+        s.guard_stiffness = parameters.stiffness or 0.0
+        s.guard_rate, s.guard_allowance = parameters.damping / s.period, parameters.allowance
 
-    Parameters
-    ----------
-    parameters : PassivityParameters
-        Its parameters.
-    period : float
-        Sampling period T [s].
-    axes : list of int
-        Axes that the scene computes.
 
-    Attributes
-    ----------
-    lowered, raised : int
-        Forces lowered because not enough was in store, and raised to take back what was owed.
-    highest : float
-        Most that was owed on one axis [J].
-    """
+def count_step(s: Any) -> None:
+    """Count what acted between the two newest samples."""
+    for n in range(s.axes):
+        i = s.axis[n]
+        step = s.position[i] - s.before[i]
+        s.guard_step[i] = step / s.elapsed
+        s.guard_energy[i] = observe(s.guard_energy[i], s.acted[i], step)
+        s.guard_highest = max(s.guard_highest, s.guard_energy[i])
 
-    def __init__(self, parameters: PassivityParameters, period: float, axes: list[int]) -> None:
-        self._stiffness = parameters.stiffness
-        self._rate = parameters.damping / period
-        self._allowance = parameters.allowance
-        self._axes = axes
-        self._energy = [0.0, 0.0, 0.0]
-        self._step = [0.0, 0.0, 0.0]
-        self.lowered = 0
-        self.raised = 0
-        self.highest = 0.0
 
-    @property
-    def energy(self) -> float:
-        """What the guard counts as given out, credit forgotten: negative is in store, positive is owed [J]."""
-        return sum(self._energy)
-
-    def observe(self, acting: list[float], before: Vector, position: Vector, ticks: int = 1) -> None:
-        """Count the tick that is over."""
-        for i in self._axes:
-            step = position[i] - before[i]
-            self._step[i] = step / ticks
-            self._energy[i] = observe(self._energy[i], acting[i], step)
-            if self._energy[i] > self.highest:
-                self.highest = self._energy[i]
-
-    def control(self, force: Vector, pending: Vector, share: float, backlog: Vector = ZERO) -> Vector:
-        """Choose the force of the next tick."""
-        chosen = [0.0, 0.0, 0.0]
-        for i in self._axes:
-            step, wanted = self._step[i], force[i]
-            self._energy[i] = energy = forget(self._energy[i], wanted, self._stiffness)
-            expected = energy - self._allowance + (share * pending[i] + backlog[i]) * step
-            chosen[i] = value = control(expected, wanted, step, self._rate)
-            if abs(value) < abs(wanted):
-                self.lowered += 1
-            elif value != wanted:
-                self.raised += 1
-        return chosen[0], chosen[1], chosen[2]
-
-    def summary(self) -> dict[str, float]:
-        """Summarise what the guard did."""
-        return {"lowered": self.lowered, "raised": self.raised, "highest_j": self.highest}
+def guarded(s: Any, share: float) -> None:
+    """Choose the force in place of what is wanted; what is on the device acts for a `share` of the tick before it."""
+    for n in range(s.axes):
+        i = s.axis[n]
+        step, wanted = s.guard_step[i], s.wanted[i]
+        if s.guard_bounded != 0:
+            energy = forget(s.guard_energy[i], wanted, s.guard_stiffness)
+        else:
+            energy = forget(s.guard_energy[i], wanted, None)
+        s.guard_energy[i] = energy
+        waiting = 0.0
+        if s.line_length > 0:
+            waiting = backlog(reals_at(s.lines + 8 * i * s.line_length, s.line_length), s.line_part)
+        expected = energy - s.guard_allowance + (share * s.handed[i] + waiting) * step
+        s.wanted[i] = value = control(expected, wanted, step, s.guard_rate)
+        if abs(value) < abs(wanted):
+            s.lowered += 1
+        elif value != wanted:
+            s.raised += 1

@@ -7,64 +7,68 @@ last one; every `BLOCK` ticks they are counted together.
 from __future__ import annotations
 
 from array import array
+from typing import Any, Final
 
-BINS = 50_000
-RECENT = 512
-"""Newest response times that are kept as they are, for the status line."""
+from nodes.driver.state import BINS, RECENT, DriverState
+from nodes.tick.memory import wholes_at
 
-BLOCK = 64
+BLOCK: Final = 64
 """Responses that are counted together; a divisor of RECENT."""
 
 
+def note_response(s: Any, response: float) -> None:
+    """Note one response."""
+    at = s.recent_at
+    s.recent[at] = response
+    at += 1
+    if at % BLOCK == 0:
+        bins = wholes_at(s.bins, BINS + 1)
+        for k in range(at - BLOCK, at):
+            bins[min(int(s.recent[k] * 1e6), BINS)] += 1
+            s.longest = max(s.longest, s.recent[k])
+        s.counted += BLOCK
+        at %= RECENT
+    s.recent_at = at
+
+
 class ResponseTimes:
-    """A histogram of response times.
+    """A histogram of response times, on a driver's state or one of its own.
+
+    Parameters
+    ----------
+    state : DriverState, optional
+        Where the newest responses stand.
 
     Attributes
     ----------
-    recent : array of float, shape (RECENT,)
-        The newest responses [s], in no order; 0 where there was none yet.
-    at : int
-        Where in it the next one goes.
     bins : array of int, shape (BINS + 1,)
         How many took so many microseconds; the last one counts all that took longer.
-    counted, longest_counted : int, float
-        How many are in the bins, and the longest of them [s].
     """
 
-    def __init__(self) -> None:
-        self.bins = array("Q", [0]) * (BINS + 1)
-        self.counted = 0
-        self.longest_counted = 0.0
-        self.at = 0
-        self.recent = array("d", [0.0]) * RECENT
+    def __init__(self, state: Any = None) -> None:
+        self._state: Any = DriverState() if state is None else state
+        self.bins = array("q", [0]) * (BINS + 1)
+        self._state.bins = self.bins.buffer_info()[0]
 
     def add(self, response: float) -> None:
         """Note one response."""
-        at = self.at
-        self.recent[at] = response
-        at += 1
-        if at % BLOCK == 0:
-            self._count(self.bins, at)
-            self.longest_counted = max(self.longest_counted, *self.recent[at - BLOCK : at])
-            self.counted += BLOCK
-            at %= RECENT
-        self.at = at
+        note_response(self._state, response)
 
-    def _count(self, bins: array[int], end: int) -> None:
-        """Count the responses of a block that ends there."""
-        for response in self.recent[(end - 1) // BLOCK * BLOCK : end]:
-            bin_ = int(response * 1e6)
-            bins[bin_ if bin_ < BINS else BINS] += 1
+    @property
+    def recent(self) -> bytes:
+        """The newest responses as they stand [s], in no order; 0 where there was none yet."""
+        return bytes(self._state.recent)
 
     @property
     def count(self) -> int:
         """Ticks that were answered."""
-        return self.counted + self.at % BLOCK
+        return int(self._state.counted + self._state.recent_at % BLOCK)
 
     @property
     def longest(self) -> float:
         """Longest response [s]."""
-        return max(self.longest_counted, *self.recent)
+        longest: float = max(self._state.longest, *self._state.recent)
+        return longest
 
     def _percentile(self, bins: array[int], share: float) -> float:
         wanted = share * self.count
@@ -77,9 +81,9 @@ class ResponseTimes:
 
     def percentiles(self, *shares: float) -> list[float]:
         """Find the responses that shares of the ticks did not exceed."""
-        bins = self.bins[:]
-        if self.at % BLOCK:
-            self._count(bins, self.at)
+        bins, at = self.bins[:], self._state.recent_at
+        for response in self._state.recent[at // BLOCK * BLOCK : at]:
+            bins[min(int(response * 1e6), BINS)] += 1
         return [self._percentile(bins, share) if self.count else 0.0 for share in shares]
 
     def summary_us(self) -> dict[str, float]:

@@ -14,357 +14,296 @@ that was away comes back by a ramp: each tick away takes `REGAIN` ticks of ramp,
 pushes the device faster than `RETURN_SPEED` goes back, so that whoever has sunk in is let out, not thrown.
 Limits come from the device and from the launch file, whichever is lower; a launch file that asks for more is told so.
 Whatever messages come in whatever order: on each axis the force stays within the peak, all changes made during one tick
-add up to no more than the slew, and the mean square of the force stays within the continuous limit.
+add up to no more than the slew, and the mean square of the force stays within the continuous limit, see motor_heat.py.
+
+The rules are plain functions on the driver's state: the interpreter calls them, and the compiled tick compiles them.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
-from messages.types import ZERO, Force, Vector
-from nodes.driver.device import DeviceLimits
-from nodes.driver.limits import STOP_TIME, SafetyParameters, lower
-from nodes.driver.motor_heat import Motor
+from messages.types import ZERO, Vector
+from nodes.driver.limits import STOP_TIME, Limits, SafetyParameters
+from nodes.driver.motion import find_velocity
+from nodes.driver.motor_heat import close_tick, lower_heat, note_heat, set_heat
+from nodes.driver.passivity import guarded
+from nodes.driver.state import (
+    ACTIVE,
+    DAMPING,
+    FAULT,
+    IDLE,
+    NOTHING,
+    PEAKS,
+    RAMP,
+    STOPPED,
+    note,
+    seldom,
+)
+from nodes.driver.telling import (
+    BACK_INSIDE,
+    CONTINUOUS,
+    DONE_RAMP,
+    FIRST_FORCE,
+    FRESH_FORCE,
+    LET_GO,
+    NO_POSITION,
+    OUTSIDE,
+    REFUSED_FIRST,
+    SILENT,
+    STILL_SILENT,
+    SWINGS,
+)
 from nodes.kernels import limit
 
-REACH = 1e6
+REACH: Final = 1e6
 """Farther than this no device is: a position beyond is a fault of whoever measured it [m]."""
 
-STOP_WINDOW = 2.0
+STOP_WINDOW: Final = 2.0
 """Within so long a loop that swings brings its force to the largest magnitude `stop_after` times, and gives out energy [s]."""
 
-REGAIN = 5
+REGAIN: Final = 5
 """Ticks of ramp that one tick without a force costs: after a fifth of `recovery` the whole ramp is due."""
 
-RETURN_SPEED = 0.25
+RETURN_SPEED: Final = 0.25
 """Faster than this a force that comes back must not push [m/s]: the reduced speed of ISO 10218-1."""
 
-REASONS = 8
-"""Changes of state that the summary of a run tells; all of them are on the driver's event topic."""
+FUTURE, REPLAYED, STALE, NOT_FINITE = 0, 1, 2, 3
+PEAK, SLEW, HEAT = 0, 1, 2
 
 
-class Safety:
-    """Decides what is handed to the device at each tick.
+def set_safety(s: Any, parameters: SafetyParameters, limits: Limits, period: float) -> None:
+    """Lay down what holds for a run."""
+    s.peak = math.inf if limits.peak is None else limits.peak
+    s.slew = math.inf if limits.slew is None else limits.slew
+    s.unlimited = limits.peak is None and limits.slew is None and limits.continuous is None
+    s.max_age, s.watchdog, s.damping_ticks = limits.max_age, limits.watchdog, limits.damping_ticks
+    s.damping = parameters.damping
+    s.start_ticks = round(parameters.ramp / period)
+    s.recovery_ticks = round(max(parameters.recovery, parameters.ramp) / period)
+    s.ramp_ticks, s.ramp_seq = s.start_ticks, -1
+    s.workspace[:] = [bound for bounds in limits.workspace for bound in bounds]
+    s.bounded = any(map(math.isfinite, s.workspace))
+    s.reach = REACH
+    set_heat(s, limits.continuous, parameters.thermal_time, period)
+    # Only a largest force tells what a swing is.
+    s.stop_after = 0 if limits.peak is None or parameters.stop_after is None else min(parameters.stop_after, PEAKS)
+    s.safety, s.force_seq, s.since, s.limited_at = IDLE, -1, 0, -1
 
-    Parameters
-    ----------
-    parameters : SafetyParameters
-        Limits of the launch file.
-    device : DeviceLimits
-        Limits of the device; they hold whatever the parameters say.
-    period : float
-        Sampling period T [s].
-    axes : list of int
-        Axes that the scene computes; the others get no force.
-    tell : callable
-        Called with kind and reason of what must not be overlooked.
-    where : str
-        Path of the parameters, for what is told.
 
-    Attributes
-    ----------
-    state : str
-        ``waiting``, ``ramp``, ``active``, ``damping``, ``zero``, ``fault`` or ``stopped``.
-    force : tuple of float, shape (3,)
-        What was handed over last [N].
-    force_seq : int
-        Tick that the last admitted force answers; -1 before the first one.
-    since : int
-        Tick in which a force was admitted last.
-    refused : dict of str to int
-        Forces refused, by reason: ``future``, ``replayed``, ``stale``, ``not_finite``.
-    limited : dict of str to int
-        Forces lowered, by limit: ``peak``, ``slew``, ``continuous``.
-    limits : Limits
-        What holds.
-    motor : Motor or None
-        What watches its heat; None without a limit.
-    swings : bool
-        Whether `watch_swings` has something to watch.
-    peaked : bool
-        Whether the force has come to its largest magnitude since `watch_swings` looked.
-    slewed : list of float, shape (3,)
-        How far the force has changed on each axis in the newest tick [N].
-    """
+def enter(
+    s: Any, state: int, seq: int, why: int, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0
+) -> None:
+    """Change what is done with forces."""
+    before = s.safety
+    if state == before or before == STOPPED:
+        return
+    if before in (ACTIVE, RAMP):
+        if before == ACTIVE:
+            s.regained = s.recovery_ticks
+        s.away_from = float(seq)
+    if state == FAULT:
+        s.regained = 0
+    s.safety = state
+    s.entered[state] += 1
+    note(s, why, seq, 8 * before + state, a, b, c, d)
 
-    def __init__(
-        self,
-        parameters: SafetyParameters,
-        device: DeviceLimits,
-        period: float,
-        axes: list[int],
-        tell: Callable[[str, str], None],
-        where: str = "safety",
-    ) -> None:
-        self.limits = lower(parameters, device, period, where)
-        self._damping = parameters.damping
-        self._tell = tell
-        self._axes = axes
-        self._period = period
-        self._start_ticks = round(parameters.ramp / period)
-        self._recovery_ticks = round(max(parameters.recovery, parameters.ramp) / period)
-        # The ramp under way: its length, how much of it is done, and the tick that did so last.
-        self._ramp_ticks, self._regained, self._ramp_seq = self._start_ticks, 0, -1
-        # Since when there has been no force [ticks].
-        self._away_from = 0.0
-        self._workspace = [
-            (axis, low, high)
-            for axis, (low, high) in enumerate(self.limits.workspace)
-            if math.isfinite(low) or math.isfinite(high)
-        ]
-        continuous = self.limits.continuous
-        self.motor = (
-            None if continuous is None else Motor(continuous, parameters.thermal_time, period, self.limits.slew)
-        )
-        # A device without limits needs none of what watches them.
-        self._unlimited = self.motor is None and self.limits.peak is None and self.limits.slew is None
-        # Ticks at which the force came to its largest magnitude, and the energy that was given out until then [J].
-        self._peaks: deque[tuple[int, float]] = deque(maxlen=parameters.stop_after)
-        # On which side each axis asks for more than that, 0 for neither; and whether one has come to a new side.
-        self._sides = [0, 0, 0]
-        self.peaked = False
-        self._stopped = 0
-        self._brake: Vector = ZERO
-        self.swings = parameters.stop_after is not None and self.limits.peak is not None
-        self.since = 0
-        self._tick = -1
-        self.slewed = [0.0, 0.0, 0.0]
-        self.state = "waiting"
-        self.force: Vector = ZERO
-        self.force_seq = -1
-        self.refused = {"future": 0, "replayed": 0, "stale": 0, "not_finite": 0}
-        self.limited = {"peak": 0, "slew": 0, "continuous": 0}
-        self._entered: dict[str, int] = {}
-        self._reasons: deque[str] = deque(maxlen=REASONS)
-        for text in self.limits.told:
-            tell("limit", text)
 
-    def summary(self) -> dict[str, Any]:
-        """Summarise what happened."""
-        return {
-            "state": self.state,
-            "entered": dict(self._entered),
-            "refused": dict(self.refused),
-            "limited": dict(self.limited),
-            "reasons": list(self._reasons),
-            "told": list(self.limits.told),
-        }
-
-    def resume(self) -> None:
-        """Go on in the place of a predecessor that ended with a force on the device: the first force is a recovery."""
-        self._ramp_ticks = self._recovery_ticks
-
-    def _enter(self, state: str, seq: int, reason: str) -> None:
-        if state != self.state and self.state != "stopped":
-            if self.state in ("active", "ramp"):
-                if self.state == "active":
-                    self._regained = self._recovery_ticks
-                self._away_from = seq
-            if state == "fault":
-                self._regained = 0
-            text = f"{self.state} → {state} at tick {seq}: {reason}"
-            self.state = state
-            self._entered[state] = self._entered.get(state, 0) + 1
-            self._reasons.append(text)
-            # By a name of its own: among many changes of state it must not be overlooked.
-            self._tell("stopped" if state == "stopped" else "safety", text)
-
-    def admit(self, force: Force, seq: int) -> bool:
-        """Judge whether a received force may be used at all."""
-        x, y, z = force.force
-        if not math.isfinite(x + y + z):
-            why, reason = "not_finite", f"a force for tick {force.seq} that is not finite: {force.force}"
-        elif force.seq > seq:
-            why, reason = "future", f"a force for tick {force.seq}, which has not been: now is {seq}"
-        elif force.seq <= self.force_seq:
-            why = "replayed"
-            reason = f"a force for tick {force.seq} once more: {self.force_seq} was the last (replayed or out of order)"
-        elif seq - force.seq > self.limits.max_age:
-            why, reason = "stale", f"a force {seq - force.seq} ticks old at tick {seq}, limit {self.limits.max_age}"
-        else:
-            return True
-        self.refused[why] += 1
-        self._tell(f"refused_{why}", reason)
-        return False
-
-    def command(
-        self,
-        wanted: Vector,
-        answers: int,
-        seq: int,
-        velocity: Callable[[], Vector],
-        guard: Callable[[Vector], Vector] | None = None,
-    ) -> Vector:
-        """Turn an admitted force into what the device gets; a guard judges what the ramp lets through."""
-        self.force_seq = answers
-        self.since = seq
-        if self.state != "active":
-            wanted = self._become_active(wanted, seq, velocity)
-        if guard is not None and self.state in ("active", "ramp"):
-            wanted = guard(wanted)
-        return self._hand_over(wanted, seq)
-
-    def watch_swings(self, energy: float, velocity: Callable[[], Vector], seq: int) -> None:
-        """Stop for good when the force comes to its limit again and again and the loop gives out energy meanwhile [J].
-
-        Energy is compared between moments at which the force comes to its limit, so that what a surface has in store then is
-        no part of it. A surface that takes energy, as one does that somebody taps hard, is not stopped.
-        """
-        if self.state == "stopped":
-            b, (x, y, z) = -self._damping, velocity()
-            damped = seq - self._stopped < self.limits.damping_ticks
-            self._brake = (b * x, b * y, b * z) if damped else ZERO
-            return
-        if not self.peaked:
-            return
-        self.peaked = False
-        self._peaks.append((seq, energy))
-        first, before = self._peaks[0]
-        span = (seq - first) * self._period
-        if len(self._peaks) == self._peaks.maxlen and span <= STOP_WINDOW and energy > before:
-            self._stopped = seq
-            self._enter(
-                "stopped",
-                seq,
-                f"the loop swings: its force came to the limit of {self.limits.peak:g} N {len(self._peaks)} times within "
-                f"{span:.2g} s and gave out {(energy - before) * 1e3:.3g} mJ; no force until the next start: launch again with "
-                "a softer law",
-            )
-            self.watch_swings(energy, velocity, seq)
-
-    def _become_active(self, wanted: Vector, seq: int, velocity: Callable[[], Vector]) -> Vector:
-        """Let forces in again: none in a fault, a brake when stopped, a growing share of them during the ramp."""
-        if self.state == "fault":
-            return ZERO
-        if self.state == "stopped":
-            return self._brake
-        if self.state != "ramp":
-            if self.state != "waiting":
-                self._ramp_ticks = self._recovery_ticks
-                self._regained = max(self._regained - REGAIN * math.ceil(seq - self._away_from), 0)
-            reason = "the first force" if self.state == "waiting" else "fresh forces again"
-            self._enter("ramp" if self._ramp_ticks else "active", seq, reason)
-        if self.state == "active":
-            return wanted
-        if (peak := self.limits.peak) is not None:
-            x, y, z = wanted
-            wanted = limit(x, 0.0, peak, None), limit(y, 0.0, peak, None), limit(z, 0.0, peak, None)
-        if seq != self._ramp_seq:
-            self._ramp_seq = seq
-            pushed = sum(f * v for f, v in zip(wanted, velocity(), strict=True))
-            is_thrown = pushed > RETURN_SPEED * math.sqrt(sum(f * f for f in wanted))
-            self._regained = max(self._regained - REGAIN, 0) if is_thrown else self._regained + 1
-        share = self._regained / self._ramp_ticks
-        if share < 1.0:
-            return wanted[0] * share, wanted[1] * share, wanted[2] * share
-        self._enter("active", seq, f"ramp of {self._ramp_ticks} ticks done")
-        return wanted
-
-    def answered(self, force: Vector, answers: int, since: int, seq: int, slewed: list[float]) -> None:
-        """Take over what compiled ticks did, in the state ``active`` and below all limits."""
-        self.force, self.force_seq, self.since = force, answers, since
-        self._sides = [0, 0, 0]
-        if not self._unlimited:
-            self._tick, self.slewed = seq, slewed
-
-    def missed(self, seq: int, velocity: Vector, held: Vector | None = None) -> Vector | None:
-        """Decide about a tick that closes without the force that answers it."""
-        limits = self.limits
-        silent = seq - self.since
-        if self.state == "waiting":
-            return None
-        if self.state == "stopped":
-            return self._hand_over(self._brake, seq)
-        if self.state in ("active", "ramp"):
-            if silent < limits.watchdog:
-                last = self.force
-                return None if self._hand_over(last if held is None else held, seq) == last else self.force
-            self._enter("damping", seq, f"no fresh force for {silent} ticks, limit {limits.watchdog}")
-        if self.state == "damping":
-            if silent < limits.watchdog + limits.damping_ticks:
-                b = -self._damping
-                return self._hand_over((b * velocity[0], b * velocity[1], b * velocity[2]), seq)
-            self._enter("zero", seq, f"no fresh force for {silent} ticks")
-        return self._hand_over(ZERO, seq)
-
-    def hold(self, force: Vector) -> None:
-        """Note what is on the device where that is not what was decided last: a tick was lost."""
-        self.force = force
-
-    def let_go(self, seq: int, since: float) -> None:
-        """Note that the device let go by itself at a tick: a force then comes back as after any other gap."""
-        self.force = ZERO
-        if self.state in ("active", "ramp"):
-            self._enter("zero", seq, "no force was written in time, and the device let go by itself")
-            self._away_from = since
-
-    def watch_position(self, position: Vector, seq: int) -> bool:
-        """Look whether a position is one, and inside the workspace; otherwise there is no force."""
-        x, y, z = position
-        if not (-REACH <= x <= REACH and -REACH <= y <= REACH and -REACH <= z <= REACH):
-            self._enter("fault", seq, f"the device gives position {position}")
-            self._brake = ZERO
-            return False
-        for axis, low, high in self._workspace:
-            if not low <= position[axis] <= high:
-                self._enter(
-                    "fault", seq, f"{'xyz'[axis]} = {position[axis]:.4g} m, workspace {low:.4g} to {high:.4g} m"
-                )
-                self._brake = ZERO
-                return False
-        if self.state == "fault":
-            # Not active yet: a force must come first, which may then grow by the ramp.
-            self._enter("zero", seq, "back inside the workspace")
+def admit(s: Any, seq: int) -> bool:
+    """Judge whether the message that was taken may be used at all."""
+    answers = s.got_seq
+    x, y, z = s.got[0], s.got[1], s.got[2]
+    if not math.isfinite(x + y + z):
+        why, a, b, c, d = NOT_FINITE, float(answers), x, y, z
+    elif answers > seq:
+        why, a, b, c, d = FUTURE, float(answers), float(seq), 0.0, 0.0
+    elif answers <= s.force_seq:
+        why, a, b, c, d = REPLAYED, float(answers), float(s.force_seq), 0.0, 0.0
+    elif seq - answers > s.max_age:
+        why, a, b, c, d = STALE, float(seq - answers), float(s.max_age), 0.0, 0.0
+    else:
         return True
+    s.refused_for[why] += 1
+    count = s.refused_for[why]
+    if seldom(count):
+        note(s, REFUSED_FIRST + why, seq, -1, float(count), a, b, c, d)
+    return False
 
-    def _hand_over(self, wanted: Vector, seq: int) -> Vector:
-        """Apply all limits, tick by tick: several forces in one tick share one slew."""
-        if self._unlimited:
-            force = [0.0, 0.0, 0.0]
-            for i in self._axes:
-                force[i] = wanted[i]
-            self.force = (force[0], force[1], force[2])
-            return self.force
-        last, slewed, motor = self.force, self.slewed, self.motor
-        peak, slew = self.limits.peak, self.limits.slew
-        if seq != self._tick:
-            if motor is not None:
-                motor.close(last, seq - self._tick if self._tick >= 0 else 0)
-            self._tick = seq
-            slewed[0] = slewed[1] = slewed[2] = 0.0
-        limited = [0.0, 0.0, 0.0]
-        for i in self._axes:
-            left = None if slew is None else max(slew - slewed[i], 0.0)
-            value = limited[i] = limit(wanted[i], last[i], peak, left)
-            side = 0 if peak is None or abs(wanted[i]) <= peak else 1 if wanted[i] > 0.0 else -1
-            if value != wanted[i]:
-                self.limited["peak" if side else "slew"] += 1
-            self.peaked = self.peaked or side not in (0, self._sides[i])
-            self._sides[i] = side
-        if motor is not None:
-            lefts = None if slew is None else min(max(slew - slewed[i], 0.0) for i in self._axes)
-            cooled = motor.lower(last, limited, lefts)
-            if cooled is not limited:
-                self.limited["continuous"] += 1
-                self._tell("limit", f"continuous force at tick {seq}: limit {self.limits.continuous:.3g} N reached")
-                limited = cooled
-            motor.note(limited)
-        for i in self._axes:
-            slewed[i] += abs(limited[i] - last[i])
-        self.force = (limited[0], limited[1], limited[2])
-        return self.force
 
-    def soft_stop(self, start: Vector) -> list[Vector]:
-        """Plan the way to zero force for the end of the loop."""
-        if start == ZERO:
-            return [ZERO]
-        steps = max(1, min(10, int(STOP_TIME / self._period)))
-        if self.limits.slew is not None:
-            steps = max(steps, math.ceil(max(map(abs, start)) / self.limits.slew))
-        return [
-            (start[0] * left / steps, start[1] * left / steps, start[2] * left / steps)
-            for left in range(steps - 1, -1, -1)
-        ]
+def command(s: Any, seq: int, share: float) -> None:
+    """Turn the admitted message into `force`; what is on the device acts for a `share` of the tick before it."""
+    s.force_seq = s.got_seq
+    s.since = seq
+    for i in range(3):
+        s.wanted[i] = s.got[i]
+    if s.safety != ACTIVE:
+        _become_active(s, seq)
+    if s.guard_on != 0 and s.safety in (ACTIVE, RAMP):
+        guarded(s, share)
+    hand_over(s, seq)
+
+
+def _become_active(s: Any, seq: int) -> None:
+    """Let forces in again: none in a fault, a brake when stopped, a growing share of them during the ramp."""
+    if s.safety in (FAULT, STOPPED):
+        for i in range(3):
+            s.wanted[i] = 0.0 if s.safety == FAULT else s.brake[i]
+        return
+    if s.safety != RAMP:
+        why = FIRST_FORCE
+        if s.safety != IDLE:
+            why = FRESH_FORCE
+            s.ramp_ticks = s.recovery_ticks
+            s.regained = max(s.regained - REGAIN * math.ceil(seq - s.away_from), 0)
+        enter(s, RAMP if s.ramp_ticks > 0 else ACTIVE, seq, why)
+    if s.safety == ACTIVE:
+        return
+    pushed = squared = 0.0
+    find_velocity(s)
+    for i in range(3):
+        s.wanted[i] = limit(s.wanted[i], 0.0, s.peak, math.inf)
+        pushed += s.wanted[i] * s.velocity[i]
+        squared += s.wanted[i] * s.wanted[i]
+    if seq != s.ramp_seq:
+        s.ramp_seq = seq
+        if pushed > RETURN_SPEED * math.sqrt(squared):
+            s.regained = max(s.regained - REGAIN, 0)
+        else:
+            s.regained += 1
+    if s.regained >= s.ramp_ticks:
+        enter(s, ACTIVE, seq, DONE_RAMP, float(s.ramp_ticks))
+        return
+    share = s.regained / s.ramp_ticks
+    for i in range(3):
+        s.wanted[i] = s.wanted[i] * share
+
+
+def missed(s: Any, seq: int) -> bool:
+    """Decide about a tick that closes without the force that answers it; whether `force` must be handed over."""
+    for i in range(3):
+        s.wanted[i] = s.force[i]
+    if s.guard_on != 0:
+        guarded(s, 1.0)
+    if s.safety == IDLE:
+        return False
+    silent = seq - s.since
+    if s.safety in (ACTIVE, RAMP):
+        if silent < s.watchdog:
+            x, y, z = s.force[0], s.force[1], s.force[2]
+            hand_over(s, seq)
+            return bool(s.force[0] != x or s.force[1] != y or s.force[2] != z)
+        enter(s, DAMPING, seq, SILENT, float(silent), float(s.watchdog))
+    if s.safety == DAMPING and silent >= s.watchdog + s.damping_ticks:
+        enter(s, NOTHING, seq, STILL_SILENT, float(silent))
+    if s.safety == DAMPING:
+        find_velocity(s)
+    for i in range(3):
+        s.wanted[i] = 0.0
+        if s.safety == DAMPING:
+            s.wanted[i] = -s.damping * s.velocity[i]
+        elif s.safety == STOPPED:
+            s.wanted[i] = s.brake[i]
+    hand_over(s, seq)
+    return True
+
+
+def let_go(s: Any, seq: int, since: float) -> None:
+    """Note that the device let go by itself at a tick: a force then comes back as after any other gap."""
+    for i in range(3):
+        s.force[i] = s.handed[i] = 0.0
+    if s.safety in (ACTIVE, RAMP):
+        enter(s, NOTHING, seq, LET_GO)
+        s.away_from = since
+
+
+def watch_position(s: Any, seq: int) -> bool:
+    """Look whether the position that was read is one, and inside the workspace; otherwise there is no force."""
+    x, y, z = s.place[0], s.place[1], s.place[2]
+    reach = s.reach
+    if not (-reach <= x <= reach and -reach <= y <= reach and -reach <= z <= reach):
+        enter(s, FAULT, seq, NO_POSITION, x, y, z)
+        s.brake[0] = s.brake[1] = s.brake[2] = 0.0
+        return False
+    if s.bounded != 0:
+        for i in range(3):
+            low, high = s.workspace[2 * i], s.workspace[2 * i + 1]
+            if not low <= s.place[i] <= high:
+                enter(s, FAULT, seq, OUTSIDE, float(i), s.place[i], low, high)
+                s.brake[0] = s.brake[1] = s.brake[2] = 0.0
+                return False
+    if s.safety == FAULT:
+        # Not active yet: a force must come first, which then grows by the ramp.
+        enter(s, NOTHING, seq, BACK_INSIDE)
+    return True
+
+
+def watch_swings(s: Any, seq: int) -> None:
+    """Stop for good when the force comes to its limit again and again and the loop gives out energy meanwhile.
+
+    Energy is compared between moments at which the force comes to its limit, so that what a surface has in store then is
+    no part of it. A surface that takes energy, as one does that somebody taps hard, is not stopped.
+    """
+    if s.safety != STOPPED and s.peaked != 0:
+        s.peaked = 0
+        # A ring of the newest moments: tick, and the energy given out until then [J].
+        at = s.peaks_count % s.stop_after
+        s.peaks[2 * at], s.peaks[2 * at + 1] = float(seq), s.energy
+        s.peaks_count += 1
+        first = s.peaks_count % s.stop_after if s.peaks_count >= s.stop_after else 0
+        span, gained = (seq - s.peaks[2 * first]) * s.period, s.energy - s.peaks[2 * first + 1]
+        if s.peaks_count >= s.stop_after and span <= STOP_WINDOW and gained > 0.0:
+            s.stopped_at = seq
+            enter(s, STOPPED, seq, SWINGS, s.peak, float(s.stop_after), span, gained)
+    if s.safety == STOPPED:
+        find_velocity(s)
+        damped = seq - s.stopped_at < s.damping_ticks
+        for i in range(3):
+            s.brake[i] = -s.damping * s.velocity[i] if damped else 0.0
+
+
+def hand_over(s: Any, seq: int) -> None:
+    """Apply all limits to what is wanted, tick by tick: several forces in one tick share one slew."""
+    if s.unlimited != 0:
+        s.force[0] = s.force[1] = s.force[2] = 0.0
+        for n in range(s.axes):
+            s.force[s.axis[n]] = s.wanted[s.axis[n]]
+        return
+    if seq != s.limited_at:
+        close_tick(s, seq - s.limited_at if s.limited_at >= 0 else 0)
+        s.limited_at = seq
+        s.slewed[0] = s.slewed[1] = s.slewed[2] = 0.0
+    for n in range(s.axes):
+        i = s.axis[n]
+        asked = s.wanted[i]
+        s.wanted[i] = limit(asked, s.force[i], s.peak, max(s.slew - s.slewed[i], 0.0))
+        side = 0
+        if abs(asked) > s.peak:
+            side = 1 if asked > 0.0 else -1
+        if s.wanted[i] != asked:
+            s.limited_by[PEAK if side != 0 else SLEW] += 1
+        if side not in (0, s.sides[i]):
+            s.peaked = 1
+        s.sides[i] = side
+    if s.heat_keep < 1.0:
+        if lower_heat(s):
+            s.limited_by[HEAT] += 1
+            if seldom(s.limited_by[HEAT]):
+                note(s, CONTINUOUS, seq, -1, float(s.limited_by[HEAT]), s.continuous)
+        note_heat(s)
+    for n in range(s.axes):
+        i = s.axis[n]
+        s.slewed[i] += abs(s.wanted[i] - s.force[i])
+        s.force[i] = s.wanted[i]
+
+
+def soft_stop(start: Vector, slew: float, period: float) -> list[Vector]:
+    """Plan the way to zero force for the end of the loop."""
+    if start == ZERO:
+        return [ZERO]
+    steps = max(1, min(10, int(STOP_TIME / period)))
+    if math.isfinite(slew):
+        steps = max(steps, math.ceil(max(map(abs, start)) / slew))
+    return [
+        (start[0] * left / steps, start[1] * left / steps, start[2] * left / steps) for left in range(steps - 1, -1, -1)
+    ]

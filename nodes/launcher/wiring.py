@@ -136,7 +136,8 @@ class _Places:
 def kernel_modules(launch: Launch) -> list[str]:
     """Name the compiled ticks that the nodes of this machine could take."""
     factories = node_kinds()
-    return sorted({load(factories[spec.kind]).kernel_module for spec in launch.nodes.values() if not spec.host} - {""})
+    kinds = [load(factories[spec.kind]) for spec in launch.nodes.values() if not spec.host]
+    return sorted({module for kind in kinds for module in kind.modules()})
 
 
 def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:

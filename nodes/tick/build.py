@@ -84,22 +84,56 @@ def build(modules: Sequence[str]) -> None:
 # -- in the process that compiles ------------------------------------------------------------------------------------
 
 
+def _by_c(name: str, made: str, signature: str) -> str:
+    """Write a function with C's way of calling around one of numba's, which takes where its result and an error go first."""
+    kinds = ["double" if kind == "float64" else "i64" for kind in signature[:-1].split("(")[1].split(",")]
+    given = ", ".join(f"{kind} %a{n}" for n, kind in enumerate(kinds))
+    return f"""
+        declare i32 @"{made}"(ptr, ptr, {", ".join(kinds)})
+        define i32 @{name}({given}) {{
+            %result = alloca i64
+            %error = alloca ptr
+            %failed = call i32 @"{made}"(ptr %result, ptr %error, {given})
+            %told = load i64, ptr %result
+            %status = trunc i64 %told to i32
+            %good = icmp eq i32 %failed, 0
+            %out = select i1 %good, i32 %status, i32 -1
+            ret i32 %out
+        }}
+    """
+
+
 def _object_file(module: str) -> bytes:
     """Compile a kernel: machine code that refers to nothing but libm."""
     import llvmlite.binding as llvm
     import numba
 
-    ticks: Any = importlib.import_module(module).ticks
+    loaded: Any = importlib.import_module(module)
     # Of numba's options a type checker knows only the common ones.
     compile_: Any = numba.njit
-    compiled = compile_(["int64(int64)"], no_cpython_wrapper=True, no_cfunc_wrapper=True)(ticks.py_func)
-    (result,) = compiled.overloads.values()
-    unit = llvm.parse_assembly(result.library.get_llvm_str())
-    entry = unit.get_function(result.fndesc.llvm_func_name)
+    called = getattr(loaded, "ENTRIES", None)
+    entries = {ENTRY: (loaded.ticks, "int64(int64)")} if called is None else called
+    unit, names = None, {}
+    for name, (function, signature) in entries.items():
+        compiled = compile_([signature], no_cpython_wrapper=True, no_cfunc_wrapper=True)(function.py_func)
+        (result,) = compiled.overloads.values()
+        part = llvm.parse_assembly(result.library.get_llvm_str())
+        names[name] = result.fndesc.llvm_func_name
+        if unit is None:
+            unit = part
+        else:
+            unit.link_in(part)
+    assert unit is not None  # noqa: S101  # a kernel has entries
+    if called is not None:
+        unit.link_in(llvm.parse_assembly("\n".join(_by_c(name, names[name], entries[name][1]) for name in entries)))
     for function in unit.functions:
-        if not function.is_declaration and function.name != entry.name:
+        if not function.is_declaration and function.name not in (*entries, *names.values()):
             function.linkage = "internal"
-    entry.name = ENTRY
+    for name, made_name in names.items():
+        if called is None:
+            unit.get_function(made_name).name = name
+        else:
+            unit.get_function(made_name).linkage = "internal"
     target = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
         cpu=llvm.get_host_cpu_name(),
         features=llvm.get_host_cpu_features().flatten(),

@@ -7,7 +7,7 @@ within its extension, or the system's.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -52,22 +52,31 @@ def functions() -> dict[str, int]:
     return found
 
 
-def _address_by_llvm(made: bytes) -> int:
+def _addresses(entry: cache.Entry, names: Sequence[str]) -> list[int]:
+    """Load what was compiled, and find its functions."""
+    if entry.kind == "so":
+        library = cache.load(entry.content)
+        _kept.append(library)
+        return [ctypes.cast(library[name], ctypes.c_void_p).value or 0 for name in names]
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(made))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(entry.content))
     engine.finalize_object()
     _kept.append(engine)
-    address: int = engine.get_function_address(ENTRY)
-    return address
+    return [engine.get_function_address(name) for name in names]
 
 
 def obtain(module: str) -> Kernel:
     """Load a kernel that is compiled already: a node that compiled one would leave its launcher without an answer meanwhile."""
+    return _kernel_at(*obtain_calls(module, (ENTRY,)))
+
+
+def obtain_calls(module: str, names: Sequence[str]) -> list[int]:
+    """Load functions that are compiled already; their addresses."""
     try:
         entry = find(module)
     except cache.CacheRefusedError as error:
@@ -79,20 +88,14 @@ def obtain(module: str) -> Kernel:
             f"{module} is not compiled on this machine; `haptic launch floor_drop --tick compiled` has it compiled, once"
         )
     try:
-        return _load(entry)
+        return _addresses(entry, names)
     except (OSError, ImportError, AttributeError, RuntimeError) as error:
         raise NotCompilableError(f"{module}: {error}") from error
 
 
-def _load(entry: cache.Entry) -> Kernel:
+def _kernel_at(address: int) -> Kernel:
     # numba's own way of calling: where the result goes, where an exception would be told, and the argument.
-    prototype = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
-    if entry.kind == "so":
-        library = cache.load(entry.content)
-        _kept.append(library)
-        function = prototype((ENTRY, library))
-    else:
-        function = prototype(_address_by_llvm(entry.content))
+    function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)(address)
     result, error = ctypes.c_int64(), ctypes.c_void_p()
     at, told = ctypes.addressof(result), ctypes.addressof(error)
 

@@ -20,7 +20,12 @@ from sim.measure.stopwatch import Progress
 
 RATES = (500, 4000, 8000)
 
-KERNELS = ("nodes.tick.kernels.environment", "nodes.tick.kernels.coupling", "sim.device.tick.kernel")
+KERNELS = (
+    "nodes.tick.kernels.environment",
+    "nodes.tick.kernels.coupling",
+    "nodes.driver.kernel",
+    "sim.device.kernel",
+)
 """The compiled ticks of the loop."""
 
 NAMES = {"compiled": "compiled", "plain": "plain", "bare": "bare pyzmq + msgpack", "c": "bare C"}

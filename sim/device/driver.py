@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
+from array import array
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Final
 
 import msgspec
 
-from messages.types import ZERO, Vector
+from messages.types import Vector
 from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.driver.calls import Calls
 from nodes.driver.device import Device, DeviceLimits
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
+from nodes.tick.fields import NotCompilableError
 from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
-from sim.device.model import DeviceModel, Hand, move_towards
+from sim.device.model import DeviceModel
 from sim.device.presets import preset, provenance
-from sim.device.several_axes import SeveralAxes, along
-from sim.device.state import VirtualDevice
-
-if TYPE_CHECKING:
-    from nodes.tick.library import Kernel
-    from sim.device.tick.ticks import DriverTicks
-
+from sim.device.state import PENDING, VirtualDevice, read_axis, write_axis
 
 NO_END: Final = DeviceLimits().workspace
 """The workspace of a device that declares none [m]."""
@@ -69,86 +65,41 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
                 msgspec.structs.force_setattr(self, "safety", msgspec.structs.replace(self.safety, peak_force=peak))
 
 
-class DraggedHand:
-    """The target of a hand that a page may drag away from its path, at a limited speed.
-
-    Parameters
-    ----------
-    hand : Hand
-        The hand, with its path.
-    parameters : PointerParameters
-        Speed and silence.
-    setup : Setup
-        Run directory, period and axis.
-
-    Attributes
-    ----------
-    reader : PointerReader
-        Where the page's target stands.
-    farthest : float
-        Longest way of its target in a tick [m].
-    away : float or None
-        Where its target is, as long as that is not its path's [m].
-    """
-
-    def __init__(self, hand: Hand, parameters: PointerParameters, setup: Setup) -> None:
-        self._point = hand.point
-        self._period = setup.period
-        self._axis = AXIS_INDEX[setup.axes[0]]
-        self.farthest = parameters.speed * setup.period
-        self.reader = PointerReader(pointer_file(setup.run_dir, setup.name), parameters.silence)
-        self.away: float | None = None
-
-    def target(self, seq: int) -> float:
-        """Move the target by one tick."""
-        rest = self._point(seq * self._period)
-        held = self.reader.read()
-        if held is None and self.away is None:
-            return rest
-        target = move_towards(
-            rest if held is None else held[self._axis], rest if self.away is None else self.away, self.farthest
+def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
+    """Give each axis its own device: the first has the beginning and the hand's path, z has the weight, or the first."""
+    down = "z" if "z" in axes else axes[0]
+    hand = model.hand
+    still = None if hand is None else msgspec.structs.replace(hand, path=[(0.0, 0.0)], repeat=None)
+    return [
+        msgspec.structs.replace(
+            model,
+            gravity=model.gravity if axis == down else None,
+            **({} if axis == axes[0] else {"position": 0.0, "velocity": 0.0, "hand": still}),
         )
-        # Back on its path the hand is its own again.
-        self.away = None if held is None and target == rest else target
-        return target
+        for axis in axes
+    ]
 
 
-class TimedDevice:
-    """The virtual device in the driver's time: forces take effect when they arrive, plus the model's own delay.
+class SimDevice:
+    """The virtual device in the driver's time: one of one axis along each axis of the scene, independent of each other.
 
     Parameters
     ----------
     model : DeviceModel
         The device.
     setup : Setup
-        Pace, period and axis of the run.
+        Pace, period and axes of the run.
     hold : float or None
         The device's own deadline [s].
-    dragged : DraggedHand or None
-        What may move the target of its hand.
-    workspace : tuple of float, shape (2,)
+    pointer : PointerParameters or None
+        How a page may drag its hand, in real time.
+    workspace : sequence of tuple of float, shape (3, 2)
         Where it stops [m]: as a real device does, it has a mechanical stop where its workspace ends.
 
     Attributes
     ----------
-    target : tuple of float, shape (3,)
-        Where its hand pulls to during this tick [m]; zero without a hand.
-    dragged : DraggedHand or None
-        The same.
-    device : VirtualDevice
-        The device.
-    axis : int
-        Its axis.
-    tick : int
-        Tick up to which time has passed; -1 before the first sample.
-    acting : float
-        Force that acts now [N].
-    commanded : float
-        When it took effect [ticks since tick 0].
-    pending : deque of tuple of float
-        Commanded forces that have not taken effect: when, and what [ticks since tick 0, N].
-    delay, hold : float
-        From a force's arrival to its effect [ticks], and the device's own deadline [s].
+    parts : list of VirtualDevice
+        The devices of all axes.
     """
 
     def __init__(
@@ -156,77 +107,78 @@ class TimedDevice:
         model: DeviceModel,
         setup: Setup,
         hold: float | None = None,
-        dragged: DraggedHand | None = None,
-        workspace: tuple[float, float] = NO_END[0],
+        pointer: PointerParameters | None = None,
+        workspace: Sequence[tuple[float, float]] = NO_END,
     ) -> None:
-        self._hand = model.hand
-        self.dragged = dragged
-        self.target: Vector = ZERO
-        self.hold = math.inf if hold is None else hold
-        self.axis = AXIS_INDEX[setup.axes[0]]
-        self._period = setup.period
-        self._lockstep = setup.pace == "lockstep"
-        self.delay = model.delay
-        self.device = VirtualDevice(model, setup.period, self._lockstep and setup.apply == "next_tick", workspace)
-        self.tick = -1
-        self.acting = 0.0
-        self.commanded = 0.0
-        self.pending: deque[tuple[float, float]] = deque()
+        lockstep = setup.pace == "lockstep"
+        self._compiled = setup.tick == "compiled"
+        self._limits = DeviceLimits(hold=math.inf if hold is None else hold, latency=model.delay * setup.period)
+        next_tick = lockstep and setup.apply == "next_tick"
+        self.parts = [
+            VirtualDevice(
+                of_axis,
+                setup.period,
+                next_tick,
+                workspace[AXIS_INDEX[axis]],
+                lockstep,
+                self._limits.hold,
+                AXIS_INDEX[axis],
+            )
+            for axis, of_axis in zip(setup.axes, along(model, setup.axes), strict=True)
+        ]
+        self._states = [part.state for part in self.parts]
+        self._context = array("q", [len(self.parts), *(part.address for part in self.parts), 0, 0][:4])
+        self._reader: PointerReader | None = None
+        if model.hand is not None and pointer is not None and not lockstep:
+            self._reader = PointerReader(pointer_file(setup.run_dir, setup.name), pointer.silence)
+            for d in self._states:
+                d.pointer, d.silence = self._reader.address, pointer.silence
+                d.farthest = pointer.speed * setup.period
+        self._clock = array("q", [0, 0])
 
     @property
     def limits(self) -> DeviceLimits:
         """A virtual device bears everything; what its motor cannot give, the model saturates. Its delay is its latency."""
-        return DeviceLimits(hold=self.hold, latency=self.delay * self._period)
+        return self._limits
+
+    def calls(self) -> Calls | None:
+        """Give the compiled calls, where they could be had."""
+        if not self._compiled:
+            return None
+        from nodes.tick.library import functions, obtain_calls
+
+        try:
+            read, write = obtain_calls(SimDriver.device_module, ("read", "write"))
+        except NotCompilableError:
+            # Then the driver calls it as any device that is written in Python.
+            return None
+        for d in self._states:
+            d.clock_gettime, d.time = functions()["clock_gettime"], self._clock.buffer_info()[0]
+        return Calls(read, write, self._context.buffer_info()[0])
+
+    @property
+    def target(self) -> Vector:
+        """Where its hand pulls to during this tick [m]; zero without one."""
+        pulls = [0.0, 0.0, 0.0]
+        for d in self._states:
+            pulls[d.axis] = d.pull
+        return pulls[0], pulls[1], pulls[2]
 
     def open(self) -> None:
         """Nothing to connect."""
 
     def read_position(self, seq: int) -> Vector:
-        """Let the time up to a tick pass, then read the encoder."""
-        if not self._lockstep:
-            if self.tick < 0:
-                # Respawned, or started late: the device is put there now, it was not falling all the time.
-                self.tick = self.device.ticks = seq
-            while self.tick < seq:
-                self._pass_tick()
-        if self._hand is not None:
-            self._move_hand(seq, self._hand)
-        return self._on_axis(self.device.measured())
-
-    def _on_axis(self, value: float) -> Vector:
-        vector = [0.0, 0.0, 0.0]
-        vector[self.axis] = value
-        return vector[0], vector[1], vector[2]
-
-    def _move_hand(self, seq: int, hand: Hand) -> None:
-        if self.dragged is None:
-            target = hand.point(seq * self._period)
-        else:
-            target = self.device.target = self.dragged.target(seq)
-        self.target = self._on_axis(target)
-
-    def _pass_tick(self) -> None:
-        start, now = float(self.tick), 0.0
-        if (start - self.commanded) * self._period >= self.hold:
-            self.acting = 0.0
-        while self.pending and self.pending[0][0] < start + 1.0:
-            when, force = self.pending.popleft()
-            self.commanded = when
-            offset = max(when - start, now)
-            self.device.pass_time(self.acting, (offset - now) * self._period)
-            self.acting, now = force, offset
-        self.device.pass_time(self.acting, (1.0 - now) * self._period)
-        self.device.end_tick()
-        self.tick += 1
+        """Let the time up to a tick pass, then read the encoders."""
+        position = [0.0, 0.0, 0.0]
+        for d in self._states:
+            position[d.axis] = read_axis(d, seq)
+        return position[0], position[1], position[2]
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Hand over a force."""
-        value = force[self.axis]
-        if self._lockstep:
-            # The model itself knows about ``next_tick``: the whole tick passes here, on exactly the one-process path.
-            self.device.tick(value)
-        else:
-            self.pending.append((seq + offset + self.delay, value))
+        """Hand over a force: each axis takes its own part."""
+        for d in self._states:
+            if not write_axis(d, force[d.axis], seq, offset):
+                raise OverflowError(f"more than {PENDING} forces on their way to the virtual device")
 
     def close(self) -> None:
         """Nothing to disconnect."""
@@ -237,13 +189,7 @@ class SimDriver(Driver):
 
     Parameters: ClassVar[type[msgspec.Struct]] = SimDriverParameters
     virtual: ClassVar[bool] = True
-    kernel_module: ClassVar[str] = "sim.device.tick.kernel"
-
-    def compiled_ticks(self, kernel: Kernel) -> DriverTicks:
-        """Make the compiled ticks."""
-        from sim.device.tick.ticks import DriverTicks
-
-        return DriverTicks(self, kernel)
+    device_module: ClassVar[str] = "sim.device.kernel"
 
     @classmethod
     def stand_in(
@@ -285,24 +231,10 @@ class SimDriver(Driver):
     def make_device(self) -> Device:
         """Make the virtual device."""
         parameters: SimDriverParameters = self.store.current
-        pointer = parameters.pointer if self.setup.pace == "realtime" else None
-        axes = self.setup.axes
-        parts = []
-        for axis, model in zip(axes, along(parameters.device, axes), strict=True):
-            alone = msgspec.structs.replace(self.setup, axes=[axis])
-            dragged = None if model.hand is None or pointer is None else DraggedHand(model.hand, pointer, alone)
-            parts.append(TimedDevice(model, alone, parameters.hold, dragged, parameters.ends[AXIS_INDEX[axis]]))
-        self._timed = parts[0] if len(parts) == 1 else SeveralAxes(parts)
-        return self._timed
-
-    def load_kernel(self) -> None:
-        """Load the compiled ticks, which are those of one axis."""
-        if len(self.setup.axes) == 1:
-            super().load_kernel()
-        elif self.setup.tick == "compiled":
-            self.tell("tick", "plain: the device has several axes")
+        self._sim = SimDevice(parameters.device, self.setup, parameters.hold, parameters.pointer, parameters.ends)
+        return self._sim
 
     @property
     def target(self) -> Vector:
         """Where the hand pulls the device to during this tick [m]; zero without one."""
-        return self._timed.target
+        return self._sim.target

@@ -12,7 +12,6 @@ one-process simulator compiles the same functions. They use only `math`, and wha
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -424,10 +423,18 @@ def path_position(path: Sequence[tuple[float, float]], time: float) -> float:
     float
         Position [m]; that of the first corner before it, that of the last after it.
     """
-    i = bisect_right(path, time, key=lambda corner: corner[0])
+    # The first corner after that time.
+    i, end = 0, len(path)
+    while i < end:
+        middle = (i + end) // 2
+        if time < path[middle][0]:
+            end = middle
+        else:
+            i = middle + 1
     if i == 0:
         return path[0][1]
     if i == len(path):
-        return path[-1][1]
-    (t0, x0), (t1, x1) = path[i - 1], path[i]
+        return path[i - 1][1]
+    t0, x0 = path[i - 1][0], path[i - 1][1]
+    t1, x1 = path[i][0], path[i][1]
     return x0 + (x1 - x0) * ((time - t0) / (t1 - t0))

@@ -1,20 +1,204 @@
-"""The virtual device from tick to tick: what the driver node holds.
+"""The virtual device from tick to tick: the state of one axis in one struct, and the rules that move it.
 
-It adds no arithmetic of its own to the kernels of `sim.device.model`, so the scene in one process (`sim.scene.loop`),
-which calls those kernels in the same order, gives the same bits.
+They add no arithmetic of their own to the functions of `sim.device.model`, so the scene in one process, which calls those in
+the same order, gives the same bits. The rules are plain functions: the interpreter calls them as they stand, and
+sim/device/kernel.py compiles them into the two calls that a compiled driver makes of a device.
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
-from collections import deque
+from array import array
+from ctypes import Structure, c_double, c_int64
+from typing import Any, Final
 
+from nodes.tick.memory import monotonic, pairs_at, shared_real, shared_whole
 from sim.device.friction import move
-from sim.device.model import Coefficients, DeviceModel, coefficients, end_stop, ends_of, quantise, saturate, split_delay
+from sim.device.model import (
+    Coefficients,
+    DeviceModel,
+    coefficients,
+    end_stop,
+    ends_of,
+    move_towards,
+    path_position,
+    quantise,
+    saturate,
+    split_delay,
+)
+
+PENDING: Final = 2048
+"""Room for forces on their way to the device; a delay is at most 1000 ticks."""
+
+_LONGEST: Final = 1004
+"""Room for the forces under way in lockstep: a delay of 1000 ticks, one of ``next_tick``, and two."""
+
+
+class AxisState(Structure):
+    """A virtual device along one axis."""
+
+    _fields_ = [
+        # what it is: nodes of `DeviceModel`; infinity for a motor without limit
+        *(
+            (name, c_double)
+            for name in (
+                *("mass", "damping", "grip", "friction", "resolution", "motor", "low", "high", "weight", "period"),
+                # true position and velocity
+                *("x", "v"),
+                # the hand: after how long its path repeats, and where it pulls to when it is dragged
+                *("repeat", "pull"),
+                # the page that may drag it: what it wrote last and when, when that expires, longest way of a tick, where it is
+                *("wanted", "wanted_at", "silence", "farthest", "away"),
+                # lockstep: for how long of a tick the older and the newer force acts
+                *("early", "late"),
+                # real time: delay and deadline [ticks, s], the force that acts, and since when [ticks]
+                *("delay", "hold", "acting", "commanded"),
+            )
+        ),
+        *(
+            (name, c_int64)
+            for name in (
+                *("axis", "lockstep", "has_friction", "has_resolution", "has_motor"),
+                *("path", "corners", "has_repeat", "pointer", "is_away"),
+                # ticks done; tick up to which real time has passed, -1 before the first sample
+                *("ticks", "tick"),
+                *("commands_count", "slot", "pending_first", "pending_count"),
+                # for the clock
+                *("clock_gettime", "time"),
+            )
+        ),
+        ("early_map", c_double * 6),
+        ("late_map", c_double * 6),
+        ("commands", c_double * _LONGEST),
+        ("pending", c_double * (2 * PENDING)),
+    ]
+
+
+def measured(d: Any) -> float:
+    """Read the encoder [m]."""
+    if d.has_resolution != 0:
+        return quantise(d.x, d.resolution)
+    return quantise(d.x, None)
+
+
+def point(d: Any, tick: int) -> float:
+    """Where the path of its hand is at a tick [m]; 0 without a hand."""
+    if d.corners == 0:
+        return 0.0
+    time = tick * d.period
+    if d.has_repeat != 0:
+        time = time % d.repeat
+    return path_position(pairs_at(d.path, d.corners), time)
+
+
+def target(d: Any, seq: int) -> float:
+    """Move the target of the hand by one tick [m]: along its path, unless a page drags it, at a limited speed."""
+    rest = point(d, seq)
+    if d.pointer == 0:
+        return rest
+    # As nodes/view/pointer.py writes it; while it is being written, the value before is at most a frame of the page old.
+    after = shared_whole(d.pointer)
+    value, when = shared_real(d.pointer + 8 + 8 * d.axis), shared_real(d.pointer + 32)
+    if shared_whole(d.pointer + 40) == after:
+        d.wanted, d.wanted_at = value, when
+    is_held = monotonic(d) - d.wanted_at < d.silence
+    d.pull = rest
+    if is_held or d.is_away != 0:
+        d.pull = move_towards(d.wanted if is_held else rest, d.away if d.is_away != 0 else rest, d.farthest)
+        # Back on its path the hand is its own again.
+        d.is_away = 1 if is_held or d.pull != rest else 0
+        d.away = d.pull
+    return float(d.pull)
+
+
+def _pulled(d: Any, force: float) -> float:
+    """Add to what the motor gives of a force what pulls besides [N]."""
+    load = d.weight
+    if d.corners > 0:
+        load += d.grip * (d.pull if d.pointer != 0 else point(d, d.ticks))
+    given = saturate(force, d.motor) if d.has_motor != 0 else saturate(force, None)
+    return float(given + load)
+
+
+def _move(d: Any, u: float, duration: float, step: Coefficients) -> None:
+    if d.has_friction != 0:
+        x, v = move(d.x, d.v, u, duration, step, d.mass, d.damping, d.grip, d.friction)
+    else:
+        x, v = move(d.x, d.v, u, duration, step, d.mass, d.damping, d.grip, None)
+    d.x, d.v = end_stop(x, v, d.low, d.high)
+
+
+def device_tick(d: Any, force: float) -> None:
+    """Go through one whole tick with the model's own delay: lockstep, where the force is known before the tick passes."""
+    waiting = d.commands_count
+    # A ring: of the forces still under way, the oldest acts first, then the one after it.
+    d.commands[d.slot] = force
+    older = d.slot + 1 if d.slot + 1 < waiting else 0
+    newer = older + 1 if older + 1 < waiting else 0
+    d.slot = older
+    if d.early > 0.0:
+        m = d.early_map
+        _move(d, _pulled(d, d.commands[older]), d.early, (m[0], m[1], m[2], m[3], m[4], m[5]))
+    m = d.late_map
+    _move(d, _pulled(d, d.commands[newer]), d.late, (m[0], m[1], m[2], m[3], m[4], m[5]))
+    d.ticks += 1
+
+
+def device_part(d: Any, force: float, duration: float) -> None:
+    """Hold one force for part of a tick."""
+    if duration > 0.0:
+        _move(d, _pulled(d, force), duration, coefficients(d.mass, d.damping, d.grip, duration))
+
+
+def pass_tick(d: Any) -> None:
+    """Let one tick of real time pass: forces take effect when they arrive, plus the model's own delay."""
+    start, now = float(d.tick), 0.0
+    if (start - d.commanded) * d.period >= d.hold:
+        d.acting = 0.0
+    while d.pending_count > 0 and d.pending[2 * d.pending_first] < start + 1.0:
+        when, force = d.pending[2 * d.pending_first], d.pending[2 * d.pending_first + 1]
+        d.pending_first = (d.pending_first + 1) % PENDING
+        d.pending_count -= 1
+        d.commanded = when
+        offset = max(when - start, now)
+        device_part(d, d.acting, (offset - now) * d.period)
+        d.acting, now = force, offset
+    device_part(d, d.acting, (1.0 - now) * d.period)
+    d.ticks += 1
+    d.tick += 1
+
+
+def read_axis(d: Any, seq: int) -> float:
+    """Let the time up to a tick pass, then read the encoder [m]; the hand's target is that of the tick that begins."""
+    if d.lockstep == 0:
+        if d.tick < 0:
+            # Respawned, or started late: the device is put there now, it was not falling all the time.
+            d.tick = d.ticks = seq
+        while d.tick < seq:
+            pass_tick(d)
+    if d.corners > 0:
+        d.pull = target(d, seq)
+    return measured(d)
+
+
+def write_axis(d: Any, force: float, seq: int, offset: float) -> bool:
+    """Hand over a force; whether there is room for it."""
+    if d.lockstep != 0:
+        # The model itself knows about ``next_tick``: the whole tick passes here.
+        device_tick(d, force)
+        return True
+    if d.pending_count >= PENDING:
+        return False
+    last = (d.pending_first + d.pending_count) % PENDING
+    d.pending[2 * last] = seq + offset + d.delay
+    d.pending[2 * last + 1] = force
+    d.pending_count += 1
+    return True
 
 
 class VirtualDevice:
-    """State of the virtual device, from tick to tick.
+    """A virtual device of one axis.
 
     Parameters
     ----------
@@ -23,28 +207,20 @@ class VirtualDevice:
     period : float
         Sampling period T [s].
     next_tick : bool
-        Whether a force takes effect one tick later (``apply: next_tick``).
+        Whether a force takes effect one tick later (``apply: next_tick``) in lockstep.
     workspace : tuple of float, shape (2,)
         Where it stops [m].
+    lockstep : bool
+        Whether a whole tick passes with each force.
+    hold : float
+        Its own deadline [s].
+    axis : int
+        Its axis.
 
     Attributes
     ----------
-    position : float
-        True position [m].
-    velocity : float
-        True velocity [m/s].
-    ticks : int
-        Ticks done so far.
-    target : float or None
-        Where a hand pulls to instead of along its path [m].
-    commands : deque of float
-        Forces under way in lockstep, newest first [N].
-    ends : tuple of float, shape (2,)
-        Where it stops [m].
-    early, late : float
-        For how long of a tick the older and the newer force under way acts [s].
-    early_map, late_map : tuple of float, shape (6,)
-        `coefficients` of these times.
+    state : AxisState
+        All of it.
     """
 
     def __init__(
@@ -53,63 +229,70 @@ class VirtualDevice:
         period: float,
         next_tick: bool = False,
         workspace: tuple[float, float] = (-math.inf, math.inf),
+        lockstep: bool = True,
+        hold: float = math.inf,
+        axis: int = 0,
     ) -> None:
-        self.model = model
-        self.period = period
-        self.position = model.position
-        self.velocity = model.velocity
-        self.ticks = 0
-        self.target: float | None = None
-        self._mass = model.moving_mass
-        self._damping = model.moving_damping
-        self._grip = model.grip
-        self.ends = ends_of(workspace, model.resolution)
-        # Only a hand's pull changes from tick to tick.
-        self._weight = model.load(0, period) if model.hand is None else None
+        self.state: Any = AxisState()
+        d = self.state
+        d.mass, d.damping, d.grip = model.moving_mass, model.moving_damping, model.grip
+        for name, value in (
+            ("friction", model.friction),
+            ("resolution", model.resolution),
+            ("motor", model.peak_force),
+        ):
+            setattr(d, f"has_{name}", value is not None)
+            setattr(d, name, 0.0 if value is None else value)
+        d.low, d.high = ends_of(workspace, model.resolution)
+        d.weight = 0.0 if model.gravity is None else 0.0 - model.mass * model.gravity
+        d.period, d.lockstep, d.hold, d.delay, d.axis = period, lockstep, hold, model.delay, axis
+        d.x, d.v, d.tick = model.position, model.velocity, -1
+        corners = [] if model.hand is None else [number for corner in model.hand.path for number in corner]
+        self._path = array("d", corners)
+        d.path, d.corners = self._path.buffer_info()[0], len(corners) // 2
+        if model.hand is not None and model.hand.repeat is not None:
+            d.has_repeat, d.repeat = 1, model.hand.repeat
         whole, part = split_delay(model.delay + (1.0 if next_tick else 0.0))
-        # Newest command first; before tick 0 nothing was commanded.
-        self.commands: deque[float] = deque([0.0] * (whole + 2), maxlen=whole + 2)
-        self.early = part * period
-        self.late = period - self.early
-        self.early_map = coefficients(self._mass, self._damping, self._grip, self.early)
-        self.late_map = coefficients(self._mass, self._damping, self._grip, self.late)
+        # Before tick 0 nothing was commanded.
+        d.commands_count = whole + 2
+        d.early = part * period
+        d.late = period - d.early
+        d.early_map[:] = coefficients(d.mass, d.damping, d.grip, d.early)
+        d.late_map[:] = coefficients(d.mass, d.damping, d.grip, d.late)
+        d.wanted_at = -math.inf
+
+    @property
+    def address(self) -> int:
+        """Where compiled code finds it."""
+        return ctypes.addressof(self.state)
+
+    @property
+    def position(self) -> float:
+        """True position [m]."""
+        return float(self.state.x)
+
+    @property
+    def velocity(self) -> float:
+        """True velocity [m/s]."""
+        return float(self.state.v)
+
+    @property
+    def ticks(self) -> int:
+        """Ticks done so far."""
+        return int(self.state.ticks)
 
     def measured(self) -> float:
-        """Read the encoder."""
-        return quantise(self.position, self.model.resolution)
-
-    def load(self) -> float:
-        """Give the force on the device that is not the motor's, during the present tick."""
-        return self.model.load(self.ticks, self.period, self.target) if self._weight is None else self._weight
+        """Read the encoder [m]."""
+        return measured(self.state)
 
     def tick(self, force: float) -> None:
-        """Go through one whole tick with the model's own delay.
-
-        For lockstep, where the force that answers a tick is known before the tick passes.
-        """
-        self.commands.appendleft(force)
-        peak = self.model.peak_force
-        load = self.load()
-        if self.early > 0.0:
-            self._move(saturate(self.commands[-1], peak) + load, self.early, self.early_map)
-        self._move(saturate(self.commands[-2], peak) + load, self.late, self.late_map)
-        self.ticks += 1
-
-    def _move(self, u: float, duration: float, step: Coefficients) -> None:
-        x, v = self.position, self.velocity
-        x, v = move(x, v, u, duration, step, self._mass, self._damping, self._grip, self.model.friction)
-        self.position, self.velocity = end_stop(x, v, *self.ends)
+        """Go through one whole tick."""
+        device_tick(self.state, force)
 
     def pass_time(self, force: float, duration: float) -> None:
-        """Hold one force for part of a tick: real time, where the split is the measured arrival.
-
-        Call `end_tick` when the parts of a tick add up to the period.
-        """
-        if duration <= 0.0:
-            return
-        u = saturate(force, self.model.peak_force) + self.load()
-        self._move(u, duration, coefficients(self._mass, self._damping, self._grip, duration))
+        """Hold one force for part of a tick; call `end_tick` when the parts add up to the period."""
+        device_part(self.state, force, duration)
 
     def end_tick(self) -> None:
         """Count a tick that went by in parts."""
-        self.ticks += 1
+        self.state.ticks += 1

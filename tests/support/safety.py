@@ -1,13 +1,17 @@
-"""A driver's safety with its events, driven as the driver does it."""
+"""A driver's safety on a state of its own, driven as the driver's tick does it."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from messages.types import ZERO, Force, Vector
+from nodes.driver import safety
 from nodes.driver.device import DeviceLimits
-from nodes.driver.limits import SafetyParameters
-from nodes.driver.safety import Safety
+from nodes.driver.limits import SafetyParameters, lower
+from nodes.driver.motion import set_motion
+from nodes.driver.passivity import PassivityParameters, set_guard
+from nodes.driver.state import LIMITED, REFUSED, SAFETY, DriverState
+from nodes.driver.telling import take_notes
 
 T = 0.002
 UP: Vector = (0.0, 0.0, 1.0)
@@ -17,28 +21,91 @@ def force(seq: int, z: float = 1.0) -> Force:
     return Force(seq=seq, stamp=0.0, force=(0.0, 0.0, z))
 
 
+def state_of(axes: tuple[int, ...] = (0, 1, 2), latency: float = 0.0) -> Any:
+    """Make a driver's state without limits; it keeps alive what it points to."""
+    s: Any = DriverState()
+    s.period, s.virtual, s.axes, s.axis[:] = T, 1, len(axes), (*axes, 0, 0)[:3]
+    s.kept = set_motion(s, latency)
+    return s
+
+
 class Port:
     """A safety with its events, driven as the driver does it."""
 
     def __init__(
-        self, device: DeviceLimits | None = None, axes: tuple[int, ...] = (0, 1, 2), **parameters: Any
+        self,
+        device: DeviceLimits | None = None,
+        axes: tuple[int, ...] = (0, 1, 2),
+        guard: PassivityParameters | None = None,
+        **parameters: Any,
     ) -> None:
-        self.events: list[tuple[str, str]] = []
-        self.velocity: Vector = ZERO
-        self.safety = Safety(
-            SafetyParameters(**parameters),
-            device or DeviceLimits(),
-            T,
-            list(axes),
-            lambda kind, reason: self.events.append((kind, reason)),
-        )
+        self.s = state_of(axes)
+        self._events: list[tuple[str, str]] = []
+        given = SafetyParameters(**parameters)
+        self.limits = lower(given, device or DeviceLimits(), T)
+        safety.set_safety(self.s, given, self.limits, T)
+        set_guard(self.s, guard)
+        self.moves(ZERO)
+
+    @property
+    def state(self) -> str:
+        """What it does with forces now."""
+        return SAFETY[self.s.safety]
+
+    @property
+    def force(self) -> Vector:
+        """What was handed over last."""
+        x, y, z = self.s.force
+        return x, y, z
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Forces refused, by reason."""
+        return dict(zip(REFUSED, self.s.refused_for, strict=True))
+
+    @property
+    def limited(self) -> dict[str, int]:
+        """Forces lowered, by limit."""
+        return dict(zip(LIMITED, self.s.limited_by, strict=True))
+
+    @property
+    def events(self) -> list[tuple[str, str]]:
+        """Kind and reason of all that it had to say."""
+        self._events += [(note.kind, note.reason) for note in take_notes(self.s)]
+        return self._events
+
+    def moves(self, velocity: Vector) -> None:
+        """Let the device move."""
+        self.s.before[:] = ZERO
+        self.s.position[:] = [T * v for v in velocity]
+        self.s.elapsed = 1
 
     def answer(self, message: Force, tick: int) -> bool:
         """Let a force arrive; tell whether it was admitted."""
-        if not self.safety.admit(message, tick):
+        self.s.got_seq, self.s.got[:] = message.seq, message.force
+        if not safety.admit(self.s, tick):
             return False
-        self.safety.command(message.force, message.seq, tick, lambda: self.velocity)
+        safety.command(self.s, tick, 0.0)
         return True
+
+    def missed(self, tick: int, velocity: Vector) -> Vector | None:
+        """Close a tick without a force; what is handed over, if anything."""
+        self.moves(velocity)
+        is_written = safety.missed(self.s, tick)
+        self.moves(ZERO)
+        return self.force if is_written else None
+
+    def watch_position(self, position: Vector, tick: int) -> bool:
+        """Read a position."""
+        self.s.place[:] = position
+        return safety.watch_position(self.s, tick)
+
+    def watch_swings(self, energy: float, velocity: Vector, tick: int) -> None:
+        """Look for swings."""
+        self.moves(velocity)
+        self.s.energy = energy
+        if self.s.stop_after:
+            safety.watch_swings(self.s, tick)
 
     def changes(self) -> list[str]:
         """List the changes of state that were told."""

@@ -4,23 +4,30 @@ from __future__ import annotations
 
 from typing import Any
 
+from numba.extending import overload
+
+from messages.codec import MAX_PAYLOAD
 from nodes.tick.kernels.machine import byte, call_clock, call_option, call_pass, call_yield, compilable, wholes_at
 from nodes.tick.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TOPIC
+from nodes.tick.memory import monotonic as monotonic
 
 SNDMORE = 2
 DONTWAIT = 1
 CLOCK_MONOTONIC = 1
-_EVENTS, _POLLIN = 15, 1
+_RCVMORE, _EVENTS, _POLLIN = 13, 15, 1
 
+_LONGEST = MAX_PAYLOAD
 _ROOM, _ROOM_IN, _ROOM_TOPIC = LONGEST_OUT, LONGEST_IN, LONGEST_TOPIC
 
 
 @compilable
-def monotonic(s: Any) -> float:
-    """Read the clock that time.monotonic() reads [s]."""
+def _read_clock(s: Any) -> float:
     call_clock(s.clock_gettime, (CLOCK_MONOTONIC, s.time))
     now = wholes_at(s.time, 2)
     return float(now[0] + now[1] * 1e-9)
+
+
+overload(monotonic)(lambda s: lambda s: _read_clock(s))  # noqa: ARG005
 
 
 @compilable
@@ -37,12 +44,19 @@ def receive(s: Any, flags: int) -> bool:
     for m in range(size):
         if byte(s.frame + m) != byte(s.expected + m):
             return False
+    more = wholes_at(s.events, 1)
+    more[0] = 0
+    call_option(s.zmq_getsockopt, (s.inbox, _RCVMORE, s.events, s.events_size))
+    if more[0] == 0:
+        # A message of one frame: the next one is another message's.
+        s.frames, s.payload_size = 2, 0
+        return False
     size = call_pass(s.zmq_recv, (s.inbox, s.payload, _ROOM_IN, flags))
     if size < 0:
         return False
     s.frames = 2
     s.payload_size = size
-    return bool(size <= _ROOM_IN)
+    return bool(size <= _LONGEST)
 
 
 @compilable

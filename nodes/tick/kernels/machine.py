@@ -10,7 +10,11 @@ from typing import Any, TypeAlias, TypeVar
 
 import numba
 from llvmlite import ir
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
+
+from nodes.tick.memory import pairs_at, shared_real, shared_whole
+from nodes.tick.memory import reals_at as reals_at
+from nodes.tick.memory import wholes_at as wholes_at
 
 # Of numba a type checker sees only a part.
 types: Any = numba.types
@@ -99,7 +103,9 @@ def _shared(result: Any) -> Intrinsic:
     return load
 
 
-shared_whole, shared_real = _shared(types.int64), _shared(types.float64)
+_whole, _real = _shared(types.int64), _shared(types.float64)
+overload(shared_whole)(lambda address: lambda address: _whole(address))  # noqa: ARG005
+overload(shared_real)(lambda address: lambda address: _real(address))  # noqa: ARG005
 
 
 def _copy() -> Intrinsic:
@@ -136,18 +142,9 @@ def _pointer(pointed: Any) -> Intrinsic:
 
 
 _to_reals, _to_wholes = _pointer(types.float64), _pointer(types.int64)
-
-
-@compilable
-def reals_at(address: int, count: int) -> Any:
-    """Look at an array of floats that somebody else holds."""
-    return carray(_to_reals(address), count)
-
-
-@compilable
-def wholes_at(address: int, count: int) -> Any:
-    """Look at an array of 64-bit integers that somebody else holds."""
-    return carray(_to_wholes(address), count)
+overload(reals_at)(lambda address, count: lambda address, count: carray(_to_reals(address), count))  # noqa: ARG005
+overload(wholes_at)(lambda address, count: lambda address, count: carray(_to_wholes(address), count))  # noqa: ARG005
+overload(pairs_at)(lambda address, count: lambda address, count: carray(_to_reals(address), (count, 2)))  # noqa: ARG005
 
 
 def record_at(record: Any) -> Intrinsic:
@@ -176,12 +173,13 @@ def _foreign(*takes: Any) -> Intrinsic:
             function = ir.FunctionType(context.get_value_type(result), kinds)
             given = [builder.extract_value(values[1], n) for n in range(len(takes))]
             wanted = [
-                builder.trunc(value, kind) if value.type.width > kind.width else value
+                builder.trunc(value, kind) if isinstance(kind, ir.IntType) and value.type.width > kind.width else value
                 for value, kind in zip(given, kinds, strict=True)
             ]
             return builder.call(builder.inttoptr(values[0], function.as_pointer()), wanted)
 
-        return result(types.int64, types.UniTuple(types.int64, len(takes))), generate
+        widest = [types.float64 if kind == types.float64 else types.int64 for kind in takes]
+        return result(types.int64, types.BaseTuple.from_types(widest)), generate
 
     return call
 
@@ -198,3 +196,6 @@ call_sleep = _foreign(types.int32, types.int32, types.int64, types.int64)
 call_poll = _foreign(types.int64, types.int64, types.int64, types.int64)
 # int sched_yield (void), which takes no notice of an argument
 call_yield = _foreign(types.int64)
+# int read (int64_t context, int64_t seq, double *out) of a device, and int write (…, double *force, int64_t seq, double offset)
+call_read = _foreign(types.int64, types.int64, types.int64)
+call_write = _foreign(types.int64, types.int64, types.int64, types.float64)

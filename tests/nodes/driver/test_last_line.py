@@ -20,6 +20,7 @@ from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
 from nodes.recording.reader import Recording
 from nodes.tick.choose import choose
+from sim.bench.loop import KERNELS
 from sim.measure.rig import full_pipe
 from tests.support import INSTALLED
 from tests.support.launching import Running, running, wait_for
@@ -81,7 +82,7 @@ def forces(folder: Path) -> list[float]:
 
 
 def test_environment_and_coupling_are_compiled_under_a_driver_that_is_not_virtual(tmp_path: Path) -> None:
-    kernels = ["nodes.tick.kernels.environment", "nodes.tick.kernels.coupling"]
+    kernels = ["nodes.tick.kernels.environment", "nodes.tick.kernels.coupling", "nodes.driver.kernel"]
     assert choose("compiled", kernels, print) == "compiled"
     path = scene(tmp_path, run={"duration": 0.6, "tick": "compiled"})
     with running(tmp_path, path, environment=INSTALLED) as launch:
@@ -338,8 +339,7 @@ def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown
     tmp_path: Path, tick: str, pushes: str, strength: float
 ) -> None:
     """Without a ramp the whole force came back in one tick: 40 N on a hand of 9 N, or on a mass at its workspace's end."""
-    kernels = [f"nodes.tick.kernels.{name}" for name in ("environment", "coupling")] + ["sim.device.tick.kernel"]
-    assert choose("compiled", kernels, print) == "compiled"
+    assert choose("compiled", KERNELS, print) == "compiled"
     path = tmp_path / "pushed.yaml"
     path.write_text(PUSHED.format(tick=tick, pushes=pushes))
     with running(tmp_path, str(path)) as launch:

@@ -14,8 +14,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages.transport.requests import ControlError
-from nodes.driver.mean_force import Latency
-from nodes.driver.passivity import PassivityGuard, PassivityParameters, control, forget, observe
+from nodes.driver.motion import act, sample
+from nodes.driver.passivity import (
+    PassivityParameters,
+    backlog,
+    control,
+    count_step,
+    forget,
+    guarded,
+    line_of,
+    observe,
+    set_guard,
+    through,
+)
 from nodes.launcher import launch_file
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
@@ -23,12 +34,38 @@ from sim.device.model import DeviceModel
 from sim.scene.from_launch import from_launch
 from sim.scene.loop import Scene, Surface, Trace, run
 from tests.support.launching import haptic, launch_json, running, wait_for
+from tests.support.safety import state_of
 
 T = 0.002
 ON = PassivityParameters()
 
 forces = st.floats(-50.0, 50.0)
 steps = st.floats(-5e-3, 5e-3)
+
+
+class Guard:
+    """The guard of one axis, on a driver's state of its own."""
+
+    def __init__(self, parameters: PassivityParameters, axis: int) -> None:
+        self.s, self._axis = state_of((axis,)), axis
+        self.s.elapsed = 1
+        set_guard(self.s, parameters)
+
+    @property
+    def energy(self) -> float:
+        """What it counts as given out [J]."""
+        return float(self.s.guard_energy[self._axis])
+
+    def observe(self, acting: float, before: float, position: float) -> None:
+        """Count a step."""
+        self.s.acted[self._axis], self.s.before[self._axis], self.s.position[self._axis] = acting, before, position
+        count_step(self.s)
+
+    def control(self, force: float) -> float:
+        """Choose a force."""
+        self.s.wanted[self._axis] = force
+        guarded(self.s, 0.0)
+        return float(self.s.wanted[self._axis])
 
 
 # -- the kernels at their edges ---------------------------------------------------------------------------------------
@@ -74,12 +111,12 @@ def test_credit_is_forgotten_down_to_what_a_spring_holds_and_a_debt_never() -> N
 
 def test_what_is_allowed_leaves_untouched_and_no_more() -> None:
     """2 N over 1 mm a tick: 2 mJ a tick. Ten milljoule are allowed, so the sixth tick would be too much."""
-    guard = PassivityGuard(PassivityParameters(allowance=0.0101), T, [0])
-    force, given = (2.0, 0.0, 0.0), []
+    guard = Guard(PassivityParameters(allowance=0.0101), 0)
+    force, given = 2.0, []
     for k in range(8):
-        guard.observe(list(force) if k else [0.0] * 3, (0.001 * k, 0.0, 0.0), (0.001 * (k + 1), 0.0, 0.0))
-        force = guard.control((2.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
-        given.append(force[0])
+        guard.observe(force if k else 0.0, 0.001 * k, 0.001 * (k + 1))
+        force = guard.control(2.0)
+        given.append(force)
     assert given[:5] == [2.0] * 5
     assert given[5] == pytest.approx(0.1, rel=1e-9)  # 0.1 mJ is left for a step of 1 mm
     assert given[6:] == pytest.approx([0.0, 0.0], abs=1e-9)
@@ -133,11 +170,11 @@ def test_one_tick_gives_out_no_more_than_force_times_the_change_of_displacement(
 def test_over_a_whole_run_only_the_changes_of_displacement_add_up(
     run_: list[tuple[float, float]], stiffness: float | None, damping: float
 ) -> None:
-    guard = PassivityGuard(PassivityParameters(stiffness=stiffness, damping=damping), T, [2])
+    guard = Guard(PassivityParameters(stiffness=stiffness, damping=damping), 2)
     position, energy, allowed = 0.0, 0.0, 0.0
     acting, last = 0.0, 0.0
     for law, step in run_:
-        guard.observe([0.0, 0.0, acting], (0.0, 0.0, position), (0.0, 0.0, position + step))
+        guard.observe(acting, position, position + step)
         taken = (position + step) - position
         position += step
         energy += acting * taken
@@ -145,7 +182,7 @@ def test_over_a_whole_run_only_the_changes_of_displacement_add_up(
         # Forgetting credit only ever makes the guard stricter than the true energy.
         assert guard.energy >= energy - 1e-9
         assert energy <= allowed + 1e-9  # 80 sums of terms up to 0.25 J
-        acting = guard.control((0.0, 0.0, law), (0.0, 0.0, 0.0), 0.0)[2]
+        acting = guard.control(law)
         last = taken
 
 
@@ -229,24 +266,30 @@ def test_a_device_that_is_late_is_guarded_as_one() -> None:
 
 @pytest.mark.parametrize("latency", [0.0, 0.25, 1.0, 2.75])
 def test_what_goes_through_a_line_comes_out_late_and_whole(latency: float) -> None:
-    late = Latency(latency)
+    line, part = line_of(latency)
     handed = [1.0, 5.0, -2.0, 4.0, 0.0, 0.0, 0.0, 0.0]
     acted = []
     for force in handed:
-        acted.append(late.acted([force, 0.0, -force], 1))
+        acted.append(through(line, force, part))
         # All that was handed over has acted or is on its way.
-        assert sum(a[0] for a in acted) + late.backlog()[0] == pytest.approx(sum(handed[: len(acted)]), abs=1e-15)
-        assert acted[-1][2] == -acted[-1][0]
+        assert sum(acted) + backlog(line, part) == pytest.approx(sum(handed[: len(acted)]), abs=1e-15)
     whole, part = int(latency), latency - int(latency)
     expected = np.convolve(handed, [*[0.0] * whole, 1.0 - part, part])[: len(handed)]
-    assert [a[0] for a in acted] == pytest.approx(expected, abs=1e-15)
+    assert acted == pytest.approx(expected, abs=1e-15)
 
 
 def test_ticks_that_were_left_out_go_through_the_line_too() -> None:
-    one, held = Latency(1.5), Latency(1.5)
-    ticks = [one.acted([3.0, 0.0, 0.0], 1)[0] for _ in range(4)]
-    assert held.acted([3.0, 0.0, 0.0], 4)[0] == pytest.approx(sum(ticks) / 4.0)
-    assert held.backlog() == one.backlog()
+    one, held = state_of(latency=1.5), state_of(latency=1.5)
+    ticks = []
+    for s, at_once in ((one, 1), (held, 4)):
+        sample(s, 0.0)
+        for _ in range(4 // at_once):
+            s.mean[0] = 3.0
+            act(s, at_once)
+            sample(s, 0.0)
+            ticks.append(s.acted[0])
+    assert ticks[4] == pytest.approx(sum(ticks[:4]) / 4.0)
+    assert list(one.kept[1]) == list(held.kept[1])
 
 
 def test_a_wall_that_is_stable_is_not_touched() -> None:

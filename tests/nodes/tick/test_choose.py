@@ -111,7 +111,10 @@ def test_a_launch_says_which_tick_ran_and_has_the_other_made(empty_cache: Path, 
         (process, line), *more = background(empty_cache).items()
         try:
             assert not more
-            assert "nodes.tick.kernels.coupling nodes.tick.kernels.environment sim.device.tick.kernel" in line
+            assert (
+                "nodes.driver.kernel nodes.tick.kernels.coupling nodes.tick.kernels.environment sim.device.kernel"
+                in line
+            )
             wait_for(lambda: os.sched_getscheduler(process) == os.SCHED_IDLE, "it steps aside")
             assert os.getpriority(os.PRIO_PROCESS, process) == 19
             assert os.getsid(process) == process

@@ -18,7 +18,7 @@ from nodes.driver.limits import lower
 from nodes.launcher import launch_file
 from nodes.launcher.runs import alive
 from nodes.parameters.store import convert
-from sim.device.driver import SimDriverParameters, TimedDevice
+from sim.device.driver import SimDevice, SimDriverParameters
 from sim.drill import drill
 from sim.drill.faults import faults
 from sim.drill.soak import soak
@@ -131,7 +131,7 @@ def test_the_virtual_device_lets_go_after_its_deadline(hold: float | None, let_g
     period = 0.002
     setup = setup_of(period=period)
     model = convert({"device": {"mass": 1.0, "damping": 0.0}}, SimDriverParameters, "driver").device
-    device = TimedDevice(model, setup, hold)
+    device = SimDevice(model, setup, hold)
     device.read_position(0)
     device.write_force(HELD, 0, 0.0)
     speeds = []

@@ -1,0 +1,146 @@
+"""A device behind two calls, which compiled ticks make by their addresses.
+
+``int read(int64_t context, int64_t seq, double *out)`` gives the position at a tick in the first three of six numbers, and,
+for a simulated hand, where it pulls to in the others, which are zero before the call [m];
+``int write(int64_t context, const double *force, int64_t seq, double offset)`` hands a force over, as the methods of
+`nodes.driver.device.Device` do. A negative status says that the call failed: `out` is left as it was then, and the driver asks
+the method, which raises or gives what there is. So no position is ever taken for 0 because it could not be read.
+
+A device that lives without the interpreter offers its own calls (`Compiled`); for any other one they are made here.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from ctypes import POINTER, c_double, c_int, c_int64
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+from messages.types import Vector
+from nodes.driver.device import Device
+
+__all__ = [
+    "Calls",
+    "Compiled",
+    "DeviceCalls",
+]
+
+_READ = ctypes.CFUNCTYPE(c_int, c_int64, c_int64, POINTER(c_double))
+_WRITE = ctypes.CFUNCTYPE(c_int, c_int64, POINTER(c_double), c_int64, c_double)
+
+
+class Calls(NamedTuple):
+    """Two addresses, and what they are called with.
+
+    Attributes
+    ----------
+    read, write : int
+        Where the calls are.
+    context : int
+        Their first argument.
+    """
+
+    read: int
+    write: int
+    context: int
+
+
+@runtime_checkable
+class Compiled(Protocol):
+    """A device that can be called without the interpreter."""
+
+    def calls(self) -> Calls | None:
+        """Give its calls.
+
+        Returns
+        -------
+        Calls or None
+            Valid until it is closed; None where they could not be had.
+        """
+        ...
+
+
+def numbers_of(position: Any, what: str) -> Vector:
+    """Make plain numbers of what a device gave.
+
+    Parameters
+    ----------
+    position : sequence of float, shape (3,)
+        What it gave [m].
+    what : str
+        Which device, for the error.
+
+    Returns
+    -------
+    tuple of float, shape (3,)
+        The same.
+
+    Raises
+    ------
+    TypeError
+        When it is not three numbers.
+    """
+    try:
+        x, y, z = position
+        return float(x), float(y), float(z)
+    except (TypeError, ValueError):
+        raise TypeError(f"{what}: read_position() gave {position!r}, expected three numbers in metres") from None
+
+
+class _Methods:
+    """The calls of a device that is written in Python; what it raises is kept for the driver."""
+
+    def __init__(self, device: Device, target: Callable[[], Vector]) -> None:
+        self._device, self._target = device, target
+        self._kept = _READ(self._read), _WRITE(self._write)
+        read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept)
+        self.calls = Calls(read, write, 0)
+        self.error: BaseException | None = None
+
+    def _read(self, context: int, seq: int, out: Any) -> int:
+        del context
+        try:
+            position = numbers_of(self._device.read_position(seq), type(self._device).__name__)
+            out[0], out[1], out[2] = position
+            out[3], out[4], out[5] = self._target()
+        except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code
+            self.error = error
+            return -1
+        return 0
+
+    def _write(self, context: int, force: Any, seq: int, offset: float) -> int:
+        del context
+        try:
+            self._device.write_force((force[0], force[1], force[2]), seq, offset)
+        except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code
+            self.error = error
+            return -1
+        return 0
+
+
+class DeviceCalls:
+    """The calls of a device, and what one of them raised.
+
+    Parameters
+    ----------
+    device : Device
+        The device.
+    target : callable
+        Where a simulated hand pulls to, once its position is read [m].
+
+    Attributes
+    ----------
+    calls : Calls
+        Its two calls.
+    """
+
+    def __init__(self, device: Device, target: Callable[[], Vector]) -> None:
+        own = device.calls() if isinstance(device, Compiled) else None
+        self._methods = _Methods(device, target)
+        self.calls = own or self._methods.calls
+
+    def raise_error(self) -> None:
+        """Raise what the last call raised, if anything."""
+        if self._methods.error is not None:
+            error, self._methods.error = self._methods.error, None
+            raise error

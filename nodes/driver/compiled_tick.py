@@ -1,0 +1,86 @@
+"""The compiled ticks of a driver: its state, lent to the kernel where it stands, and the device's two calls."""
+
+from __future__ import annotations
+
+import ctypes
+from array import array
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from messages import topics
+from nodes.driver.calls import DeviceCalls
+from nodes.driver.device import Device
+from nodes.driver.state import SAFETY
+from nodes.driver.tick import SILENT, UNREAD
+from nodes.tick.answering import WAIT_MS, CompiledTicks
+from nodes.tick.layout import Counted
+from nodes.tick.library import Kernel
+
+if TYPE_CHECKING:
+    from nodes.driver.node import Driver
+
+
+class DriverTicks(CompiledTicks):
+    """The compiled ticks of one driver.
+
+    Parameters
+    ----------
+    node : Driver
+        The node; its device is open.
+    kernel : callable
+        nodes/driver/kernel.py, compiled.
+    device : Device
+        Its device.
+
+    Attributes
+    ----------
+    payload : bytes
+        The state that was published last.
+    """
+
+    def __init__(self, node: Driver, kernel: Kernel, device: Device) -> None:
+        s: Any = node.driving
+        super().__init__(node, kernel, s, topics.FORCE, topics.DEVICE_STATE, s.period, bool(s.realtime))
+        self._driver = node
+        self._device = DeviceCalls(device, lambda: node.target)
+        s.device_read, s.device_write, s.device_context = self._device.calls
+        self._room("device_room", 48)
+        # struct pollfd: descriptor, then two shorts: POLLIN, and the answer
+        self._poll = array("i", [self._inbox.fd, 1])
+        self.keep("poll", self._poll)
+        self._texts = [ctypes.create_string_buffer(msgspec.msgpack.encode(text).ljust(32, b"\0")) for text in SAFETY]
+        s.texts[:] = [ctypes.addressof(text) for text in self._texts]
+        s.text_sizes[:] = [len(msgspec.msgpack.encode(text)) for text in SAFETY]
+        self.payload = b""
+        # In and out once without a tick: the first time, with cold caches, it takes some ticks of 8 kHz.
+        s.most = 0
+        self.go()
+
+    def counted(self) -> Counted:
+        """Tell how far it is; of a driver, the tick that was sampled last."""
+        return super().counted()._replace(seq=self.state.asked)
+
+    def run(self, s: Any) -> int:
+        """Tick until something waits; why it ended, as of nodes/driver/tick.py."""
+        node = self._driver
+        # Before looking: what comes in between stops it.
+        s.attention = 0
+        # What waits between two ticks is not left waiting.
+        s.most = 1 if node.called or node.stopping else self._most
+        s.clock_offset = node.clock_offset
+        node.publisher.flush()
+        if not s.realtime:
+            self._inbox.set_timeout(WAIT_MS)
+        before, s.frames = s.ticks, 0
+        why = self.go()
+        node.ticks_compiled += s.ticks - before
+        if why == SILENT or s.seq >= s.until:
+            self.payload = self.last_sent()
+        elif why == UNREAD:
+            self._inbox.put_back(self._frames())
+        return why
+
+    def raise_error(self) -> None:
+        """Raise what a call of the device raised."""
+        self._device.raise_error()

@@ -1,0 +1,185 @@
+"""The driver's tick, compiled: nodes/driver/tick.py and its rules as they stand, with a port of C functions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from messages.types import DeviceState, Force
+from nodes import kernels
+from nodes.driver import motion, motor_heat, passivity, response_times, safety, state, tick
+from nodes.driver.state import BETWEEN, DriverState
+from nodes.driver.tick import GOT, NONE, UNREAD, Port, make_ticks
+from nodes.tick.fields import fields_of, slot
+from nodes.tick.kernels.encode import make_encode
+from nodes.tick.kernels.hop import (
+    CLOCK_MONOTONIC,
+    DONTWAIT,
+    called,
+    flush,
+    has_message,
+    hold,
+    monotonic,
+    out_at,
+    receive,
+    send_hop,
+)
+from nodes.tick.kernels.machine import (
+    call_poll,
+    call_read,
+    call_sleep,
+    call_write,
+    compilable,
+    copy16,
+    reals_at,
+    record_at,
+    wholes_at,
+)
+from nodes.tick.kernels.scan import make_scan
+from nodes.tick.kernels.sources import kernel, record_of
+
+for _function in (
+    *(state.note, state.seldom, kernels.limit),
+    *(passivity.observe, passivity.through, passivity.backlog, passivity.forget, passivity.control),
+    *(passivity.count_step, passivity.guarded),
+    *(motion.sample, motion.act, motion.split, motion.find_velocity),
+    *(motor_heat.close_tick, motor_heat.note_heat, motor_heat._fits, motor_heat.lower_heat),
+    *(safety.enter, safety.admit, safety.command, safety._become_active, safety.missed, safety.let_go),
+    *(safety.watch_position, safety.watch_swings, safety.hand_over),
+    *(response_times.note_response, tick.lost, tick.take_sample, tick.close),
+):
+    kernel(_function)
+_look = record_at(record_of(DriverState))
+_scan = make_scan(Force)
+_encode = make_encode(DeviceState)
+_IN, _OUT = fields_of(Force), fields_of(DeviceState)
+_SEQ, _FORCE = slot(_IN, "seq"), slot(_IN, "force")
+_TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS = (
+    slot(_OUT, name) for name in ("seq", "force_seq", "age", "missed", "overruns")
+)
+_TO_STAMP, _TO_POSITION, _TO_FORCE, _TO_RESPONSE, _TO_LATENESS, _TO_ENERGY, _TO_DELAY, _TO_GUARD, _TO_TARGET = (
+    slot(_OUT, name)
+    for name in ("stamp", "position", "force", "response", "lateness", "energy", "delay", "guard", "target")
+)
+_TIMER_ABSTIME = 1
+# As long as ZeroMQ waits at least in `Subscription.receive_soon` [s].
+_SOON = 1e-3
+
+
+@compilable
+def _sleep_until(s: Any, deadline: float) -> float:
+    now = monotonic(s)
+    if now < deadline:
+        until = wholes_at(s.time, 2)
+        seconds = int(deadline)
+        until[0], until[1] = seconds, int((deadline - seconds) * 1e9) + 1
+        call_sleep(s.clock_nanosleep, (CLOCK_MONOTONIC, _TIMER_ABSTIME, s.time, 0))
+        now = monotonic(s)
+    return now
+
+
+@compilable
+def _read(s: Any, seq: int) -> bool:
+    room = reals_at(s.device_room, 6)
+    room[3] = room[4] = room[5] = 0.0
+    if call_read(s.device_read, (s.device_context, seq, s.device_room)) < 0:
+        return False
+    for i in range(3):
+        s.place[i], s.target[i] = room[i], room[3 + i]
+    return True
+
+
+@compilable
+def _write(s: Any, seq: int, offset: float) -> bool:
+    room = reals_at(s.device_room, 6)
+    for i in range(3):
+        room[i] = s.handed[i]
+    return bool(call_write(s.device_write, (s.device_context, s.device_room, seq, offset)) >= 0)
+
+
+@compilable
+def _publish(s: Any, seq: int, stamp: float) -> None:
+    out, whole = s.out_reals, s.out_wholes
+    for i in range(3):
+        out[_TO_POSITION + i], out[_TO_FORCE + i], out[_TO_TARGET + i] = s.position[i], s.force[i], s.target[i]
+    out[_TO_STAMP], out[_TO_RESPONSE], out[_TO_LATENESS] = stamp, s.response, s.lateness
+    out[_TO_ENERGY], out[_TO_DELAY] = s.energy, s.delay
+    out[_TO_GUARD] = s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2]
+    whole[_TO_SEQ], whole[_TO_FORCE_SEQ], whole[_TO_AGE] = seq, s.force_seq, s.age
+    whole[_TO_MISSED], whole[_TO_OVERRUNS] = s.missed, s.overruns
+    at = out_at(s)
+    size = _encode(at, s.out_keys, out, whole, s.texts[s.safety], s.text_sizes[s.safety]) - at
+    s.sent, s.sent_size = at, size
+    s.states_sent += 1
+    # Taken before sending: under FIFO the whole chain may run before the call returns.
+    s.sampled = monotonic(s)
+    send_hop(s, at, size)
+
+
+@compilable
+def _await(s: Any, deadline: float) -> bool:
+    """Wait for a message until an absolute time, to the microsecond (`Subscription.receive_until`)."""
+    while True:
+        if has_message(s, s.inbox):
+            return True
+        remaining = deadline - monotonic(s)
+        if remaining <= 0.0:
+            return False
+        left = wholes_at(s.time, 2)
+        seconds = int(remaining)
+        left[0], left[1] = seconds, int((remaining - seconds) * 1e9)
+        call_poll(s.ppoll, (s.poll, 1, s.time, 0))
+
+
+@compilable
+def _receive(s: Any, until: float) -> int:
+    flags = 0
+    if s.realtime != 0:
+        # An answer that is late is waited for a little, as ZeroMQ's own time-outs do.
+        if not _await(s, max(until, s.sampled + _SOON) if s.patient != 0 else until):
+            return NONE
+        flags = DONTWAIT
+    is_whole = receive(s, flags)
+    s.arrival = monotonic(s)
+    if s.frames == 0:
+        return NONE
+    if not is_whole or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
+        return UNREAD
+    s.frames = 0
+    s.taken += 1
+    s.got_seq = s.wholes[_SEQ]
+    for i in range(3):
+        s.got[i] = s.reals[_FORCE + i]
+    return GOT
+
+
+@compilable
+def _aside(s: Any) -> None:
+    if hold(s, s.sent_size):
+        flush(s)
+
+
+@compilable
+def _called(s: Any) -> bool:
+    return bool(called(s) or s.attention != 0)
+
+
+_lockstep, _realtime = make_ticks(Port(_sleep_until, _read, _write, _publish, _receive, _aside, _called), compilable)
+
+
+@compilable
+def _settle(s: Any) -> None:
+    """Send what was collected; the message of a tick that goes on later keeps the place where the next one would stand."""
+    flush(s)
+    if s.aside != 0 and s.phase != BETWEEN and s.sent != s.held:
+        for at in range(0, s.sent_size, 16):
+            copy16(s.held + at, s.sent + at)
+        s.sent = s.held
+
+
+@compilable
+def ticks(address: int) -> int:
+    """Tick until something waits; why it ended."""
+    s = _look(address)
+    why = _realtime(s) if s.realtime != 0 else _lockstep(s)
+    _settle(s)
+    return why

@@ -1,0 +1,114 @@
+"""What a driver reports: its progress, the summary of its run, and what its rules had to say."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, Final
+
+from nodes.driver.device import Device, DeviceLimits
+from nodes.driver.ending import Ending
+from nodes.driver.limits import Limits
+from nodes.driver.motion import endings
+from nodes.driver.response_times import ResponseTimes
+from nodes.driver.state import LIMITED, REFUSED, SAFETY
+from nodes.driver.telling import Told, take_notes
+
+REASONS: Final = 8
+"""Changes of state that the summary of a run tells; all of them are on the driver's event topic."""
+
+
+class DriverReport:
+    """The report of one driver.
+
+    Parameters
+    ----------
+    state : DriverState
+        Its state.
+
+    Attributes
+    ----------
+    responses : ResponseTimes
+        Its response times.
+    first, last : float
+        When its first and its last tick were [s].
+    first_seq, soft_stop_ticks : int
+        Its first tick, and what it took to bring the force down.
+    complete : bool
+        Whether it came to its last tick.
+    """
+
+    def __init__(self, state: Any) -> None:
+        self._state = state
+        self.responses = ResponseTimes(state)
+        self.first = self.last = 0.0
+        self.first_seq = self.soft_stop_ticks = 0
+        self.complete = False
+        self.own_guard = False
+        self._told: tuple[str, ...] = ()
+        self._limits = DeviceLimits()
+        self._reasons: deque[str] = deque(maxlen=REASONS)
+
+    def begin(self, device: Device, limits: Limits, own_guard: bool) -> None:
+        """Note what holds for the run, and whether the launch file itself asks for a guard."""
+        self._limits, self._told, self.own_guard = device.limits, limits.told, own_guard
+
+    def notes(self) -> list[Told]:
+        """Take what the rules have noted, in words."""
+        notes = take_notes(self._state)
+        self._reasons.extend(note.reason for note in notes if note.is_change)
+        return notes
+
+    def progress(self, ticks: int) -> dict[str, Any]:
+        """Tell what the launcher's status line asks for."""
+        s = self._state
+        return {
+            "tick": s.ticks,
+            "ticks": ticks,
+            "position_m": list(s.position),
+            "force_n": list(s.force),
+            "safety": SAFETY[s.safety],
+            "missed": s.missed,
+            "overruns": s.overruns,
+            "recent_s": self.responses.recent,
+            "answered": self.responses.count,
+        }
+
+    def safety(self) -> dict[str, Any]:
+        """Summarise what the safety did."""
+        s = self._state
+        return {
+            "state": SAFETY[s.safety],
+            "entered": {name: times for name, times in zip(SAFETY, s.entered, strict=True) if times},
+            "refused": dict(zip(REFUSED, s.refused_for, strict=True)),
+            "limited": dict(zip(LIMITED, s.limited_by, strict=True)),
+            "reasons": list(self._reasons),
+            "told": list(self._told),
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Summarise the run."""
+        s = self._state
+        span = self.last - self.first
+        ends = endings(s)
+        guard = {"lowered": s.lowered, "raised": s.raised, "highest_j": s.guard_highest}
+        return {
+            "complete": self.complete,
+            "ticks": s.ticks,
+            "missed": s.missed,
+            "overruns": s.overruns,
+            "answered": self.responses.count,
+            "forces_refused": sum(s.refused_for),
+            "safety": {**self.safety(), "soft_stop_ticks": self.soft_stop_ticks},
+            "rate_hz": (s.asked - self.first_seq) / span if span > 0.0 else 0.0,
+            "response_us": self.responses.summary_us(),
+            "age_ticks_max": s.oldest_age,
+            "energy_j": s.energy,
+            "energy_max_j": s.highest,
+            "latency_s": self._limits.latency,
+            "guard": guard if s.guard_on else None,
+            "final": {
+                "position_m": list(s.position),
+                "force_n": list(s.force),
+                **{name: list(values) for name, values in zip(Ending._fields, zip(*ends, strict=True), strict=True)},
+            },
+        }

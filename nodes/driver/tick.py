@@ -1,0 +1,251 @@
+"""The tick of a driver, in real time and in lockstep: read, publish, wait for the answer, hand it over.
+
+One source for the interpreter and the compiled tick. What differs is the `Port`: how time passes, how the device is called, and
+who brings a message (pyzmq and msgspec, or ZeroMQ by its address and the scanner). What a port cannot do by itself ends `ticks`
+with a reason; whoever called it mends that and calls it again, and the tick goes on where it stood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, TypeVar
+
+from nodes.driver.motion import act, sample, split
+from nodes.driver.passivity import count_step
+from nodes.driver.response_times import note_response
+from nodes.driver.safety import admit, command, let_go, missed, watch_position, watch_swings
+from nodes.driver.state import BETWEEN, FAULT, WAITING, note
+from nodes.driver.telling import HELD_UP
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+GOT: Final = 0
+NONE: Final = 1
+REFUSED: Final = 2
+UNREAD: Final = 3
+"""What came of waiting for a message: one, none in time, one that was refused, one that the port cannot judge."""
+
+GO_ON: Final = 0
+SILENT: Final = 1
+BROKEN: Final = 2
+"""Why `ticks` ended, beside `UNREAD`: nothing unusual; in lockstep no answer for a while; the device did not do as asked."""
+
+
+class Port(NamedTuple):
+    """What a tick needs of the world; each takes the state first.
+
+    `sleep_until` gives the time on waking; `read` fills `place`, `write` hands over `handed`, and both tell whether the device
+    did it; `publish` sends the state of a tick; `receive` waits for a message until a time, or in lockstep for a while; `aside`
+    sends what listeners get when nothing waits for it any more; `called` tells whether something waits between two ticks.
+    """
+
+    sleep_until: Callable[[Any, float], float]
+    read: Callable[[Any, int], bool]
+    write: Callable[[Any, int, float], bool]
+    publish: Callable[[Any, int, float], None]
+    receive: Callable[[Any, float], int]
+    aside: Callable[[Any], None]
+    called: Callable[[Any], bool]
+
+
+def lost(s: Any, seq: int, late: float) -> None:
+    """Leave out ticks that are over: they cannot be sampled any more, only counted; a device may let go by itself meanwhile."""
+    ticks = min(int(late / s.period), s.until - seq)
+    s.overruns += ticks
+    s.lateness = late
+    acted = min(max(s.bears - (seq - s.written), 0.0), float(ticks))
+    for i in range(3):
+        s.mean[i] = acted / ticks * s.handed[i]
+    act(s, ticks)
+    held = s.handed[0] != 0.0 or s.handed[1] != 0.0 or s.handed[2] != 0.0
+    s.seq = seq + ticks
+    if acted < ticks and held:
+        s.has_following = 0
+        let_go(s, s.seq, s.written + s.bears)
+        note(s, HELD_UP, s.seq, -1, float(s.written))
+    elif s.has_following != 0 and s.seq - s.force_seq > s.max_age:
+        # What was still to be handed over is too old by now.
+        s.has_following = 0
+        for i in range(3):
+            s.force[i] = s.handed[i]
+
+
+def take_sample(s: Any, seq: int, stamp: float) -> None:
+    """Take the position that was read as the tick's sample, with what follows from it for energy, guard and safety."""
+    if watch_position(s, seq):
+        stepped = sample(s, stamp)
+        if s.guard_on != 0 and stepped:
+            count_step(s)
+        if s.stop_after != 0:
+            watch_swings(s, seq)
+    s.asked = seq
+
+
+def close(s: Any) -> None:
+    """End a tick."""
+    act(s, 1)
+    s.ticks += 1
+    s.seq += 1
+    s.phase = BETWEEN
+
+
+def _as_it_stands(function: Function) -> Function:
+    return function
+
+
+def make_ticks(
+    port: Port, made: Callable[[Any], Any] = _as_it_stands
+) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
+    """Make the ticks of a port, in lockstep and in real time: they go on until something waits, and tell why they ended."""
+    sleep_until, read, write, publish, receive, aside, called = port
+
+    @made
+    def begin(s: Any, seq: int, stamp: float) -> bool:
+        if s.place_given == 0 and not read(s, seq):
+            return False
+        s.place_given = 0
+        take_sample(s, seq, stamp)
+        publish(s, seq, stamp)
+        s.phase = WAITING
+        return True
+
+    @made
+    def hand_over(s: Any, force: Any, seq: int, offset: float) -> None:
+        for i in range(3):
+            s.handed[i] = force[i]
+        s.written = seq
+        if not write(s, seq, offset):
+            s.failed = 1
+
+    @made
+    def lockstep_tick(s: Any) -> int:
+        seq = s.seq
+        if s.phase == BETWEEN and not begin(s, seq, seq * s.period):
+            return BROKEN
+        while True:
+            got = GOT
+            if s.given == 0:
+                got = receive(s, 0.0)
+            s.given = 0
+            if got == UNREAD:
+                return UNREAD
+            if got == NONE:
+                return SILENT
+            # Only the tick's own answer counts.
+            if got == GOT and s.got_seq == seq and admit(s, seq):
+                break
+            s.skipped += 1
+        s.response = s.arrival - s.sampled
+        note_response(s, s.response)
+        command(s, seq, float(s.next_tick))
+        for i in range(3):
+            s.mean[i] = s.handed[i] if s.next_tick != 0 else s.force[i]
+        hand_over(s, s.force, seq + s.next_tick, 0.0)
+        s.delay = float(s.next_tick)
+        close(s)
+        return GO_ON
+
+    @made
+    def realtime_tick(s: Any) -> int:
+        seq = s.seq
+        deadline = s.epoch + seq * s.period
+        following = deadline + s.period
+        if s.phase == BETWEEN:
+            now = deadline + s.lateness
+            if s.place_given == 0:
+                now = sleep_until(s, deadline)
+                if now < deadline:
+                    return GO_ON
+                if now - deadline >= s.period:
+                    # The driver itself was held up.
+                    lost(s, seq, now - deadline)
+                    return GO_ON
+                s.lateness = now - deadline
+                if s.has_following != 0:
+                    # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
+                    s.has_following = 0
+                    hand_over(s, s.following, seq, 0.0)
+            if not begin(s, seq, now + s.clock_offset):
+                return BROKEN
+            s.age = max(seq - s.force_seq, 0) if s.force_seq >= 0 else 0
+            # An answer that comes a little late is waited for, and the next tick sampled late: sampled on time, it would take
+            # the processor from that answer and be answered late itself, and so would the next. Not so when nothing came.
+            s.patient, s.heard, s.answered = s.heard, 0, 0
+            s.split = 0.0
+            for i in range(3):
+                s.mean[i] = s.handed[i] if s.next_tick != 0 else 0.0
+        while s.answered == 0:
+            got = GOT
+            if s.belated != 0:
+                s.belated, s.arrival = 0, s.belated_at
+            else:
+                if s.given == 0:
+                    got = receive(s, following)
+                s.given = 0
+                if got == NONE:
+                    break
+                s.heard = 1
+                if got == UNREAD:
+                    return UNREAD
+                if got == GOT and s.arrival >= following:
+                    # Nor must whoever floods the topic keep the driver from its next tick.
+                    s.belated, s.belated_at = 1, s.arrival
+                    break
+            if got == REFUSED or not admit(s, seq):
+                s.skipped += 1
+                if s.arrival >= following:
+                    break
+                continue
+            s.answered = 1 if s.got_seq == seq else 0
+            s.age = seq - s.got_seq
+            offset = min(max((s.arrival - deadline) / s.period, 0.0), 1.0)
+            command(s, seq, 1.0 if s.next_tick != 0 else offset)
+            if s.next_tick != 0:
+                s.has_following = 1
+                for i in range(3):
+                    s.following[i] = s.force[i]
+                s.delay = 1.0 + s.age
+            else:
+                split(s, offset)
+                hand_over(s, s.force, seq, offset)
+                s.delay = offset + s.age
+            if s.answered != 0:
+                s.response = s.arrival - s.sampled
+                note_response(s, s.response)
+        s.oldest_age = max(s.oldest_age, s.age)
+        if s.next_tick == 0:
+            split(s, 1.0)
+        if s.answered == 0:
+            # In a fault there is no position that could have been answered.
+            s.missed += 1 if s.safety != FAULT else 0
+            s.response = 0.0
+            if missed(s, seq):
+                s.has_following = 0
+                hand_over(s, s.force, seq + 1, 0.0)
+            elif s.has_following == 0 and seq + 1 - s.written >= s.bears:
+                let_go(s, seq, s.written + s.bears)
+        close(s)
+        return GO_ON
+
+    def ticks_of(tick: Callable[[Any], int]) -> Callable[[Any], int]:
+        @made
+        def ticks(s: Any) -> int:
+            done = 0
+            while done < s.most and s.seq < s.until:
+                before = s.ticks
+                why = tick(s)
+                if why != GO_ON:
+                    return why
+                if s.ticks != before:
+                    done += 1
+                    aside(s)
+                if called(s) or s.notes_count != 0:
+                    break
+                if s.failed != 0:
+                    return BROKEN
+            return GO_ON
+
+        done: Callable[[Any], int] = ticks
+        return done
+
+    return ticks_of(lockstep_tick), ticks_of(realtime_tick)

@@ -1,0 +1,55 @@
+"""Watching over a loop that calls a device: nobody but the device itself can bring its force down while it hangs."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from nodes.base.standstill import LastResort, Standstill, give_up
+from nodes.driver.device import DeviceLimits
+
+if TYPE_CHECKING:
+    from nodes.base.node import Node
+
+
+class Watch:
+    """What the loop's thread is at, and how long it may take.
+
+    Parameters
+    ----------
+    node : Node
+        The driver.
+    limits : DeviceLimits
+        Of its device.
+    last_resort : LastResort or None
+        What ends the process when no other thread can run; None for a device that can wait.
+    """
+
+    def __init__(self, node: Node, limits: DeviceLimits, last_resort: LastResort | None) -> None:
+        self._node, self._limits, self._last_resort = node, limits, last_resort
+        self._standstill = Standstill()
+        self._doing = ("", math.inf)
+
+    def begin(self, what: str, limit: float = math.inf) -> None:
+        """Note what the loop's thread is at from now on, and how long it may take [s]."""
+        self._doing = (what, limit)
+        self._wind(limit)
+
+    def end(self) -> None:
+        """Let the process end by itself."""
+        self.begin("")
+        if self._last_resort is not None:
+            self._last_resort.stop()
+
+    def look(self, progress: tuple[int, ...]) -> None:
+        """End the process when there is no progress for too long (control thread)."""
+        what, limit = self._doing
+        self._wind(limit)
+        if self._standstill.look((what, *progress)) >= limit:
+            hold = self._limits.hold
+            lets_go = f"it lets go by itself after {hold:g} s" if math.isfinite(hold) else "it may hold its last force"
+            give_up(self._node, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
+
+    def _wind(self, limit: float) -> None:
+        if self._last_resort is not None:
+            self._last_resort.wind(limit if math.isfinite(limit) else self._limits.opening)
