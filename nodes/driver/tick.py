@@ -81,6 +81,14 @@ def take_sample(s: Any, seq: int, stamp: float) -> None:
     s.asked = seq
 
 
+def decide(s: Any, seq: int) -> None:
+    """Take the answer of a tick in lockstep: `force` and `handed` are what follows from it, `mean` is what acts in the tick."""
+    command(s, seq, float(s.next_tick))
+    for i in range(3):
+        s.mean[i] = s.handed[i] if s.next_tick != 0 else s.force[i]
+        s.handed[i] = s.force[i]
+
+
 def close(s: Any) -> None:
     """End a tick."""
     act(s, 1)
@@ -137,9 +145,7 @@ def make_ticks(
             s.skipped += 1
         s.response = s.arrival - s.sampled
         note_response(s, s.response)
-        command(s, seq, float(s.next_tick))
-        for i in range(3):
-            s.mean[i] = s.handed[i] if s.next_tick != 0 else s.force[i]
+        decide(s, seq)
         hand_over(s, s.force, seq + s.next_tick, 0.0)
         s.delay = float(s.next_tick)
         close(s)

@@ -6,17 +6,17 @@ They are the nodes' own (nodes/driver), called in the order of the driver's tick
 from __future__ import annotations
 
 import math
-from functools import partial
+from typing import Any
 
 import msgspec
 
-from messages.types import ZERO, Vector
 from nodes.driver.device import DeviceLimits
-from nodes.driver.limits import SafetyParameters
-from nodes.driver.mean_force import Latency
-from nodes.driver.motion import Motion
-from nodes.driver.passivity import PassivityGuard, PassivityParameters
-from nodes.driver.safety import Safety
+from nodes.driver.limits import SafetyParameters, lower
+from nodes.driver.motion import act, set_motion
+from nodes.driver.passivity import PassivityParameters, set_guard
+from nodes.driver.safety import set_safety
+from nodes.driver.state import DriverState
+from nodes.driver.tick import decide, take_sample
 from sim.device.model import DeviceModel
 
 
@@ -38,8 +38,8 @@ class DriverRules:
 
     Attributes
     ----------
-    safety : Safety
-        The safety.
+    state : DriverState
+        All that it keeps.
     """
 
     def __init__(
@@ -50,37 +50,25 @@ class DriverRules:
         parameters: SafetyParameters,
         passivity: PassivityParameters | None,
     ) -> None:
-        limits = DeviceLimits(latency=device.delay * period)
         if parameters.workspace is not None:
             nothing = (-math.inf, math.inf)
             parameters = msgspec.structs.replace(parameters, workspace=(parameters.workspace[0], nothing, nothing))
-        self.safety = Safety(parameters, limits, period, [0], lambda *_: None)
-        self._period, self._late = period, 1.0 if next_tick else 0.0
-        self._latency = Latency(device.delay) if device.delay else None
-        self._motion = Motion(period, [0], True, self._latency)
-        guarded = passivity is not None and passivity.guard == "on"
-        self._guard = PassivityGuard(passivity, period, [0]) if passivity is not None and guarded else None
-        self._handed: Vector = ZERO
+        s: Any = DriverState()
+        self.state = s
+        s.period, s.virtual, s.next_tick, s.axes = period, 1, next_tick, 1
+        set_safety(s, parameters, lower(parameters, DeviceLimits(), period), period)
+        self._kept = set_motion(s, device.delay)
+        set_guard(s, passivity)
 
     def sample(self, tick: int, measured: float) -> float:
         """Take a sample; the position that is published."""
-        position, motion, safety = (float(measured), 0.0, 0.0), self._motion, self.safety
-        if safety.watch_position(position, tick):
-            stepped = motion.sample(position, tick * self._period)
-            if self._guard is not None and stepped:
-                self._guard.observe(motion.acted, motion.before, position, motion.elapsed)
-            if safety.swings:
-                safety.watch_swings(motion.energy, motion.velocity, tick)
-        return motion.position[0]
+        self.state.place[0] = measured
+        take_sample(self.state, tick, tick * self.state.period)
+        return float(self.state.position[0])
 
     def command(self, tick: int, wanted: float) -> float:
         """Turn the law's force into what the device gets."""
-        handed, chosen = self._handed, None
-        if self._guard is not None:
-            backlog = ZERO if self._latency is None else self._latency.backlog()
-            chosen = partial(self._guard.control, pending=handed, share=self._late, backlog=backlog)
-        force = (float(wanted), 0.0, 0.0)
-        command = self.safety.command(force, tick, tick, self._motion.velocity, chosen)
-        self._motion.act(list(handed if self._late else command))
-        self._handed = command
-        return command[0]
+        self.state.got_seq, self.state.got[0] = tick, wanted
+        decide(self.state, tick)
+        act(self.state, 1)
+        return float(self.state.force[0])

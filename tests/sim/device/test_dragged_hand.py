@@ -7,12 +7,9 @@ import itertools
 import math
 import threading
 import time
-from array import array
 from pathlib import Path
-from typing import Any
 
 import msgspec
-import numba
 import numpy as np
 import pytest
 
@@ -20,43 +17,48 @@ from messages.topics import DEVICE_STATE
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.tick.choose import Wanted, choose
-from nodes.tick.library import functions
 from nodes.view.pointer import PointerParameters, PointerReader, PointerWriter, pointer_file
 from sim.bench.loop import KERNELS
-from sim.device.driver import DraggedHand, SimDriver
-from sim.device.model import Hand
-from sim.device.tick.layout import DriverState
+from sim.device.driver import SimDevice, SimDriver
+from sim.device.model import DeviceModel, Hand
+from sim.device.state import PENDING, VirtualDevice, target
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
 from tests.support.launching import running, wait_for
 from tests.support.setups import setup_of
 
-SETUP = setup_of(axes=["x"])
+SETUP = setup_of(axes=["x"], pace="realtime")
+KEPT: list[SimDevice] = []
+"""What the states of the tests point to."""
+
+
+def dragged(hand: Hand, tmp_path: Path, parameters: PointerParameters) -> VirtualDevice:
+    """Make a device whose hand a page may drag."""
+    setup = msgspec.structs.replace(SETUP, run_dir=str(tmp_path))
+    device = SimDevice(DeviceModel(mass=0.1, hand=hand), setup, pointer=parameters)
+    KEPT.append(device)
+    return device.parts[0]
 
 
 def test_the_target_moves_no_faster_than_it_may_and_comes_back(tmp_path: Path) -> None:
-    setup = msgspec.structs.replace(SETUP, run_dir=str(tmp_path))
     hand = Hand(stiffness=100.0, path=[(0.0, 0.001), (0.02, 0.002)])
-    dragged = DraggedHand(hand, PointerParameters(speed=0.5, silence=60.0), setup)
+    d = dragged(hand, tmp_path, PointerParameters(speed=0.5, silence=60.0)).state
     # Nobody at the mouse: exactly the path.
-    assert [dragged.target(seq) for seq in (0, 5, 10)] == [0.001, 0.0015, 0.002]
+    assert [target(d, seq) for seq in (0, 5, 10)] == [0.001, 0.0015, 0.002]
     writer = PointerWriter(pointer_file(tmp_path, "driver"))
     writer.write((0.0051, 9.0, 9.0))
     # 0.5 m/s is 1 mm a tick.
-    assert np.allclose(
-        [dragged.target(seq) for seq in range(11, 16)], [0.003, 0.004, 0.005, 0.0051, 0.0051], atol=1e-15
-    )
+    assert np.allclose([target(d, seq) for seq in range(11, 16)], [0.003, 0.004, 0.005, 0.0051, 0.0051], atol=1e-15)
     writer.let_go()
-    assert np.allclose([dragged.target(seq) for seq in range(16, 20)], [0.0041, 0.0031, 0.0021, 0.002], atol=1e-15)
-    assert dragged.target(20) == 0.002
+    assert np.allclose([target(d, seq) for seq in range(16, 20)], [0.0041, 0.0031, 0.0021, 0.002], atol=1e-15)
+    assert target(d, 20) == 0.002
     writer.close()
 
 
 def test_a_hand_that_repeats_its_path_does_so_when_nobody_drags_it(tmp_path: Path) -> None:
-    setup = msgspec.structs.replace(SETUP, run_dir=str(tmp_path))
     hand = Hand(stiffness=100.0, path=[(0.0, 0.001), (0.02, 0.002)], repeat=0.04)
-    dragged = DraggedHand(hand, PointerParameters(), setup)
-    assert dragged.target(25) == hand.point(0.05) == dragged.target(5) == 0.0015
+    d = dragged(hand, tmp_path, PointerParameters()).state
+    assert target(d, 25) == hand.point(0.05) == target(d, 5) == 0.0015
 
 
 def test_a_pointer_needs_a_hand() -> None:
@@ -65,29 +67,28 @@ def test_a_pointer_needs_a_hand() -> None:
         SimDriver.check(setup)
 
 
-def test_a_kernel_moves_the_target_as_the_plain_tick_does(tmp_path: Path) -> None:
-    """To the bit, from whatever a page writes: far and near, let go, half-written, and silent from the beginning."""
-    from nodes.tick.kernels.machine import record_at
-    from nodes.tick.kernels.sources import record_of
-    from sim.device.tick import device as kernels
-
-    look, move = record_at(record_of(DriverState)), kernels.move_hand
-    compiled = numba.njit(lambda address, seq: move(look(address), seq))
-    setup = msgspec.structs.replace(SETUP, run_dir=str(tmp_path))
-    hand = Hand(stiffness=100.0, path=[(0.0, 0.001), (0.05, 0.003)], repeat=0.3)
-    dragged = DraggedHand(hand, PointerParameters(speed=0.5, silence=60.0), setup)
+def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) -> None:
+    """To the bit, with encoder, friction, delay, weight and a hand, whatever a page writes, half-written too."""
+    assert choose("compiled", [SimDriver.device_module], print) == "compiled"
+    hand = Hand(stiffness=100.0, mass=0.02, damping=1.0, path=[(0.0, 0.001), (0.05, 0.003)], repeat=0.3)
+    model = DeviceModel(
+        mass=0.1, damping=0.5, gravity=9.81, friction=0.05, resolution=1e-5, delay=1.3, peak_force=5.0, hand=hand
+    )
+    setups = [msgspec.structs.replace(SETUP, run_dir=str(tmp_path), tick=tick) for tick in ("plain", "compiled")]
+    pointer = PointerParameters(speed=0.5, silence=60.0)
+    plain, compiled = (SimDevice(model, setup, 0.05, pointer) for setup in setups)
+    calls = compiled.calls()
+    assert calls is not None
+    read = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(calls.read)
+    write = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_double)(
+        calls.write
+    )
     writer = PointerWriter(pointer_file(tmp_path, "driver"))
-    state: Any = DriverState()
-    ticks = 400
-    path = array("d", [hand.point(seq * SETUP.period) for seq in range(ticks)])
-    clock, room = array("q", [0, 0]), functions()["clock_gettime"]
-    state.targets, state.targets_count = path.buffer_info()[0], ticks
-    state.clock_gettime, state.time = room, clock.buffer_info()[0]
-    state.pointer, state.silence, state.farthest = dragged.reader.address, dragged.reader.silence, dragged.farthest
-    state.wanted_at = -math.inf
     chance = np.random.default_rng(14)
-    away = 0
-    for seq in range(ticks):
+    out, force = (ctypes.c_double * 6)(), (ctypes.c_double * 3)()
+    away = seq = 0
+    for _ in range(400):
+        seq += 1 if chance.random() < 0.95 else 3
         if chance.random() < 0.2:
             if chance.random() < 0.4:
                 writer.let_go()
@@ -98,10 +99,17 @@ def test_a_kernel_moves_the_target_as_the_plain_tick_does(tmp_path: Path) -> Non
             torn[:8] = (10**6 + seq).to_bytes(8, "little")
             with open(pointer_file(tmp_path, "driver"), "r+b") as file:
                 file.write(torn)
-        assert compiled(ctypes.addressof(state), seq) == dragged.target(seq)
-        assert bool(state.is_away) == (dragged.away is not None)
-        away += state.is_away
-    assert 0 < away < ticks
+        assert read(calls.context, seq, out) == 0
+        assert list(out) == [*plain.read_position(seq), *plain.target]
+        for _ in range(chance.integers(0, 3)):
+            force[0], offset = chance.normal(0.0, 3.0), float(chance.random())
+            assert write(calls.context, force, seq, offset) == 0
+            plain.write_force((force[0], 0.0, 0.0), seq, offset)
+        away += plain.parts[0].state.is_away
+        assert bytes(plain.parts[0].state.pending) == bytes(compiled.parts[0].state.pending)
+    assert 0 < away < 400
+    # More forces under way than there is room for: told by the status, not lost in silence.
+    assert any(write(calls.context, force, seq, 0.5) < 0 for _ in range(PENDING + 1))
     writer.close()
 
 
