@@ -158,6 +158,8 @@ class Driver(Node):
         self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
         set_guard(s, parameters.passivity)
         self._report.begin(self._device, held, s.guard_on != 0)
+        for text in held.told:
+            self.tell("limit", text)
         if limits.latency is None and s.guard_on:
             self.tell(
                 "guard", "the device does not tell its latency: the guard takes forces to act when they are handed over"
