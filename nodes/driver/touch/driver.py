@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 
 from messages.types import Vector
+from nodes.driver.calls import Calls
 from nodes.driver.device import Device, DeviceLimits, Workspace
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
@@ -27,18 +28,20 @@ from nodes.driver.touch.hdapi import (
     CALIBRATION_STYLE,
     ENCODER_RESET,
     ERRORS,
+    FAULT,
     FORCE_OUTPUT,
     INKWELL,
     INVALID_HANDLE,
     MAX_CONTINUOUS_FORCE,
     MAX_FORCE,
     MAX_WORKSPACE,
+    STALLED,
+    UNREAD,
     UPDATE_RATE,
     Servo,
     load_library,
     servo_library,
     to_ours,
-    to_theirs,
 )
 from nodes.parameters.paths import LocalPath
 
@@ -97,8 +100,6 @@ class TouchDevice:
         self._limits = DeviceLimits()
         self._device: int | None = None
         self._scheduled: int | None = None
-        self._last_ticks = 0
-        self._last_change = 0.0
 
     @property
     def limits(self) -> DeviceLimits:
@@ -110,6 +111,9 @@ class TouchDevice:
         self._hd: Any = load_library(self._parameters.library)
         self._code: Any = servo_library()
         self._code.servo_size.restype = ctypes.c_size_t
+        doubles, whole = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
+        self._code.device_read.argtypes = [whole, whole, doubles]
+        self._code.device_write.argtypes = [whole, doubles, whole, ctypes.c_double]
         if self._code.servo_size() != ctypes.sizeof(Servo):
             raise OSError(
                 "touch_driver: servo.c and hdapi.py disagree about their shared structure; reinstall haptic-nodes"
@@ -179,7 +183,7 @@ class TouchDevice:
         ):
             setattr(servo, field, ctypes.cast(getattr(hd, name), ctypes.c_void_p).value)
         servo.device = self._device
-        servo.deadline = max(1, round(parameters.deadline * rate))
+        servo.deadline, servo.patience = max(1, round(parameters.deadline * rate)), parameters.deadline
         tick = ctypes.cast(self._code.servo_tick, ctypes.c_void_p)
         self._scheduled = hd.hdScheduleAsynchronous(tick, ctypes.byref(servo), PRIORITY)
         self._check("the servo loop cannot be scheduled")
@@ -226,34 +230,37 @@ class TouchDevice:
                     "Touch: the servo thread does not run: no sample within 2 s; restart the device's service"
                 )
             time.sleep(0.001)
-        self._last_ticks, self._last_change = self._servo.ticks, time.monotonic()
 
     def read_position(self, seq: int) -> Vector:
         """Take the newest sample of the servo thread."""
-        del seq
         servo = self._servo
-        if servo.fault:
+        position = (ctypes.c_double * 3)()
+        status = -self._code.device_read(ctypes.addressof(servo), seq, position)
+        if status == FAULT:
             raise OSError(
                 f"Touch: {ERRORS.get(servo.fault, 'error')} (0x{servo.fault:04X}); forces are off until the node is "
                 "started again"
             )
-        now = time.monotonic()
-        if servo.ticks != self._last_ticks:
-            self._last_ticks, self._last_change = servo.ticks, now
-        elif now - self._last_change > self._parameters.deadline:
+        if status == STALLED:
             raise OSError(
-                f"Touch: the servo thread has given no sample for {now - self._last_change:.3f} s, limit "
+                f"Touch: the servo thread has given no sample for {time.monotonic() - servo.seen_at:.3f} s, limit "
                 f"{self._parameters.deadline:g} s; look at cable and power"
             )
-        values = (ctypes.c_double * 3)()
-        if not self._code.servo_read(ctypes.byref(servo), values):
+        if status == UNREAD:
             return (math.nan, math.nan, math.nan)
-        return to_ours((values[0], values[1], values[2]))
+        return position[0], position[1], position[2]
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
         """Hand a force to the servo thread."""
-        del seq, offset
-        self._code.servo_write(ctypes.byref(self._servo), (ctypes.c_double * 3)(*to_theirs(force)))
+        self._code.device_write(ctypes.addressof(self._servo), (ctypes.c_double * 3)(*force), seq, offset)
+
+    def calls(self) -> Calls:
+        """Give the servo thread's mailbox as it stands in C."""
+        read, write = (
+            ctypes.cast(function, ctypes.c_void_p).value or 0
+            for function in (self._code.device_read, self._code.device_write)
+        )
+        return Calls(read, write, ctypes.addressof(self._servo))
 
     @property
     def let_go(self) -> int:

@@ -25,6 +25,9 @@ CALIBRATION_STYLE = 0x2555
 AUTOMATIC, INKWELL, ENCODER_RESET = 2, 4, 1
 """The ways, the best first, as the vendor's examples prefer them."""
 
+FAULT, STALLED, UNREAD = 1, 2, 3
+"""What ``device_read`` of servo.c fails with, as negative numbers."""
+
 INVALID_HANDLE = 0xFFFFFFFF
 ERRORS = {
     0x0100: "invalid enum", 0x0101: "invalid value", 0x0102: "invalid operation", 0x0103: "invalid input type",
@@ -54,6 +57,9 @@ class Servo(ctypes.Structure):
         ("commands", ctypes.c_uint),
         ("force", ctypes.c_double * 3),
         ("stop", ctypes.c_uint),
+        ("seen", ctypes.c_uint),
+        ("seen_at", ctypes.c_double),
+        ("patience", ctypes.c_double),
         ("samples", ctypes.c_uint),
         ("position", ctypes.c_double * 3),
         *((name, ctypes.c_uint) for name in ("ticks", "let_go", "errors", "fault", "last_command", "silent")),
@@ -65,12 +71,6 @@ def to_ours(vector: tuple[float, float, float]) -> Vector:
     """Turn a position of HDAPI into ours."""
     x, y, z = vector
     return (-z * 1e-3, -x * 1e-3, y * 1e-3)
-
-
-def to_theirs(force: Vector) -> tuple[float, float, float]:
-    """Turn a force of ours into HDAPI's axes."""
-    x, y, z = force
-    return (-y, z, -x)
 
 
 def servo_library() -> Any:

@@ -5,11 +5,16 @@
    ticks, or the device reported a fault, the force is zero: the last line of safety, which holds while Python hangs. */
 
 #include <stddef.h>
+#include <stdint.h>
+#include <time.h>
 
 #define HD_CURRENT_POSITION 0x2050u
 #define HD_CURRENT_FORCE 0x2700u
 #define HD_CALLBACK_DONE 0u
 #define HD_CALLBACK_CONTINUE 1u
+#define FAULT 1
+#define STALLED 2
+#define UNREAD 3
 
 typedef struct {
     unsigned int error;
@@ -30,6 +35,9 @@ typedef struct {
     unsigned int commands;
     double force[3];
     unsigned int stop;
+    unsigned int seen;
+    double seen_at;
+    double patience;
     /* Written by the servo thread. */
     unsigned int samples;
     double position[3];
@@ -64,10 +72,48 @@ size_t servo_size(void) { return sizeof(servo); }
 
 void servo_write(servo *s, const double *force) { put(&s->commands, s->force, force); }
 
+void servo_put(servo *s, const double *position) { put(&s->samples, s->position, position); }
+
 int servo_read(servo *s, double *position) {
     for (int attempt = 0; attempt < 1000; attempt++) {
         if (take(&s->samples, s->position, position)) return 1;
     }
+    return 0;
+}
+
+static double now(void) {
+    struct timespec at;
+    clock_gettime(CLOCK_MONOTONIC, &at);
+    return (double) at.tv_sec + 1e-9 * (double) at.tv_nsec;
+}
+
+/* The two calls of a device (nodes/driver/calls.py): +x is forward, +y left, +z up, in metres; HDAPI's are right, up and towards the
+   user, in millimetres. What is wrong is told by the status, and `out` is left alone then. */
+
+int device_read(int64_t context, int64_t seq, double *out) {
+    servo *s = (servo *) (intptr_t) context;
+    double position[3];
+    (void) seq;
+    if (__atomic_load_n(&s->fault, __ATOMIC_RELAXED)) return -FAULT;
+    unsigned int ticks = __atomic_load_n(&s->ticks, __ATOMIC_ACQUIRE);
+    if (ticks != s->seen || s->seen_at == 0.0) {
+        s->seen = ticks;
+        s->seen_at = now();
+    } else if (now() - s->seen_at > s->patience) {
+        return -STALLED;
+    }
+    if (!servo_read(s, position)) return -UNREAD;
+    out[0] = -position[2] * 1e-3;
+    out[1] = -position[0] * 1e-3;
+    out[2] = position[1] * 1e-3;
+    return 0;
+}
+
+int device_write(int64_t context, const double *force, int64_t seq, double offset) {
+    const double theirs[3] = {-force[1], force[2], -force[0]};
+    (void) seq;
+    (void) offset;
+    servo_write((servo *) (intptr_t) context, theirs);
     return 0;
 }
 
@@ -78,7 +124,7 @@ unsigned int servo_tick(void *data) {
     const double *out = s->held;
     s->begin_frame(s->device);
     s->get_double(HD_CURRENT_POSITION, position);
-    put(&s->samples, s->position, position);
+    servo_put(s, position);
     unsigned int command = take(&s->commands, s->force, force);
     if (command && command != s->last_command) {
         s->last_command = command;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import os
 import shutil
 import subprocess
@@ -11,12 +12,12 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nodes.driver.limits import SafetyParameters, lower
 from nodes.driver.touch.driver import TouchDevice, TouchParameters
-from nodes.driver.touch.hdapi import to_ours, to_theirs
+from nodes.driver.touch.hdapi import Servo, servo_library, to_ours
 from nodes.recording.reader import Recording
 from tests.support import FIXTURES
 from tests.support.launching import launch_json, running, wait_for
@@ -60,13 +61,24 @@ def connected(path: Path, **parameters: Any) -> TouchDevice:
 finite = st.floats(-1e3, 1e3)
 
 
+servo_code = functools.cache(servo_library)
+
+
+@needs_cc
+@settings(deadline=None)
 @given(st.tuples(finite, finite, finite), st.tuples(finite, finite, finite))
 def test_axes_turn_back_and_forth_and_keep_work(
     move: tuple[float, float, float], force: tuple[float, float, float]
 ) -> None:
     # Work does not depend on whose axes it is counted in: F·dx is the same, millimetres aside.
-    ours = sum(a * b for a, b in zip(force, to_ours(move), strict=True))
-    theirs = sum(a * b * 1e-3 for a, b in zip(to_theirs(force), move, strict=True))
+    servo, code = Servo(patience=1e9), servo_code()
+    code.servo_put(ctypes.byref(servo), (ctypes.c_double * 3)(*move))
+    device, position = ctypes.c_int64(ctypes.addressof(servo)), (ctypes.c_double * 3)()
+    assert code.device_read(device, ctypes.c_int64(0), position) == 0
+    assert tuple(position) == pytest.approx(to_ours(move), rel=1e-15)
+    assert code.device_write(device, (ctypes.c_double * 3)(*force), ctypes.c_int64(0), ctypes.c_double(0.0)) == 0
+    ours = sum(a * b for a, b in zip(force, position, strict=True))
+    theirs = sum(a * b * 1e-3 for a, b in zip(servo.force, move, strict=True))
     assert ours == pytest.approx(theirs, abs=1e-9)  # sums of three products up to 1e3
     assert to_ours((0.0, 0.0, -1000.0)) == (1.0, 0.0, 0.0)  # away from the user is forward
     assert to_ours((-1000.0, 0.0, 0.0)) == (0.0, 1.0, 0.0)
