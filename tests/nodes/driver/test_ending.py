@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from nodes.driver.ending import REST, ending
-from nodes.driver.motion import Motion
+from nodes.driver.motion import act, find_velocity, sample
 from tests.support.launching import haptic, launch_json
+from tests.support.safety import state_of
 
 T = 0.002
 
@@ -52,10 +53,12 @@ def test_launches_say_what_is(tmp_path: Path) -> None:
 
 def test_a_tick_that_is_sampled_twice_at_the_end_has_a_velocity() -> None:
     """Ctrl-C in lockstep, while an answer is waited for, samples the same tick again: it once divided by no time."""
-    motion = Motion(0.002, [2], virtual=True)
-    motion.sample((0.0, 0.0, 0.0), 0.0)
-    motion.act([0.0, 0.0, 0.0])
+    s = state_of((2,))
+    sample(s, 0.0)
+    act(s, 1)
     for _ in range(2):
-        motion.sample((0.0, 0.0, 0.001), 0.002)
+        s.place[2] = 0.001
+        sample(s, 0.002)
+        find_velocity(s)
         # 1 mm in a tick of 2 ms; a quotient of two floats, rounded once.
-        assert motion.velocity()[2] == pytest.approx(0.5, rel=1e-15)
+        assert s.velocity[2] == pytest.approx(0.5, rel=1e-15)
