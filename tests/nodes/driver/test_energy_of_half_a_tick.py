@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nodes.driver.mean_force import Latency
+from nodes.driver.passivity import line_of, through
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel, advance, coefficients
 from sim.experiments.drop import drop_scene
@@ -17,9 +17,10 @@ def energies(latency: float) -> tuple[float, float]:
     """Energy that a wall gives out in a drop: by the driver's account, and by the work of each force over its own path."""
     scene = drop_scene(DeviceModel(mass=M, damping=B, delay=latency), T, False, True)
     trace = run(scene, PD(stiffness=900.0, damping=3.0).compile(T), 1500)
-    account, line = 0.0, Latency(latency)
+    account = 0.0
+    line, share = line_of(latency)
     for k in range(1499):
-        mean = line.acted([float(trace.force[k]), 0.0, 0.0], 1)[0]
+        mean = through(line, float(trace.force[k]), share)
         account += mean * float(trace.position[k + 1] - trace.position[k])
     work, part, whole = 0.0, latency % 1.0, int(latency)
     weight = -9.81 * M
