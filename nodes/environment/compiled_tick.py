@@ -1,20 +1,20 @@
-"""The environment's compiled ticks: surfaces that are a few numbers; any other one is met by the plain tick."""
+"""The environment's compiled ticks: surfaces that are numbers; any other one is met by the plain tick."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 from messages import topics
-from nodes.base.setup import AXIS_INDEX, Setup
-from nodes.environment.surfaces import Anchor, Free, Plane, Surface
+from nodes.base.setup import Setup
+from nodes.environment.meet import Numbers
 from nodes.tick.answering import NEVER, CompiledTicks, Node
-from nodes.tick.layout import ANCHOR, FREE, PLANE, EnvironmentState
+from nodes.tick.layout import EnvironmentState
 from nodes.tick.library import Kernel
 
 
 class _Environment(Node, Protocol):
     setup: Setup
-    surface: Surface
+    numbers: Numbers | None
 
 
 class EnvironmentTicks(CompiledTicks):
@@ -44,27 +44,16 @@ class EnvironmentTicks(CompiledTicks):
         self._environment = node
         self.state.until = NEVER
         self.state.bears_gap = NEVER
-        self._surface: Surface | None = None
-        self._known = False
+        self._numbers: Numbers | None = None
 
     def enter(self) -> bool:
         """Take over the surface, when it has changed."""
-        surface = self._environment.surface
-        if surface is not self._surface:
-            self._surface, self._known = surface, self._take_over(surface)
-        return self._known
-
-    def _take_over(self, surface: Surface) -> bool:
-        state: Any = self.state
-        # Exactly these: a subclass may answer as it likes.
-        if type(surface) is Free:
-            state.kind = FREE
-        elif type(surface) is Plane:
-            state.kind, state.axis, state.normal = PLANE, AXIS_INDEX[surface.axis], float(surface.normal)
-            state.point[state.axis] = surface.position
-        elif type(surface) is Anchor:
-            state.kind = ANCHOR
-            state.point[:] = surface.position
-        else:
-            return False
-        return True
+        numbers = self._environment.numbers
+        if numbers is not None and numbers is not self._numbers:
+            state = self.state
+            state.kind, state.table_count, state.memory_count = numbers.kind, len(numbers.table), len(numbers.memory)
+            self.keep("table", numbers.table)
+            # The plain tick goes on with the same memory.
+            self.keep("memory", numbers.memory)
+        self._numbers = numbers
+        return numbers is not None

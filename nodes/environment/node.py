@@ -17,7 +17,8 @@ from messages.types import DeviceState, Proxy, Vector
 from nodes.base.follow import follow
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
-from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
+from nodes.environment.meet import Numbers, meeting_of
+from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
 
 if TYPE_CHECKING:
     from nodes.tick.answering import CompiledTicks
@@ -60,14 +61,15 @@ class Environment(Node):
 
     def configure(self) -> None:
         """Build the surface."""
-        self.surface, self._meet = self._built(self.store.current)
+        self.numbers, self._meet = self._built(self.store.current)
 
-    def _built(self, parameters: EnvironmentParameters) -> tuple[Surface, Callable[[Vector], Meeting]]:
+    def _built(self, parameters: EnvironmentParameters) -> tuple[Numbers | None, Callable[[Vector], Meeting]]:
         where = f"{self.setup.name}.surface"
         surface = parse_surface(parameters.surface, where)
         meet_axes(surface, self.setup.axes, where)
-        meet = surface.meeting_every(self.setup.period)
-        return surface, meet if surface.pushes() is not None else self._watched(meet)
+        numbers = numbers_of(surface, self.setup.period)
+        meet = surface.meeting_every(self.setup.period) if numbers is None else meeting_of(numbers)
+        return numbers, meet if surface.pushes() is not None else self._watched(meet)
 
     def _watched(self, meet: Callable[[Vector], Meeting]) -> Callable[[Vector], Meeting]:
         """Tell of a surface that pushes along an axis which the scene does not compute."""
@@ -88,10 +90,10 @@ class Environment(Node):
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare another surface."""
-        surface, meet = self._built(parameters)
+        numbers, meet = self._built(parameters)
 
         def apply(seq: int) -> dict[str, Any]:
-            self.surface, self._meet = surface, meet
+            self.numbers, self._meet = numbers, meet
             return {"seq": seq, "surface": parameters.surface}
 
         return apply

@@ -6,6 +6,7 @@ points ``haptic.surfaces``.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
@@ -13,9 +14,10 @@ import msgspec
 
 from messages.types import ZERO, Vector
 from nodes.base.setup import AXIS_INDEX, Axis
-from nodes.kernels import plane_distance
+from nodes.environment.meet import Numbers, meeting_of
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError, convert
+from nodes.tick.layout import ANCHOR, FREE, PLANE
 
 __all__ = [
     "SURFACES",
@@ -26,6 +28,7 @@ __all__ = [
     "Plane",
     "Surface",
     "meet_axes",
+    "numbers_of",
     "parse_surface",
 ]
 
@@ -90,6 +93,22 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         del period
         return self.meeting()
 
+    def numbers(self, period: float) -> Numbers | None:
+        """Describe the surface by numbers, so that compiled ticks know it too.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period [s].
+
+        Returns
+        -------
+        Numbers or None
+            As nodes/environment/meet.py takes it; None for one that only its own code knows.
+        """
+        del period
+        return None
+
     def check(self, where: str) -> None:
         """Refuse what cannot be touched, beyond what its fields alone tell, before anything is started.
 
@@ -139,7 +158,23 @@ class Free(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         callable
             The proxy is the device position, always.
         """
-        return lambda position: (position, ZERO, 0.0, False)
+        return meeting_of(self.numbers(0.0))
+
+    def numbers(self, period: float) -> Numbers:
+        """Describe the surface by numbers.
+
+        Parameters
+        ----------
+        period : float
+            Any.
+
+        Returns
+        -------
+        Numbers
+            Nothing.
+        """
+        del period
+        return Numbers(FREE, array("d"), array("d"))
 
     def pushes(self) -> tuple[Axis, ...]:
         """Tell along which axes it can push.
@@ -194,21 +229,23 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         callable
             The proxy lies on the plane while the device is inside.
         """
-        i, surface, sign = AXIS_INDEX[self.axis], self.position, float(self.normal)
-        normal: Vector = tuple(sign if j == i else 0.0 for j in range(3))  # type: ignore[assignment]
+        return meeting_of(self.numbers(0.0))
 
-        def meet(position: Vector) -> Meeting:
-            distance = plane_distance(position[i], surface, sign)
-            if distance >= 0.0:
-                return position, normal, distance, False
-            proxy = (surface, position[1], position[2])
-            if i == 1:
-                proxy = (position[0], surface, position[2])
-            elif i == 2:
-                proxy = (position[0], position[1], surface)
-            return proxy, normal, distance, True
+    def numbers(self, period: float) -> Numbers:
+        """Describe the surface by numbers.
 
-        return meet
+        Parameters
+        ----------
+        period : float
+            Any.
+
+        Returns
+        -------
+        Numbers
+            Axis, coordinate [m] and side.
+        """
+        del period
+        return Numbers(PLANE, array("d", (AXIS_INDEX[self.axis], self.position, self.normal)), array("d"))
 
     def pushes(self) -> tuple[Axis, ...]:
         """Tell along which axes it can push.
@@ -256,8 +293,23 @@ class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         callable
             The proxy is the point, always, and both sides touch.
         """
-        anchor = self.position
-        return lambda _: (anchor, ZERO, 0.0, True)
+        return meeting_of(self.numbers(0.0))
+
+    def numbers(self, period: float) -> Numbers:
+        """Describe the surface by numbers.
+
+        Parameters
+        ----------
+        period : float
+            Any.
+
+        Returns
+        -------
+        Numbers
+            The point [m].
+        """
+        del period
+        return Numbers(ANCHOR, array("d", self.position), array("d"))
 
     def pushes(self) -> tuple[Axis, ...]:
         """Tell along which axes a device that is not there is pulled, wherever it moves.
@@ -317,6 +369,30 @@ def parse_surface(data: dict[str, Any], where: str) -> Surface:
         )
     made: Surface = convert({k: v for k, v in data.items() if k != "kind"}, kind, where)
     return made
+
+
+def numbers_of(surface: Surface, period: float) -> Numbers | None:
+    """Describe a surface by numbers, unless code of its own says how it is met.
+
+    Parameters
+    ----------
+    surface : Surface
+        Any.
+    period : float
+        Sampling period [s].
+
+    Returns
+    -------
+    Numbers or None
+        None for one that only the interpreter can meet.
+    """
+    lines = type(surface).__mro__
+
+    def written(name: str) -> int:
+        return next(n for n, line in enumerate(lines) if name in vars(line))
+
+    is_described = written("numbers") <= min(written("meeting"), written("meeting_every"))
+    return surface.numbers(period) if is_described else None
 
 
 def meet_axes(surface: Surface, axes: Sequence[str], where: str) -> None:

@@ -29,6 +29,7 @@ LEAVING: Final = 8
 FREE: Final = 0
 PLANE: Final = 1
 ANCHOR: Final = 2
+SHAPES: Final = 3
 """Kinds of surface, as kernels take them."""
 
 REALS: Final = 32
@@ -129,11 +130,13 @@ class EnvironmentState(Structure):
 
     _fields_ = [
         *LOOP,
-        # FREE, PLANE or ANCHOR, and its numbers
+        # FREE, PLANE, ANCHOR or SHAPES, its numbers, what its proxy remembers, and the answer of the last tick
         ("kind", c_int64),
-        ("axis", c_int64),
-        ("normal", c_double),
-        ("point", c_double * 3),
+        ("table", c_int64),
+        ("table_count", c_int64),
+        ("memory", c_int64),
+        ("memory_count", c_int64),
+        ("met", c_double * 7),
     ]
 
 

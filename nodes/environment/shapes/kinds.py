@@ -12,12 +12,12 @@ import msgspec
 
 from messages.types import ZERO, Vector
 from nodes.base.setup import Axis
+from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.shapes import scene
-from nodes.environment.shapes.proxy import meet
 from nodes.environment.shapes.scene import Friction, Solid
-from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY
 from nodes.environment.surfaces import Meeting, Surface, parse_surface
 from nodes.parameters.store import ParameterError
+from nodes.tick.layout import SHAPES
 
 __all__ = [
     "Ball",
@@ -136,16 +136,22 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         callable
             From a device position [m] to proxy, normal, distance and contact; it remembers where the proxy was.
         """
-        table, memory = self.tables("surface", period)
+        return meeting_of(self.numbers(period))
 
-        def ask(position: Vector) -> Meeting:
-            meet(table, memory, *position)
-            contact = memory[IN_CONTACT] == 1.0
-            proxy = (memory[PROXY], memory[PROXY + 1], memory[PROXY + 2]) if contact else position
-            normal = memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2]
-            return proxy, normal, memory[DISTANCE], contact
+    def numbers(self, period: float) -> Numbers:
+        """Describe the surface by numbers.
 
-        return ask
+        Parameters
+        ----------
+        period : float
+            Sampling period, which viscous friction goes by [s].
+
+        Returns
+        -------
+        Numbers
+            Its tables.
+        """
+        return Numbers(SHAPES, *self.tables("surface", period))
 
     def pushes(self) -> tuple[Axis, ...]:
         """Tell along which axes it can push.

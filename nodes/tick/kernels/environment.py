@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
+# Registers the geometry with numba.
+import nodes.environment.shapes.compiled as _registered
 from messages.types import DeviceState, Proxy
+from nodes.environment.meet import meet
 from nodes.kernels import plane_distance
 from nodes.tick.fields import fields_of, slot
 from nodes.tick.kernels.encode import make_encode
 from nodes.tick.kernels.follow import in_order, overtaken
 from nodes.tick.kernels.hop import answer, called, flush, monotonic, out_at, receive
-from nodes.tick.kernels.machine import compilable, record_at
+from nodes.tick.kernels.machine import compilable, reals_at, record_at
 from nodes.tick.kernels.scan import make_match, make_scan
 from nodes.tick.kernels.sources import kernel, record_of
-from nodes.tick.layout import ANCHOR, PLANE, EnvironmentState
+from nodes.tick.layout import EnvironmentState
 
+del _registered
 kernel(plane_distance)
+kernel(meet)
 _look = record_at(record_of(EnvironmentState))
 _scan = make_scan(DeviceState)
 # In a fault the position is no new one; whatever else is not usual is left to the plain tick, too.
@@ -27,29 +32,26 @@ _TO_SEQ, _TO_CONTACT = (slot(_OUT, name) for name in ("seq", "contact"))
 _TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = (
     slot(_OUT, name) for name in ("stamp", "position", "proxy", "normal", "distance", "delay")
 )
-_PLANE, _ANCHOR = PLANE, ANCHOR
 
 
 @compilable
 def _meet(s: Any, taken: Any, out: Any) -> bool:
-    """Write where the proxy is, and whether there is contact: nodes/environment/surfaces.py, by number."""
+    """Write where the proxy is, and whether there is contact."""
+    contact = meet(
+        s.kind,
+        reals_at(s.table, s.table_count),
+        reals_at(s.memory, s.memory_count),
+        taken[_POSITION],
+        taken[_POSITION + 1],
+        taken[_POSITION + 2],
+        s.met,
+    )
     for i in range(3):
-        out[_TO_POSITION + i] = out[_TO_PROXY + i] = taken[_POSITION + i]
-        out[_TO_NORMAL + i] = 0.0
-    out[_TO_DISTANCE] = 0.0
-    if s.kind == _PLANE:
-        i = s.axis
-        out[_TO_NORMAL + i] = s.normal
-        out[_TO_DISTANCE] = distance = plane_distance(taken[_POSITION + i], s.point[i], s.normal)
-        if distance >= 0.0:
-            return False
-        out[_TO_PROXY + i] = s.point[i]
-        return True
-    if s.kind == _ANCHOR:
-        for i in range(3):
-            out[_TO_PROXY + i] = s.point[i]
-        return True
-    return False
+        out[_TO_POSITION + i] = taken[_POSITION + i]
+        out[_TO_PROXY + i] = s.met[i]
+        out[_TO_NORMAL + i] = s.met[3 + i]
+    out[_TO_DISTANCE] = s.met[6]
+    return contact
 
 
 @compilable

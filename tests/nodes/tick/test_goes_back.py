@@ -12,11 +12,11 @@ import pytest
 
 from messages.codec import encode
 from messages.transport.sockets import Publisher, Subscription, new_context
-from messages.types import DeviceState, Message, Proxy
+from messages.types import DeviceState, Message, Proxy, Vector
 from nodes.base.node import Node
 from nodes.coupling.node import Coupling
 from nodes.environment.node import Environment
-from nodes.environment.surfaces import Plane
+from nodes.environment.surfaces import Meeting, Plane
 from nodes.tick.choose import choose
 from sim.measure.launches import wait_for
 from tests.support import ROOT
@@ -27,6 +27,10 @@ TICKS = 12
 
 class Bowl(Plane, frozen=True, kw_only=True):
     """A surface that answers as it likes."""
+
+    def meeting(self) -> Callable[[Vector], Meeting]:
+        """Answer as a plane does, for once."""
+        return super().meeting()
 
 
 PD = {"kind": "pd", "stiffness": 500.0, "damping": 3.0}
@@ -92,6 +96,7 @@ CASES = {
 }
 STAYS = {
     "a hard surface, and one for both sides": environment(STATES, 0, kind="anchor", position=[0.0, 0.0, 0.01]),
+    "shapes": environment(STATES, 0, kind="sphere", position=[0.0, 0.0, -0.02], radius=0.0195),
     "nothing to touch": environment(STATES, 0, kind="free"),
     "a gap": coupling([*PROXIES[:3], *PROXIES[6:]], 0),
     "a recursive law": coupling(
@@ -107,7 +112,13 @@ def played(place: Path, case: Case) -> tuple[Node, int]:
     heard = case.kind.listens_to[0]
     name = "coupling" if case.kind is Coupling else "environment"
     setup = setup_of(
-        name=name, kind=name, tick="compiled", pace="lockstep", sources={heard: source}, parameters=case.parameters
+        name=name,
+        kind=name,
+        tick="compiled",
+        pace="lockstep",
+        axes=["x", "y", "z"],
+        sources={heard: source},
+        parameters=case.parameters,
     )
     node: Any = case.kind(setup)
     node.load_kernel()

@@ -1,0 +1,74 @@
+"""Where the proxy is: one function on numbers, which the plain tick runs and the compiled one compiles.
+
+A surface is a kind, a table of floats that never changes while it is touched, and a small table of what its proxy remembers.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, MutableSequence, Sequence
+from typing import NamedTuple
+
+from messages.types import Vector
+from nodes.environment.shapes import proxy
+from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY
+from nodes.kernels import plane_distance
+from nodes.tick.layout import ANCHOR, PLANE, SHAPES
+
+MET = 7
+"""Numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m]."""
+
+
+class Numbers(NamedTuple):
+    """A surface as `meet` takes it: FREE, PLANE (axis, coordinate, side), ANCHOR (point) or SHAPES (see shapes/tables.py)."""
+
+    kind: int
+    table: array[float]
+    memory: array[float]
+
+
+def meet(
+    kind: int,
+    table: Sequence[float],
+    memory: MutableSequence[float],
+    x: float,
+    y: float,
+    z: float,
+    met: MutableSequence[float],
+) -> bool:
+    """Let a proxy follow the device to a position [m]: the answer is written into `met`; whether there is contact."""
+    met[0], met[1], met[2] = x, y, z
+    met[3] = met[4] = met[5] = met[6] = 0.0
+    if kind == PLANE:
+        i = int(table[0])
+        met[3 + i] = table[2]
+        met[6] = distance = plane_distance(met[i], table[1], table[2])
+        if distance >= 0.0:
+            return False
+        met[i] = table[1]
+        return True
+    if kind == ANCHOR:
+        met[0], met[1], met[2] = table[0], table[1], table[2]
+        return True
+    if kind == SHAPES:
+        proxy.meet(table, memory, x, y, z)
+        contact = memory[IN_CONTACT] == 1.0
+        if contact:
+            met[0], met[1], met[2] = memory[PROXY], memory[PROXY + 1], memory[PROXY + 2]
+        met[3], met[4], met[5] = memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2]
+        met[6] = memory[DISTANCE]
+        return contact
+    return False
+
+
+def meeting_of(numbers: Numbers) -> Callable[[Vector], tuple[Vector, Vector, float, bool]]:
+    """Build the question of the plain tick: from a device position [m] to proxy, normal, distance and contact."""
+    kind, table, memory = numbers
+    met = [0.0] * MET
+
+    def ask(position: Vector) -> tuple[Vector, Vector, float, bool]:
+        x, y, z = position
+        contact = meet(kind, table, memory, x, y, z, met)
+        return (met[0], met[1], met[2]), (met[3], met[4], met[5]), met[6], contact
+
+    return ask
