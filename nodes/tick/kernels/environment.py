@@ -16,16 +16,17 @@ from nodes.tick.kernels.hop import answer, called, flush, monotonic, out_at, rec
 from nodes.tick.kernels.machine import compilable, reals_at, record_at
 from nodes.tick.kernels.scan import make_match, make_scan
 from nodes.tick.kernels.sources import kernel, record_of
-from nodes.tick.layout import EnvironmentState
+from nodes.tick.layout import TEXTS, EnvironmentState
 
 del _registered
 kernel(plane_distance)
 kernel(meet)
 _look = record_at(record_of(EnvironmentState))
 _scan = make_scan(DeviceState)
-# In a fault the position is no new one; whatever else is not usual is left to the plain tick, too.
-_is_active = make_match("active")
+# In a fault the position is no new one. A message without the word is of an active driver.
+_tells_fault = make_match("fault")
 _encode = make_encode(Proxy)
+_TEXTS = TEXTS
 _IN, _OUT = fields_of(DeviceState), fields_of(Proxy)
 _SEQ, _STAMP, _POSITION, _DELAY = (slot(_IN, name) for name in ("seq", "stamp", "position", "delay"))
 _TO_SEQ, _TO_CONTACT = (slot(_OUT, name) for name in ("seq", "contact"))
@@ -63,7 +64,7 @@ def ticks(address: int) -> int:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
             break
         seq = s.wholes[_SEQ]
-        if not in_order(s, seq) or not _is_active(s.wholes):
+        if not in_order(s, seq) or (s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)):
             break
         if overtaken(s, s.reals[_STAMP]):
             continue

@@ -80,8 +80,8 @@ STATES = [state_of(seq) for seq in range(TICKS)]
 PROXIES = [proxy_of(seq) for seq in range(TICKS)]
 CASES = {
     ("environment", "a surface of another package"): environment(STATES, TICKS),
-    ("environment", "a driver in any state but `active`"): environment(
-        [*STATES[:4], *(state_of(seq, safety="ramp") for seq in range(4, 7)), *STATES[7:]], 3
+    ("environment", "a driver in a fault"): environment(
+        [*STATES[:4], *(state_of(seq, safety="fault") for seq in range(4, 7)), *STATES[7:]], 3
     ),
     ("coupling", "the tick of a scheduled swap"): coupling(
         PROXIES, 2, schedule=[{"at": 0.006, "law": "soft"}, {"at": 0.012, "law": "pd", "ramp": 3}]
@@ -97,6 +97,9 @@ CASES = {
 STAYS = {
     "a hard surface, and one for both sides": environment(STATES, 0, kind="anchor", position=[0.0, 0.0, 0.01]),
     "shapes": environment(STATES, 0, kind="sphere", position=[0.0, 0.0, -0.02], radius=0.0195),
+    "a driver that lets its force in, or has stopped": environment(
+        [*STATES[:4], state_of(4, safety="ramp"), state_of(5, safety="stopped"), *STATES[6:]], 0
+    ),
     "nothing to touch": environment(STATES, 0, kind="free"),
     "a gap": coupling([*PROXIES[:3], *PROXIES[6:]], 0),
     "a recursive law": coupling(
