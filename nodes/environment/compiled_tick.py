@@ -25,7 +25,7 @@ class EnvironmentTicks(CompiledTicks):
     node : Environment
         The node.
     kernel : callable
-        nodes/tick/kernels/environment.py, compiled.
+        nodes/environment/kernel.py, compiled.
     """
 
     state: EnvironmentState

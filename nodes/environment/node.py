@@ -44,7 +44,7 @@ class Environment(Node):
     publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
     listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
     answers: ClassVar[bool] = True
-    kernel_module: ClassVar[str] = "nodes.tick.kernels.environment"
+    kernel_module: ClassVar[str] = "nodes.environment.kernel"
 
     @classmethod
     def check(cls, setup: Setup) -> None:

@@ -21,7 +21,7 @@ from sim.measure.stopwatch import Progress
 RATES = (500, 4000, 8000)
 
 KERNELS = (
-    "nodes.tick.kernels.environment",
+    "nodes.environment.kernel",
     "nodes.tick.kernels.coupling",
     "nodes.driver.kernel",
     "sim.device.kernel",

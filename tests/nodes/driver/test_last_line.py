@@ -82,7 +82,7 @@ def forces(folder: Path) -> list[float]:
 
 
 def test_environment_and_coupling_are_compiled_under_a_driver_that_is_not_virtual(tmp_path: Path) -> None:
-    kernels = ["nodes.tick.kernels.environment", "nodes.tick.kernels.coupling", "nodes.driver.kernel"]
+    kernels = ["nodes.environment.kernel", "nodes.tick.kernels.coupling", "nodes.driver.kernel"]
     assert choose("compiled", kernels, print) == "compiled"
     path = scene(tmp_path, run={"duration": 0.6, "tick": "compiled"})
     with running(tmp_path, path, environment=INSTALLED) as launch:

@@ -16,7 +16,7 @@ from nodes.tick.library import functions, library_of_pyzmq, obtain
 from tests.support.launching import running, wait_for
 
 TINY = "tests.support.tiny_kernel"
-KERNEL = "nodes.tick.kernels.environment"
+KERNEL = "nodes.environment.kernel"
 
 
 @pytest.fixture
@@ -111,10 +111,7 @@ def test_a_launch_says_which_tick_ran_and_has_the_other_made(empty_cache: Path, 
         (process, line), *more = background(empty_cache).items()
         try:
             assert not more
-            assert (
-                "nodes.driver.kernel nodes.tick.kernels.coupling nodes.tick.kernels.environment sim.device.kernel"
-                in line
-            )
+            assert "nodes.driver.kernel nodes.environment.kernel nodes.tick.kernels.coupling sim.device.kernel" in line
             wait_for(lambda: os.sched_getscheduler(process) == os.SCHED_IDLE, "it steps aside")
             assert os.getpriority(os.PRIO_PROCESS, process) == 19
             assert os.getsid(process) == process
