@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from array import array
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
@@ -16,9 +16,6 @@ from nodes.driver.tick import SILENT, UNREAD
 from nodes.tick.answering import WAIT_MS, CompiledTicks
 from nodes.tick.layout import Counted
 from nodes.tick.library import Kernel
-
-if TYPE_CHECKING:
-    from nodes.driver.node import Driver
 
 
 class DriverTicks(CompiledTicks):
@@ -39,7 +36,7 @@ class DriverTicks(CompiledTicks):
         The state that was published last.
     """
 
-    def __init__(self, node: Driver, kernel: Kernel, device: Device) -> None:
+    def __init__(self, node: Any, kernel: Kernel, device: Device) -> None:
         s: Any = node.driving
         super().__init__(node, kernel, s, topics.FORCE, topics.DEVICE_STATE, s.period, bool(s.realtime))
         self._driver = node
