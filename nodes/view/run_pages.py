@@ -55,6 +55,7 @@ class RunPage:
         self._cursor = self._feed.oldest(HISTORY)
         self._seq = -1
         self._void = True
+        self._refused = False
 
     def news(self) -> list[str | bytes]:
         """List what it has not been sent yet."""
@@ -67,8 +68,10 @@ class RunPage:
         return found
 
     def hand(self, target: list[float] | None) -> str:
-        """Move the hand's target."""
-        return self._pages.hand.move(id(self), target)
+        """Move the hand's target; a page that goes on asking while it is refused is told once, until it lets go."""
+        refused = self._pages.hand.move(id(self), target)
+        told, self._refused = self._refused, bool(refused)
+        return "" if told else refused
 
     async def ask(self, request: dict[str, Any]) -> Any:
         """Do what it asks."""
