@@ -46,7 +46,9 @@ def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
     assert "compiling the tick" in told[0]
     assert KERNEL in told[1]
     # A node, on another machine too, loads what is there and never compiles.
-    with pytest.raises(NotCompilableError, match=r"environment\.kernel is not compiled on this machine; `haptic launch"):
+    with pytest.raises(
+        NotCompilableError, match=r"environment\.kernel is not compiled on this machine; `haptic launch"
+    ):
         obtain(KERNEL)
 
 
