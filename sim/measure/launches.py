@@ -133,8 +133,9 @@ def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
         process = beside("launch", *words, "--json", "--no-plot", stdout=subprocess.DEVNULL, stderr=told)
 
         def ticking() -> RunInfo | None:
-            with contextlib.suppress(RunError, ControlError):
-                for name in runs():
+            for name in runs():
+                # Others come and go meanwhile.
+                with contextlib.suppress(RunError, ControlError):
                     run = find_run(name)
                     if run.launcher == process.pid and _ticks(run):
                         return run

@@ -22,7 +22,16 @@ from sim.identify.report import figures, from_figures
 from sim.population.virtual import excite
 from sim.tune.design import Wanted, demand, design, from_record, model, to_record
 from sim.tune.outcome import AGREES
-from tests.support.launching import HAPTIC, Running, haptic, launch_json, processes_of, running, wait_for
+from tests.support.launching import (
+    HAPTIC,
+    Running,
+    haptic,
+    launch_json,
+    private_runtime_dir,
+    processes_of,
+    running,
+    wait_for,
+)
 
 pytestmark = pytest.mark.realtime
 
@@ -47,13 +56,22 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
         "--duration",
         "4",
         "--taps",
-        "3",
+        "2",
         "--no-land",
         "--nyquist",
         "10000",
         "--json",
     )
-    done = subprocess.run([*HAPTIC, *words], cwd=folder, capture_output=True, text=True, timeout=170.0, check=False)
+    with private_runtime_dir() as place:
+        done = subprocess.run(
+            [*HAPTIC, *words],
+            cwd=folder,
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(place)},
+            capture_output=True,
+            text=True,
+            timeout=280.0,
+            check=False,
+        )
     assert done.returncode == 0, done.stderr + done.stdout
     return folder, last_line(done.stdout)
 
@@ -215,21 +233,21 @@ def test_a_killed_tuning_is_put_back_by_the_launch_itself(tuned: tuple[Path, dic
 
 
 def test_a_launch_that_the_verb_started_ends_with_it_even_when_it_is_killed(tmp_path: Path) -> None:
-    place = tmp_path / "run"
-    place.mkdir(mode=0o700)
-    environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(place)}
-    process = subprocess.Popen(
-        [*HAPTIC, "tune", *SCENE, "--duration", "600"],
-        cwd=tmp_path,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        process_group=0,
-    )
-    wait_for(lambda: list(place.glob("runs/*/run.json")), "the launch to be there")
-    process.kill()
-    process.wait()
-    wait_for(lambda: not processes_of(place) and not list(place.glob("runs/*")), "everything to be gone")
+    with private_runtime_dir() as place:
+        process = subprocess.Popen(
+            [*HAPTIC, "tune", *SCENE, "--duration", "600"],
+            cwd=tmp_path,
+            env={**os.environ, "HAPTIC_RUNTIME_DIR": str(place)},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            process_group=0,
+        )
+        try:
+            wait_for(lambda: list(place.glob("runs/*/run.json")), "the launch to be there")
+        finally:
+            process.kill()
+            process.wait()
+        wait_for(lambda: not processes_of(place) and not list(place.glob("runs/*")), "everything to be gone")
 
 
 def test_what_was_told_is_read_back() -> None:
