@@ -25,8 +25,10 @@ from sim.identify.interrupts import undisturbed
 
 RAMP = 100
 """Cross-fade from and to the law that was there [ticks]."""
-SURFACE_LEASE, LAW_LEASE = 2.0, 3.0
+SURFACE_LEASE, LAW_LEASE = 4.0, 5.0
 """So long after the last renewal surface and law are put back; the law later, as it is the stiffer one [s]."""
+PATIENT = 6.0
+"""Leases are so many times longer in lockstep: a loop that takes the whole machine pushes nobody."""
 RENEWED = 0.4
 """How often leases are renewed [s]."""
 SOFT_LAW, SOFT = "soft", {"kind": "knock", "taps": [0.0], "step": 1e-9, "ticks": 1}
@@ -210,11 +212,12 @@ class Borrowed:
     def take(self) -> None:
         """Take the leases."""
         loop = self._loop
+        longer = PATIENT if loop.run.nodes[loop.driver].pace == "lockstep" else 1.0
         back = {"law": self.law, "ramp": RAMP, "force": True}
         surface = {"values": {"surface": self._surface}}
-        take = {"name": LEASE, "seconds": LAW_LEASE, "then": "law.switch", "args": back}
+        take = {"name": LEASE, "seconds": longer * LAW_LEASE, "then": "law.switch", "args": back}
         ask(loop.run, loop.coupling, "lease.take", **take)
-        take = {"name": LEASE, "seconds": SURFACE_LEASE, "then": "param.set", "args": surface}
+        take = {"name": LEASE, "seconds": longer * SURFACE_LEASE, "then": "param.set", "args": surface}
         ask(loop.run, loop.environment, "lease.take", **take)
         self._renewing.start()
 
@@ -223,7 +226,7 @@ class Borrowed:
             try:
                 for node in (self._loop.environment, self._loop.coupling):
                     if ask(self._loop.run, node, "lease.renew", names=[LEASE])["run_out"]:
-                        held_up = f"this process was held up for longer than {SURFACE_LEASE:g} s"
+                        held_up = f"this process was held up for too long"
                         self._lost = f"{node}: {held_up}, and the launch took law and surface back"
             except RefusedError as error:
                 self._lost = self._lost or str(error)

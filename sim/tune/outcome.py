@@ -33,7 +33,7 @@ def verified(predicted: Mapping[str, Any], edge: Edge) -> dict[str, Any]:
     rests = climbed and rested is not None and rested >= 1.0
     holds = bool(rests and agrees and (by_poles is None or by_poles >= MARGIN))
     ended = edge.ended
-    if rests and not agrees and edge.ended:
+    if rests and not agrees and (factor is not None or edge.ended.startswith("every")):
         ended = f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that was identified"
     return {
         "holds": holds,

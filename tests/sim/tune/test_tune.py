@@ -227,7 +227,7 @@ def test_a_killed_tuning_is_put_back_by_the_launch_itself(tuned: tuple[Path, dic
         wait_for(lambda: state(launch)[0] == "trial", "a law to be on trial")
         process.kill()
         process.wait()
-        # Nobody asks for it: the leases run out after two and three seconds.
+        # Nobody asks for it: the leases run out after four and five seconds.
         wait_for(lambda: state(launch)[:2] == (law, surface), "law and surface to come back", 20.0)
         launch.finish(signal.SIGINT, code=None)
         assert "has run out" in launch.errors
