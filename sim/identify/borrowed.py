@@ -226,7 +226,7 @@ class Borrowed:
             try:
                 for node in (self._loop.environment, self._loop.coupling):
                     if ask(self._loop.run, node, "lease.renew", names=[LEASE])["run_out"]:
-                        held_up = f"this process was held up for too long"
+                        held_up = "this process was held up for too long"
                         self._lost = f"{node}: {held_up}, and the launch took law and surface back"
             except RefusedError as error:
                 self._lost = self._lost or str(error)
