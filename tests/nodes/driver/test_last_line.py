@@ -81,7 +81,7 @@ def forces(folder: Path) -> list[float]:
 # -- the compiled tick under a driver that exists -------------------------------------------------------------------------
 
 
-def test_environment_and_coupling_are_compiled_under_a_driver_that_is_not_virtual(tmp_path: Path) -> None:
+def test_a_driver_that_is_not_virtual_has_the_compiled_tick_too(tmp_path: Path) -> None:
     kernels = ["nodes.environment.kernel", "nodes.tick.kernels.coupling", "nodes.driver.kernel"]
     assert choose("compiled", kernels, print) == "compiled"
     path = scene(tmp_path, run={"duration": 0.6, "tick": "compiled"})
@@ -89,8 +89,9 @@ def test_environment_and_coupling_are_compiled_under_a_driver_that_is_not_virtua
         figures = launch.finish()
     assert figures["tick"] == "compiled"
     compiled = figures["ticks_compiled"]
-    assert compiled["driver"] == 0
-    assert min(compiled["environment"], compiled["coupling"]) > 0.8 * (figures["ticks"] - figures["missed"])
+    assert min(compiled[node] for node in ("driver", "environment", "coupling")) > 0.8 * (
+        figures["ticks"] - figures["missed"]
+    )
     # 1 mm into 1000 N/m, at rest.
     assert forces(tmp_path).count(1.0) > 0.8 * (figures["ticks"] - figures["missed"])
 
