@@ -1,0 +1,143 @@
+"""Parameters and laws of a running launch: read, listed, changed between two ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from sim.api.values import plain
+
+__all__ = [
+    "Asked",
+    "Laws",
+    "Parameters",
+]
+
+
+class Asked(Protocol):
+    """What a launch offers to those that change it (`sim.api.runs.Run`)."""
+
+    @property
+    def nodes(self) -> Sequence[str]:
+        """Names of its nodes."""
+
+    def ask(self, node: str, op: str, **args: Any) -> Any:
+        """Ask a node."""
+
+    def role(self, part: str) -> str:
+        """Name the node that has a part in the loop."""
+
+
+class Parameters:
+    """Parameters of a running launch: ``run.param["coupling.laws.pd.stiffness"] = 1500``.
+
+    Parameters
+    ----------
+    run : Asked
+        The launch.
+    """
+
+    def __init__(self, run: Asked) -> None:
+        self._run = run
+
+    def __getitem__(self, name: str) -> Any:
+        """Read ``node.path``, or all parameters of ``node``."""
+        node, _, path = name.partition(".")
+        return self._run.ask(node, "param.get", name=path) if path else self._run.ask(node, "param.dump")
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [f"{node}.{path}" for node in self._run.nodes for path in self.list(node)]
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Change one; what would be unstable is refused."""
+        node, _, path = name.partition(".")
+        self.set(node, {path: value})
+
+    def set(self, node: str, values: dict[str, Any], force: bool = False) -> dict[str, Any]:
+        """Change several parameters of a node between two ticks, all or nothing.
+
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+        values : dict of str to object
+            Path of the parameter to its value.
+        force : bool
+            Take a change with which the loop becomes unstable.
+
+        Returns
+        -------
+        dict
+            The receipt: tick, old and new values, force step.
+        """
+        wanted = {"force": True} if force else {}
+        receipt: dict[str, Any] = self._run.ask(node, "param.set", values=plain(values), **wanted)
+        return receipt
+
+    def list(self, node: str) -> dict[str, Any]:
+        """List a node's parameters.
+
+        Parameters
+        ----------
+        node : str
+            Name of the node.
+
+        Returns
+        -------
+        dict of str to object
+            Path to value.
+        """
+        found: dict[str, Any] = self._run.ask(node, "param.list")
+        return found
+
+
+class Laws:
+    """Laws of a running launch.
+
+    Parameters
+    ----------
+    run : Asked
+        The launch.
+    """
+
+    def __init__(self, run: Asked) -> None:
+        self._run = run
+
+    def switch(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
+        """Switch the law between two ticks.
+
+        Parameters
+        ----------
+        law : str
+            One of `list`.
+        ramp : int, optional
+            Cross-fade [ticks]; the coupling's own when left out.
+        force : bool
+            Take a law with which the loop becomes unstable.
+
+        Returns
+        -------
+        dict
+            The receipt: tick, force step, what was and what is rendered.
+        """
+        wanted: dict[str, Any] = {"force": True} if force else {}
+        if ramp is not None:
+            wanted["ramp"] = ramp
+        receipt: dict[str, Any] = self._run.ask(self._run.role("coupling"), "law.switch", law=law, **wanted)
+        return receipt
+
+    def list(self) -> dict[str, dict[str, Any]]:
+        """List the laws that the coupling can switch to.
+
+        Returns
+        -------
+        dict of str to dict
+            Name to kind and parameters.
+        """
+        found: dict[str, dict[str, Any]] = self._run.ask(self._run.role("coupling"), "law.list")["laws"]
+        return found
+
+    @property
+    def active(self) -> str:
+        """Name of the law that renders now."""
+        return str(self._run.ask(self._run.role("coupling"), "law.list")["active"])
