@@ -8,13 +8,12 @@ from typing import Any, Protocol
 from sim.api.values import plain
 
 __all__ = [
-    "Asked",
     "Laws",
     "Parameters",
 ]
 
 
-class Asked(Protocol):
+class _Asked(Protocol):
     """What a launch offers to those that change it (`sim.api.runs.Run`)."""
 
     @property
@@ -33,11 +32,11 @@ class Parameters:
 
     Parameters
     ----------
-    run : Asked
+    run : sim.api.runs.Run
         The launch.
     """
 
-    def __init__(self, run: Asked) -> None:
+    def __init__(self, run: _Asked) -> None:
         self._run = run
 
     def __getitem__(self, name: str) -> Any:
@@ -96,11 +95,11 @@ class Laws:
 
     Parameters
     ----------
-    run : Asked
+    run : sim.api.runs.Run
         The launch.
     """
 
-    def __init__(self, run: Asked) -> None:
+    def __init__(self, run: _Asked) -> None:
         self._run = run
 
     def switch(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def test_interrupt_before_the_time_ends_cleanly(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("flor_drop",), "no launch file is named 'flor_drop'; there is: floor"),
+        (("flor_drop",), "no launch file is named 'flor_drop'; there is: box_edges, floor"),
         (("floor_drop", "stifness:=3"), "no argument 'stifness'; there is: rate"),
         (
             ("floor_drop", "stiffness:=soft"),

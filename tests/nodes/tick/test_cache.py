@@ -156,7 +156,7 @@ def test_other_sources_make_other_code(place: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("module", "needs"),
     [
-        ("sim.identify.virtual", "nodes/laws/excitation.py"),
+        ("sim.population.virtual", "nodes/laws/excitation.py"),
         ("sim.scene.tick_loop", "nodes/kernels.py"),
         ("sim.experiments.drop", "sim/scene/tick_loop.py"),
         ("nodes.tick.kernels.coupling", "messages/types.py"),
@@ -169,12 +169,12 @@ def test_every_source_counts_near_and_far(module: str, needs: str) -> None:
 
 def test_sources_are_those_that_are_loaded() -> None:
     code = (
-        "import sys; import sim.identify.virtual; from nodes.tick import cache;"
+        "import sys; import sim.population.virtual; from nodes.tick import cache;"
         "print(*{m.__file__ for n, m in sys.modules.items() if n.split('.')[0] in ('messages', 'nodes', 'sim')})"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {str(Path(file).relative_to(cache.ROOT)) for file in done.stdout.split()}
-    assert loaded <= {*cache.sources_of("sim.identify.virtual"), "nodes/tick/cache.py"}
+    assert loaded <= {*cache.sources_of("sim.population.virtual"), "nodes/tick/cache.py"}
 
 
 class Evil:

@@ -316,7 +316,7 @@ def test_path_is_linear_between_and_held_beyond() -> None:
     [
         ({"mass": 0.0}, r"> 0.0.*\$\.mass"),
         ({"mass": -0.1}, r"> 0.0.*\$\.mass"),
-        ({"mass": math.inf}, "mass is inf"),
+        ({"mass": math.inf}, "mass: inf"),
         ({"mass": 0.1, "damping": -1.0}, r">= 0.0.*\$\.damping"),
         ({"mass": 0.1, "delay": math.nan}, "delay|nan"),
         ({"mass": 0.1, "colour": 1}, "unknown field `colour`"),

@@ -48,6 +48,8 @@ VARIANTS = (
 PLAYED = [name for name in launch_file.scenarios() if len(launch_file.read(name, {}).run.axes) == 1]
 """One process plays one axis; scenes of three are compared in test_touch_launched."""
 
+pytestmark = pytest.mark.timeout(600)  # the kernels are compiled once, which takes minutes on a busy machine
+
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_before() -> None:
