@@ -65,7 +65,7 @@ def test_shipped_scenarios_model_enough_and_no_more(scenario: str) -> None:
     sought = ("resolution",) if scenario == "identify" else ()
     assert found.superfluous == sought
     assert found.missing == ()
-    declared = [finding for finding in found.findings if finding.switched == "off" and finding.name not in sought]
+    declared = [finding for finding in found.findings if finding.switched == "off" and finding.term not in sought]
     assert declared
     assert all(finding.verdict in ("needed", "protects") for finding in declared)
 
