@@ -98,6 +98,8 @@ class Fault:
         Whether nobody reads what the launch prints.
     exit_code : int
         What the launch must end with: not 0 where a node does not come back.
+    judge : callable
+        What else the driver's messages since the strike must not show: tells what they do.
     """
 
     name: str
@@ -108,6 +110,7 @@ class Fault:
     tidy: Callable[[], None] = lambda: None
     unread: bool = False
     exit_code: int = 0
+    judge: Callable[[Sequence[DeviceState]], list[str]] = lambda _: []
 
 
 def scene() -> dict[str, Any]:
@@ -258,6 +261,7 @@ def drill(fault: Fault, patience: float = 15.0) -> Outcome:
         wrong.append(f"damped with {excess:.3g} N more than damping times velocity")
     if rig.exit_code != fault.exit_code:
         wrong.append(f"the launch ended with exit code {rig.exit_code}: {errors[-1000:]}")
+    wrong += fault.judge(window)
     wrong += [f"left behind: {what}" for what in rig.left]
     outcome.passed = not wrong
     outcome.reasons = wrong or list(rig.summary.get("safety", {}).get("reasons", []))

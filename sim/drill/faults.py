@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sim.drill import intruders, last_line
+from sim.drill import intruders, last_line, people
 from sim.drill.drill import Fault, FaultSkippedError, kill
 from sim.measure.launches import within
 from sim.measure.rig import Rig
@@ -212,4 +212,5 @@ def faults() -> list[Fault]:
         Fault(name="starvation", what="4 busy processes per core, no FIFO", strike=_starve, change=last_line.no_fifo),
         *last_line.faults(),
         *intruders.faults(),
+        *people.faults(),
     ]

@@ -7,6 +7,7 @@ import json
 import shutil
 import signal
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,12 @@ import pytest
 
 from messages.types import DeviceState
 from nodes.driver.device import DeviceLimits
-from nodes.driver.limits import lower
+from nodes.driver.limits import SafetyParameters, lower
 from nodes.launcher import launch_file
 from nodes.launcher.runs import alive
 from nodes.parameters.store import convert
 from sim.device.driver import SimDevice, SimDriverParameters
-from sim.drill import drill
+from sim.drill import drill, people
 from sim.drill.faults import faults
 from sim.drill.soak import soak
 from sim.drill.witness import UNEXPLAINED, largest
@@ -102,6 +103,44 @@ def test_a_cause_is_what_was_counted_for_long_enough() -> None:
     assert largest({}, look(1.0, 1.0, 1.0), 0.01, 0.002) == UNEXPLAINED
 
 
+def _sunk(first: int, shares: Sequence[float], given: float = 0.0) -> list[DeviceState]:
+    """Make up a hand 20 mm deep: a force, none, then these shares of the largest one, and energy given out with them [J]."""
+    told = [(0.2, "active", 0.0), (0.0, "zero", 0.0), *((share, "ramp", given) for share in shares)]
+    return [
+        DeviceState(
+            seq=seq,
+            stamp=0.0,
+            position=(0.0, 0.0, -0.02),
+            force=(0.0, 0.0, people.PEAK * share),
+            force_seq=seq,
+            safety=safety,
+            energy=energy,
+        )
+        for seq, (share, safety, energy) in enumerate(told, first)
+    ]
+
+
+def test_a_force_that_comes_back_keeps_its_ramp_and_throws_nobody() -> None:
+    ramp = round(SafetyParameters().recovery * drill.RATE)
+    shares = [(n + 1) / ramp for n in range(ramp)]
+    right, later = _sunk(0, shares), 10 * ramp
+    assert people.thrown([*right, *_sunk(later, shares)]) == []
+    assert people.thrown(right) == ["the force came back 1 times, not twice"]
+    assert "1 ticks after none" in people.thrown([*right, *_sunk(later, [1.01 / ramp, *shares[1:]])])[0]
+    # 9 N over 20 mm, the damping of the way and the speed at its end: 0.217 J.
+    assert people.thrown([*right, *_sunk(later, [0.0], 0.215)]) == []
+    assert "the way out takes 217 mJ" in people.thrown([*right, *_sunk(later, [0.0], 0.22)])[0]
+
+
+def test_a_push_that_nobody_asked_for_is_seen() -> None:
+    assert people.unasked([state(1, 0, 1.7), state(2, 1, 1.75), state(3, 2, 1.62)]) == []
+    assert people.unasked([state(1, 0, 1.7), state(2, 1, 1.0)]) != []
+    # Right after a gap of the machine's the hand is still on its way.
+    late = [state(1, 0, 1.7), state(2, 1, 0.0, "zero"), *(state(k, k - 1, 1.0) for k in range(3, 4 + people.SETTLED))]
+    assert people.unasked(late[:-1]) == []
+    assert people.unasked(late) != []
+
+
 def test_recovery_needs_calm() -> None:
     run = [state(k, k - 1) for k in range(drill.CALM)]
     assert drill.in_order(run)
@@ -163,8 +202,15 @@ def test_faults_end_safe_recover_and_leave_nothing(name: str) -> None:
     assert name == "killed in start-up" or outcome.lost_ticks > drill.WATCHDOG
 
 
-@pytest.mark.parametrize("name", ["oversize message", "impostor", "revoked key", "fd exhaustion"])
-def test_intruders_are_told_and_put_out_and_the_loop_goes_on(name: str) -> None:
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("oversize message", "impostor", "revoked key", "fd exhaustion", "unruly listeners"),
+        *("driver exits", "slow logger", "stopped reaper"),
+        *("hand sinks in", "tune ended", "pressed device"),
+    ],
+)
+def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: str) -> None:
     outcome = drill.drill(next(fault for fault in faults() if fault.name == name))
     assert outcome.passed, outcome.reasons
     assert outcome.left == []

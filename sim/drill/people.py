@@ -1,0 +1,206 @@
+"""Faults in which somebody pushes, or waits: a hand that goes on pushing, and verbs that hold the device when they end."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+from messages.transport.requests import ControlError
+from messages.types import DeviceState
+from nodes.driver.limits import SafetyParameters
+from nodes.driver.safety import RETURN_SPEED
+from sim.drill.drill import RATE, Fault, kill
+from sim.measure.launches import MeasurementError, wait_for
+from sim.measure.rig import Rig
+from sim.tune.live import TRIAL
+
+PEAK = 40.0
+"""Largest force that a hand which has sunk in may meet [N]."""
+
+STIFFNESS, PATH = 150.0, -0.06
+"""Of a hand that goes on pushing [N/m], and where it pulls to [m]: 9 N at the surface."""
+
+MASS, DAMPING = 0.1, 2.0
+"""The same of its own mass [kg], as much as the device's, and of its damping [N s/m]."""
+
+SUNK = 0.01
+"""So deep a hand sinks at least while nobody answers [m]."""
+
+SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
+"""What ends a tuning: a polite kill, a closed terminal, and one that asks nobody."""
+
+TAPS = [500.0, -400.0]
+"""A law on trial [N/m], and the steps of 2 % above it that are tried: it comes to rest at all of them."""
+FIRST, LAST = 3, 40
+
+SETTLED = 150
+"""So long after a gap the hand stands where it stood [ticks]."""
+
+BACK = 20.0
+"""A launch has taken back what was borrowed after so long [s]: four times its leases."""
+
+
+def _pushed(content: dict[str, Any]) -> None:
+    """Let a hand push as strongly as before, however deep it is in."""
+    parameters = content["nodes"]["driver"]["parameters"]
+    parameters["device"]["hand"] = {"mass": MASS, "damping": DAMPING, "stiffness": STIFFNESS, "path": [[0.0, PATH]]}
+    parameters["safety"] |= {"peak_force": PEAK, "slew": PEAK * RATE, "workspace": [[-0.2, 0.2]] * 3}
+    for node in ("environment", "coupling"):
+        content["nodes"][node]["respawn_delay"] = 0.2
+
+
+def _let_sink(rig: Rig) -> None:
+    """Kill who answers, twice: each time the hand sinks in, and meets the law again far below the surface."""
+    for node in ("coupling", "environment"):
+        kill(node)(rig)
+        wait_for(lambda: rig.states[-1].safety == "active", "forces to come back", 15.0)
+
+
+def thrown(states: Sequence[DeviceState]) -> list[str]:
+    """Tell where a force came back faster than by its ramp, or gave out more energy than the way out takes."""
+    recovery = round(SafetyParameters().recovery * RATE)
+    silent = [n for n, (a, b) in enumerate(pairwise(states)) if (a.safety, b.safety) == ("zero", "ramp")]
+    wrong = [] if len(silent) >= 2 else [f"the force came back {len(silent)} times, not twice"]
+    for n in silent:
+        last = states[n].seq
+        after = [state for state in states[n:] if state.seq <= last + 6 * recovery]
+        depth = -min(state.position[2] for state in after)
+        if depth < SUNK:
+            wrong.append(f"the hand sank in by {1e3 * depth:.1f} mm only")
+        for state in after:
+            allowed = PEAK * min(state.seq - last, recovery) / recovery
+            # Two roundings.
+            if abs(state.force[2]) > allowed * (1.0 + 1e-15):
+                wrong.append(
+                    f"{abs(state.force[2]):.3g} N, {state.seq - last} ticks after none; the ramp allows {allowed:.3g} N"
+                )
+                break
+        # The way out takes what the hand pushes with, and the speed of that way: half as fast again, for ticks of acceleration.
+        speed = 1.5 * RETURN_SPEED
+        allowed = (STIFFNESS * -PATH + (1.0 + DAMPING) * speed) * depth + 0.5 * (0.1 + MASS) * speed**2
+        given = max(state.energy for state in after) - after[0].energy
+        if given > allowed:
+            wrong.append(
+                f"{1e3 * given:.0f} mJ given out from {1e3 * depth:.0f} mm deep; the way out takes {1e3 * allowed:.0f} mJ"
+            )
+    return wrong
+
+
+def _held(content: dict[str, Any]) -> None:
+    """Hold the device at a point, as a launch does that a law is tuned on; nobody touches it."""
+    del content["nodes"]["driver"]["parameters"]["device"]["hand"]
+    content["nodes"]["environment"]["parameters"]["surface"] = {"kind": "anchor", "position": [0.0, 0.0, 0.0]}
+
+
+def _designed(rig: Rig) -> None:
+    """Leave what a design and a prediction leave: a law to be tried from above itself."""
+    h1 = sum(TAPS)
+    edges = {
+        "edge_h1_n_per_m": None,
+        "edge_factor": None,
+        "edge_linear_h1_n_per_m": 10.0 * h1,
+        "edge_linear_factor": 10.0,
+    }
+    asked = {"mass": [MASS, MASS], "delay": [0.0, 1.0], "radius": 1.0}
+    told = {
+        "designed": {"taps_n_per_m": TAPS, "h1_n_per_m": h1, "gain_over_pd": None, "lands": False, "demand": asked},
+        "predicted": {
+            **edges,
+            "h1_n_per_m": h1,
+            "knock_m": 1e-3,
+            "pole_radius": 1.0,
+            "drops_settled": 0,
+            "drops": 0,
+            "stable_up_to_delay_ticks": None,
+            "every_delay_stable": None,
+            "limit_cycle_free": None,
+        },
+        "predicted_steps": {"steps": [], "ended": "", "plan": {"first": FIRST, "near": FIRST, "last": LAST}},
+    }
+    folder = rig.folder / "tuning"
+    folder.mkdir(exist_ok=True)
+    (folder / "tune.json").write_text(json.dumps(told), encoding="utf-8")
+
+
+def _borrowed(rig: Rig) -> tuple[Any, Any]:
+    """Ask for what a verb borrows: the active law, and the surface."""
+    try:
+        return rig.call("coupling", "law.list")["active"], rig.call("environment", "param.get", name="surface")
+    except ControlError as error:
+        raise MeasurementError(str(error)) from error
+
+
+def _end_tuning(rig: Rig) -> None:
+    """Tune, and end it by each signal while a law is on trial: the launch must have its own law and surface again."""
+    before = _borrowed(rig)
+    for number in SIGNALS:
+        _designed(rig)
+        with rig.beside("tune", "--steps", "verify") as tuning:
+            try:
+                _end_on_trial(rig, tuning, number)
+            finally:
+                tuning.kill()
+        # What was killed gives nothing back: the leases of the nodes do.
+        patience = BACK if number == signal.SIGKILL else 1.0
+        wait_for(lambda: _borrowed(rig) == before, f"the launch's own law and surface after {number.name}", patience)
+
+
+def _end_on_trial(rig: Rig, tuning: subprocess.Popen[bytes], number: signal.Signals) -> None:
+    wait_for(lambda: tuning.poll() is not None or _borrowed(rig)[0] == TRIAL, "a law on trial", 30.0)
+    tuning.send_signal(number)
+    try:
+        code = tuning.wait(BACK)
+    except subprocess.TimeoutExpired as error:
+        raise MeasurementError(f"haptic tune does not end on {number.name}") from error
+    if code != (-number if number == signal.SIGKILL else 128 + number):
+        raise MeasurementError(f"haptic tune ended with exit code {code}, not by {number.name}")
+
+
+def _press(rig: Rig) -> None:
+    """Ask for an identification and a tuning while a hand presses: both must refuse, and leave the launch as it is."""
+    before = _borrowed(rig)
+    _designed(rig)
+    for words in (("device", "identify"), ("tune", "--steps", "verify")):
+        done = rig.haptic(*words, code=None)
+        told, verb = done.stdout + done.stderr, f"haptic {' '.join(words)}"
+        if done.returncode != 1 or "let go first" not in told:
+            raise MeasurementError(f"{verb}: exit code {done.returncode} while a hand presses: {told[-500:]}")
+        if _borrowed(rig) != before:
+            raise MeasurementError(f"{verb}: refused, and has changed law or surface all the same")
+
+
+def unasked(states: Sequence[DeviceState]) -> list[str]:
+    """Tell whether the device was pushed: a hand that presses a wall does so with one force, but for gaps of the machine's."""
+    calm, pressed = 0, states[0].force[2]
+    for state in states:
+        calm = calm + 1 if state.safety == "active" else 0
+        # After a gap the hand comes out of the wall first. A push begins with tenths of a newton.
+        if (calm == state.seq - states[0].seq + 1 or calm > SETTLED) and abs(state.force[2] - pressed) > 0.1 * abs(
+            pressed
+        ):
+            return [f"{state.force[2]:.3g} N at tick {state.seq}, where a hand presses with {pressed:.3g} N"]
+    return []
+
+
+def faults() -> list[Fault]:
+    """List them."""
+    return [
+        Fault(
+            name="hand sinks in",
+            what=f"coupling, then environment killed while a hand pushes with {-STIFFNESS * PATH:g} N",
+            strike=_let_sink,
+            change=_pushed,
+            judge=thrown,
+        ),
+        Fault(
+            name="tune ended",
+            what=f"{', '.join(number.name for number in SIGNALS)} with a law on trial",
+            strike=_end_tuning,
+            change=_held,
+        ),
+        Fault(name="pressed device", what="identify and tune while a hand presses", strike=_press, judge=unasked),
+    ]
