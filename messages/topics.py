@@ -13,7 +13,9 @@ __all__ = [
     "RECEIPT",
     "event",
     "message_type",
+    "split",
     "status",
+    "within",
 ]
 
 DEVICE_STATE = "/device/state"
@@ -59,8 +61,26 @@ def event(node: str) -> str:
     return f"/{node}/event"
 
 
-def message_type(topic: str) -> type[Message] | None:
-    """Type of the messages on a topic.
+def within(namespace: str, topic: str) -> str:
+    """Put a topic of a chain into the namespace of the chain, as in ROS.
+
+    Parameters
+    ----------
+    namespace : str
+        Namespace without slashes around it, e.g. ``left``; empty for none.
+    topic : str
+        Topic inside the chain, e.g. ``/device/state``.
+
+    Returns
+    -------
+    str
+        Full name, e.g. ``/left/device/state``.
+    """
+    return f"/{namespace}{topic}" if namespace else topic
+
+
+def split(topic: str) -> tuple[str, str]:
+    """Take a full name apart: the inverse of `within`.
 
     Parameters
     ----------
@@ -69,9 +89,28 @@ def message_type(topic: str) -> type[Message] | None:
 
     Returns
     -------
+    tuple of str and str
+        Namespace (empty for none) and topic inside the chain.
+    """
+    namespace, _, rest = topic.removeprefix("/").rpartition("/")
+    namespace, _, middle = namespace.rpartition("/")
+    return (namespace, f"/{middle}/{rest}") if namespace else ("", topic)
+
+
+def message_type(topic: str) -> type[Message] | None:
+    """Type of the messages on a topic.
+
+    Parameters
+    ----------
+    topic : str
+        Full topic name, with or without a namespace.
+
+    Returns
+    -------
     type of Message or None
         None for a topic that is not part of the protocol.
     """
+    topic = split(topic)[1]
     if topic in FIXED:
         return FIXED[topic]
     if topic.count("/") == 2 and topic.startswith("/"):

@@ -120,8 +120,12 @@ class ControlServer(threading.Thread):
         node = self._node
         return {
             "status": msgspec.to_builtins(node.status()),
-            "publishes": [*node.publishes, topics.status(node.setup.name), topics.event(node.setup.name)],
-            "listens_to": list(node.listens_to),
+            "publishes": [
+                *map(node.setup.topic, node.publishes),
+                topics.status(node.setup.name),
+                topics.event(node.setup.name),
+            ],
+            "listens_to": [topic if topic == "*" else node.setup.topic(topic) for topic in node.listens_to],
             "operations": sorted(self._operations),
             "endpoint": node.setup.publish,
         }

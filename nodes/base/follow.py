@@ -20,6 +20,7 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
     In real time a message that is older than a period when it arrives is skipped if a newer one is already there: a
     node that was stalled goes on with the present, not with what piled up. In lockstep every message is taken.
     """
+    topic = node.setup.topic(topic)
     expected = topic.encode()
     ticks = node.compiled()
     realtime, period = node.setup.pace == "realtime", node.setup.period

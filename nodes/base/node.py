@@ -249,7 +249,8 @@ class Node(Telling, Changeable):
             Makes a subscription from endpoints, topics and queue length.
         """
         if self.listens_to:
-            self.inbox = subscribe({self.setup.sources[topic] for topic in self.listens_to}, self.listens_to, 1000)
+            wanted = [self.setup.topic(topic) for topic in self.listens_to]
+            self.inbox = subscribe({self.setup.sources[topic] for topic in self.listens_to}, wanted, 1000)
 
     def loop(self) -> None:
         """Tick until `stopping` (main thread)."""

@@ -105,7 +105,7 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
 
         node.connect(subscribe)
         if node.answers and node.inbox is not None:
-            node.waker = Waker(context, node.listens_to[0].encode())
+            node.waker = Waker(context, node.setup.topic(node.listens_to[0]).encode())
             node.inbox.woken_by(node.waker)
         control = ControlServer(node, context, links)
         if gate is not None:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from messages import topics
 from messages.types import Real
 
 __all__ = [
@@ -49,7 +50,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     run, run_dir : str
         Name of the run and its private directory.
     name, kind, factory : str
-        Name in the launch, kind, and ``module:Class`` that implements it.
+        Name in the launch (with the namespace of its chain: ``left/driver``), kind, and ``module:Class`` that implements it.
     period : float
         Sampling period T [s].
     pace : str
@@ -75,7 +76,9 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     patience : float
         How long it waits for its listeners [s].
     sources : dict of str to str
-        Topic (or ``<node>``, for all its topics) to the endpoint that publishes it.
+        Topic inside the chain (or ``<node>``, for all its topics) to the endpoint that publishes it.
+    remap : dict of str to str
+        Topic inside the chain to the full name of the one that the node takes in its place.
     listeners : int
         Subscriptions of the launch's own nodes to wait for before the first tick.
     scheduling : Scheduling
@@ -104,6 +107,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     publish: str
     control: str
     sources: dict[str, str]
+    remap: dict[str, str] = {}
     tick: Tick = "plain"
     listen: str = ""
     reach: str = ""
@@ -119,3 +123,23 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     manifest: dict[str, str] = {}
     clock_offset: Real = 0.0
     clock_error: Annotated[float, msgspec.Meta(ge=0.0, le=sys.float_info.max)] = 0.0
+
+    @property
+    def namespace(self) -> str:
+        """Namespace of the node's chain; empty for none."""
+        return self.name.rpartition("/")[0]
+
+    def topic(self, topic: str) -> str:
+        """Name on the wire of a topic inside the chain.
+
+        Parameters
+        ----------
+        topic : str
+            E.g. ``/device/state``.
+
+        Returns
+        -------
+        str
+            What it is remapped to, or the topic in the namespace of the chain.
+        """
+        return self.remap.get(topic) or topics.within(self.namespace, topic)

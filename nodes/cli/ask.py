@@ -26,6 +26,14 @@ def chosen_run(arguments: argparse.Namespace) -> RunInfo:
         raise UsageError(str(error)) from error
 
 
+def chosen_chain(arguments: argparse.Namespace) -> RunInfo:
+    """Find the chain that is meant: as `chosen_run`, and of a run with several one has to be named."""
+    try:
+        return chosen_run(arguments).only_chain()
+    except RunError as error:
+        raise UsageError(str(error)) from error
+
+
 def node_name(run: RunInfo, name: str) -> str:
     """Find a node by name, with or without the leading slash."""
     try:

@@ -32,7 +32,7 @@ from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
 from nodes.recording.ended import Ended, write_ended
-from nodes.recording.logger import LoggerParameters
+from nodes.recording.logger import LoggerParameters, file_of
 from nodes.tick.choose import compile_later
 
 
@@ -125,7 +125,7 @@ def _path_of(setup: Setup, run: str) -> str:
     """Name the file of a node that records on this machine; empty for any other, or where no file was begun."""
     if setup.kind != "logger" or setup.control.startswith("tcp://"):
         return ""
-    path = msgspec.convert(setup.parameters, LoggerParameters).path.replace("{run}", run)
+    path = file_of(msgspec.convert(setup.parameters, LoggerParameters).path, run, setup.name)
     return path if os.path.exists(path) else ""
 
 
@@ -139,38 +139,48 @@ def _note_cut(supervisor: Supervisor, ticks: int) -> None:
 
 def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
     """Collect the figures of a run from the reports of its nodes."""
-    driver = next((r for name, r in supervisor.reports.items() if supervisor.children[name].drives), {})
-    axis = "xyz".index(launch.run.axes[0])
-    final = driver.get("final", {})
-    single = len(launch.run.axes) == 1
+    drivers = {name.rpartition("/")[0]: name for name, child in supervisor.children.items() if child.drives}
+    chains = {chain: _of_chain(launch, chain, supervisor.reports.get(name, {})) for chain, name in drivers.items()}
     recordings = [place + path for place, path in _recordings(launch, supervisor)]
     return {
         "scenario": launch.scenario,
         "run": supervisor.run,
-        "ticks": driver.get("ticks", 0),
-        "missed": driver.get("missed", 0),
-        "overruns": driver.get("overruns", 0),
-        "rate_hz": driver.get("rate_hz", 0.0),
+        # Of several chains the first, and all below.
+        **next(iter(chains.values()), _of_chain(launch, "", {})),
         "tick": supervisor.tick,
         "tick_by_node": {name: tick for name, report in supervisor.reports.items() if (tick := report.get("tick"))},
         "ticks_compiled": {name: report.get("ticks_compiled", 0) for name, report in supervisor.reports.items()},
-        "response_us": driver.get("response_us", {}),
-        "age_ticks_max": driver.get("age_ticks_max", 0),
-        "energy_j": driver.get("energy_j", 0.0),
-        "energy_max_j": driver.get("energy_max_j", 0.0),
-        "guard": driver.get("guard"),
-        "safety": driver.get("safety", {}),
         "recording": recordings[0] if recordings else None,
         "recordings": recordings,
         "plot": None,
         "exit_reason": supervisor.exit_reason,
         "failures": supervisor.failures,
         "startup_s": round(supervisor.startup_s, 3),
+        "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
+        **({"chains": chains} if len(chains) > 1 else {}),
+    }
+
+
+def _of_chain(launch: Launch, chain: str, driver: dict[str, Any]) -> dict[str, Any]:
+    """Figures of one chain, from its driver's report."""
+    axes = launch.axes.get(chain) or launch.run.axes
+    axis, single = "xyz".index(axes[0]), len(axes) == 1
+    final = driver.get("final", {})
+    return {
+        "ticks": driver.get("ticks", 0),
+        "missed": driver.get("missed", 0),
+        "overruns": driver.get("overruns", 0),
+        "rate_hz": driver.get("rate_hz", 0.0),
+        "response_us": driver.get("response_us", {}),
+        "age_ticks_max": driver.get("age_ticks_max", 0),
+        "energy_j": driver.get("energy_j", 0.0),
+        "energy_max_j": driver.get("energy_max_j", 0.0),
+        "guard": driver.get("guard"),
+        "safety": driver.get("safety", {}),
         "final": {
             key: (final[key][axis] if single else final[key]) if key in final else None
             for key in ("position_m", "force_n", "motion", "swing_m", "frequency_hz", "velocity_m_per_s")
         },
-        "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
     }
 
 
@@ -198,9 +208,23 @@ def _ending(final: dict[str, Any], stopped: bool) -> str:
 
 
 def _text(launch: Launch, figures: dict[str, Any]) -> str:
-    response = figures["response_us"]
     lines = [f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"]
     lines += [f"  failed    {failure}" for failure in figures["failures"] if failure != figures["exit_reason"]]
+    by_node = figures["tick_by_node"]
+    if by_node:
+        ticks = sorted(set(by_node.values()))
+        shown = [f"{tick}: {', '.join(name for name in by_node if by_node[name] == tick)}" for tick in ticks]
+        lines.append(f"  tick      {'; '.join(shown) if len(ticks) > 1 else ticks[0]}")
+    for chain, own in figures.get("chains", {"": figures}).items():
+        lines += [f" /{chain}"] if chain else []
+        lines += _chain_text(own)
+    lines += [f"  recording {path}" for path in figures["recordings"]]
+    return "\n".join(lines)
+
+
+def _chain_text(figures: dict[str, Any]) -> list[str]:
+    """Lines about one chain."""
+    response, lines = figures["response_us"], []
     if response and figures["ticks"]:
         lines.append(
             f"  rate      {figures['rate_hz']:.2f} Hz, missed {figures['missed']}, overruns {figures['overruns']}, "
@@ -210,11 +234,6 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
             f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
             f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs"
         )
-    by_node = figures["tick_by_node"]
-    if by_node:
-        ticks = sorted(set(by_node.values()))
-        shown = [f"{tick}: {', '.join(name for name in by_node if by_node[name] == tick)}" for tick in ticks]
-        lines.append(f"  tick      {'; '.join(shown) if len(ticks) > 1 else ticks[0]}")
     guard = figures["guard"]
     if guard:
         lines.append(
@@ -225,8 +244,7 @@ def _text(launch: Launch, figures: dict[str, Any]) -> str:
     final = figures["final"]
     if figures["ticks"] and isinstance(final["position_m"], float):
         lines.append(_ending(final, figures["safety"].get("state") == "stopped"))
-    lines += [f"  recording {path}" for path in figures["recordings"]]
-    return "\n".join(lines)
+    return lines
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -261,7 +279,7 @@ def _places(launch: Launch) -> Iterator[tuple[str, Path]]:
     """Name the loggers of this machine, and where each records to."""
     for name, spec in launch.nodes.items():
         if spec.kind == "logger" and not spec.host:
-            yield name, Path(spec.parameters.get("path", LoggerParameters().path))
+            yield name, Path(file_of(spec.parameters.get("path", LoggerParameters().path), "{run}", name))
 
 
 def _check_places(launch: Launch) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 from messages.codec import Decoder, MessageRefusedError
-from messages.topics import message_type
+from messages.topics import message_type, within
 from messages.transport.links import Links, say_link
 from messages.transport.sockets import Subscription, new_context
 from messages.types import Message
@@ -51,11 +51,11 @@ def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iter
 
 def _listen(run: RunInfo, topics: Collection[str], duration: float) -> Iterator[Heard | None]:
     endpoints = run.endpoints()
-    names = {topic.encode(): topic for topic in topics}
+    names = {within(run.namespace, topic).encode(): topic for topic in topics}
     decoders = {topic: Decoder(kind) for topic in topics if (kind := message_type(topic)) is not None}
     context = new_context()
     links = Links(context, say_link, say_link)
-    inbox = Subscription(context, {endpoints[topic] for topic in topics}, topics, QUEUE, links)
+    inbox = Subscription(context, {endpoints[topic] for topic in topics}, map(bytes.decode, names), QUEUE, links)
     try:
         until = time.monotonic() + duration if duration else float("inf")
         while True:

@@ -66,7 +66,10 @@ def _probably(given: str, known: Iterable[str]) -> str:
 def add_run_name(parser: argparse.ArgumentParser) -> None:
     """Declare --run."""
     parser.add_argument(
-        "--run", metavar="NAME", dest="run_name", help="which launch, when several are running (default: $HAPTIC_RUN)"
+        "--run",
+        metavar="NAME",
+        dest="run_name",
+        help="which launch, when several are running, or NAME/NAMESPACE for one of its chains (default: $HAPTIC_RUN)",
     )
 
 

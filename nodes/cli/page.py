@@ -12,6 +12,7 @@ import msgspec
 
 from nodes.base.words import Words
 from nodes.launcher.launch_spec import Launch, NodeSpec
+from nodes.launcher.wiring import chains_of
 
 if TYPE_CHECKING:
     from nodes.launcher.supervisor import Supervisor
@@ -24,7 +25,6 @@ def with_view(launch: Launch) -> Launch:
     """Add a view node to a launch that has none; a driver that its page may drive to a stop is started again after it."""
     if any(spec.kind == KIND for spec in launch.nodes.values()):
         return launch
-    name = next(name for name in (KIND, *(f"{KIND}_{i}" for i in range(2, 100))) if name not in launch.nodes)
     realtime = launch.run.pace == "realtime"
     again = {
         driver: msgspec.structs.replace(spec, respawn=True, respawn_delay=0.0, respawn_max=-1)
@@ -32,7 +32,14 @@ def with_view(launch: Launch) -> Launch:
         if realtime and (spec.parameters.get("pointer") or {}).get("beyond")
     }
     view = NodeSpec(kind=KIND, required=False, respawn=True, parameters={"again": True} if again else {})
-    return msgspec.structs.replace(launch, nodes={**launch.nodes, **again, name: view})
+    # A page shows one chain.
+    chains = chains_of(launch)
+    pages = {_free(launch, f"{chain}/{KIND}" if len(chains) > 1 and chain else KIND): view for chain in chains or [""]}
+    return msgspec.structs.replace(launch, nodes={**launch.nodes, **again, **pages})
+
+
+def _free(launch: Launch, name: str) -> str:
+    return next(free for free in (name, *(f"{name}_{i}" for i in range(2, 100))) if free not in launch.nodes)
 
 
 def announce(url: str, as_json: bool, out: IO[str] | Words | None = None) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from nodes.base import realtime
-from nodes.cli.ask import chosen_run
+from nodes.cli.ask import chosen_chain
 from nodes.cli.main import RefusedError, UsageError, add_run_name, answer
 from nodes.cli.page import announce
 from nodes.launcher.runs import RunInfo, alive
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         if arguments.replay is not None:
             return _replay(arguments, ended)
-        found = chosen_run(arguments)
+        found = chosen_chain(arguments)
         # The sockets' and workers' threads inherit it.
         with realtime.off(found.processors):
             return _beside(found, arguments, ended)

@@ -35,7 +35,8 @@ def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
     Parameters
     ----------
     name : str, optional
-        Name of the run or of its scenario; left out, the variable HAPTIC_RUN, else the only launch that runs.
+        Name of the run or of its scenario; left out, the variable HAPTIC_RUN, else the only launch that runs. ``NAME/left`` or
+        ``/left`` means its chain in the namespace ``left`` alone.
     patience : float
         How long to wait while nothing runs [s]: a launch that was started a moment ago has not appeared yet.
 
@@ -54,7 +55,9 @@ def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
     while not runs() and time.monotonic() < until:
         time.sleep(0.05)
     try:
-        return find_run(name or told)
+        chosen, _, namespace = (name or told or "").partition("/")
+        found = find_run(chosen or None)
+        return found.within(namespace) if namespace else found
     except RunError as error:
         source = f" (HAPTIC_RUN is {told!r})" if told and not name else ""
         raise RunError(f"{error}{source}") from error
@@ -83,6 +86,14 @@ def node_name(run: RunInfo, name: str) -> str:
     plain = name.removeprefix("/")
     if plain in run.nodes:
         return plain
+    within = [node for node in run.nodes if node.rpartition("/")[2] == plain]
+    if len(within) == 1:
+        return within[0]
+    if within:
+        raise NoSuchNameError(
+            f"{run.run}: several nodes are named {plain!r}: {', '.join(within)}; name one whole, or choose its chain with "
+            f"--run /{within[0].rpartition('/')[0]}"
+        )
     raise NoSuchNameError(f"{run.run}: no node is named {name!r}; {_hint(plain, list(run.nodes), 'there is:')}")
 
 
@@ -129,9 +140,15 @@ def roles(run: RunInfo) -> dict[str, str]:
     -------
     dict of str to str
         ``driver``, ``environment`` and ``coupling`` to the node's name; without those that the launch lacks.
+
+    Raises
+    ------
+    RunError
+        When the launch has several chains.
     """
     from nodes.base.kinds import load
 
+    run.only_chain()
     published = {name: load(setup.factory).publishes for name, setup in run.nodes.items()}
     return {role: name for role, topic in _PUBLISHES.items() for name, mine in published.items() if topic in mine}
 

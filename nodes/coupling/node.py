@@ -293,7 +293,7 @@ class Coupling(Node):
             reason=reason[:4000],
             revision=self._revision,
         )
-        self.post(topics.RECEIPT, receipt)
+        self.post(self.setup.topic(topics.RECEIPT), receipt)
 
     def _follow_schedule(self, seq: int) -> None:
         while self._schedule and self._schedule[0][0] <= seq:
@@ -344,7 +344,7 @@ class Coupling(Node):
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         take = follow(self, self.inbox, Decoder(Proxy), topics.PROXY)
-        topic, send, simulated = topics.FORCE.encode(), self.publisher.send, self._simulated
+        topic, send, simulated = self.setup.topic(topics.FORCE).encode(), self.publisher.send, self._simulated
         send_again = self.publisher.send_hop
         renderer, finite = self._renderer, math.isfinite
         while not self.stopping:

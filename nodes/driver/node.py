@@ -174,7 +174,8 @@ class Driver(Node):
         inbox = self.inbox
         assert inbox is not None  # noqa: S101  # every kind that listens has one
         device, clock, publisher = self._device, time.monotonic, self.publisher
-        topic, expected, decoder = topics.DEVICE_STATE.encode(), topics.FORCE.encode(), Decoder(Force)
+        topic, expected = (self.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE))
+        decoder = Decoder(Force)
         what = f"{self.setup.name}: {type(device).__name__}"
 
         def sleep_until(s: Any, deadline: float) -> float:
@@ -303,7 +304,7 @@ class Driver(Node):
                     asked = time.monotonic()
                     self.tell("unanswered", f"tick {s.seq} has no answer; asking again")
                     payload = self._payload if self._ahead is None else self._ahead.last_sent()
-                    self.publisher.send_hop(topics.DEVICE_STATE.encode(), payload)
+                    self.publisher.send_hop(self.setup.topic(topics.DEVICE_STATE).encode(), payload)
             elif why == BROKEN:
                 self._mend()
             elif why == UNREAD:

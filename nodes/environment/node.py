@@ -109,7 +109,7 @@ class Environment(Node):
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
-        topic, send, simulated = topics.PROXY.encode(), self.publisher.send, self._simulated
+        topic, send, simulated = self.setup.topic(topics.PROXY).encode(), self.publisher.send, self._simulated
         send_again = self.publisher.send_hop
         while not self.stopping:
             state = take()

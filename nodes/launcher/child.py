@@ -120,6 +120,7 @@ class Child:
     def start(self, run_dir: Path) -> None:
         """Start the process."""
         path = run_dir / f"{self.setup.name}.json"
+        path.parent.mkdir(mode=0o700, exist_ok=True, parents=True)
         path.write_bytes(msgspec.json.encode(self.setup))
         # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends the nodes in order.
         self.process = subprocess.Popen(

@@ -151,7 +151,9 @@ class ByHand(Child):
         """Tell how to start it, and wait for it on a thread."""
         if self._thread is not None:
             self.release()
-        (run_dir / f"{self.setup.name}.json").write_bytes(msgspec.json.encode(self.setup))
+        path = run_dir / f"{self.setup.name}.json"
+        path.parent.mkdir(mode=0o700, exist_ok=True, parents=True)
+        path.write_bytes(msgspec.json.encode(self.setup))
         self._reset()
         self.again_at = None
         self._say(f"waiting for {self.setup.name}: {command(self.setup)}")

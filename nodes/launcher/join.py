@@ -69,7 +69,7 @@ class Starter:
 
     def __init__(self, name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> None:
         self._name = name
-        self._kind = kind or name
+        self._kind = kind or name.rpartition("/")[2]
         kinds = node_kinds()
         if self._kind not in kinds:
             raise ParameterError(
@@ -173,7 +173,9 @@ class Starter:
         check_paths(convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name)
         kind.check(made)
         kind(made)
-        return msgspec.structs.replace(made, run_dir=str(runs.new_node_dir(f"{_plain(setup.run)}-{setup.name}")))
+        folder = runs.new_node_dir(f"{_plain(setup.run)}-{setup.name.replace('/', '-')}")
+        (folder / setup.namespace).mkdir(mode=0o700, parents=True, exist_ok=True)
+        return msgspec.structs.replace(made, run_dir=str(folder))
 
 
 def _plain(run: str) -> str:

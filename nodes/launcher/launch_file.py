@@ -2,11 +2,13 @@
 
 A launch file has these parts: ``summary``, ``arguments`` (with default, unit, help, limits), ``run`` (rate, pace, apply,
 duration, axes, scheduling), ``nodes``, and where it matters ``model`` (what the scene is for, what it leaves out on
-purpose). ``$(var NAME)`` stands for an argument and ``$(dirname)`` for the folder of the launch file, as in ROS 2.
+purpose), ``include`` (other launch files, each in a namespace). ``$(var NAME)`` stands for an argument and ``$(dirname)`` for
+the folder of the launch file, as in ROS 2. ``run.NAME:=VALUE`` sets what stands under ``run`` without an argument for it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -16,9 +18,11 @@ from typing import Any
 
 import msgspec
 
+from messages.topics import within
 from nodes.base.kinds import load, node_kinds
+from nodes.base.setup import Axis
 from nodes.launcher import stand_in
-from nodes.launcher.launch_spec import Argument, Launch, LaunchText, NodeSpec, RunSpec
+from nodes.launcher.launch_spec import Argument, Include, Launch, LaunchText, NodeSpec, RunSpec
 from nodes.launcher.origins import Origins
 from nodes.parameters.refusals import choices
 from nodes.parameters.registry import Registry
@@ -42,7 +46,8 @@ COLLECTIONS = Registry("haptic.launch", "collection of scenarios")
 _KINDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false", list: "a list"}
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
-_NAME = re.compile(r"^[a-z][a-z0-9_]{0,31}$")
+_NAME = re.compile(r"^(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*$")
+_RUN = "run."
 
 
 def launch_dirs() -> list[Path]:
@@ -114,7 +119,24 @@ def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
         Summary, and arguments by name.
     """
     file = convert(read_yaml(path), LaunchText, path.name)
-    return file.summary, {**stand_in.offered(file.nodes), **file.arguments}
+    return file.summary, {**_offered(path, file), **file.arguments}
+
+
+def _offered(path: Path, file: LaunchText) -> dict[str, Argument]:
+    """Arguments that a launch file has without naming them: those of its nodes, and of the nodes that it includes."""
+    for entry in () if stand_in.offered(file.nodes) else file.include:
+        # What cannot be included is refused when the launch is read.
+        with contextlib.suppress(ParameterError):
+            inner = find(_beside(path, str(entry.get("launch"))))
+            if inner.resolve() != path.resolve() and stand_in.DEVICE in read_arguments(inner)[1]:
+                return {stand_in.DEVICE: stand_in.ARGUMENT}
+    return stand_in.offered(file.nodes)
+
+
+def _beside(path: Path, launch: str) -> str:
+    """Name an included launch file: a scenario, a path, or one beside the file that includes it."""
+    beside = path.resolve().parent / launch
+    return str(beside) if launch not in scenarios() and beside.is_file() else launch
 
 
 def parse_assignments(words: list[str]) -> dict[str, Any]:
@@ -190,7 +212,9 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origi
     return data
 
 
-def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) -> Launch:
+def read(
+    name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = (), included_by: Sequence[Path] = ()
+) -> Launch:
     """Read a launch file, fill in its arguments and lay files of parameters over those of its nodes.
 
     Parameters
@@ -198,11 +222,13 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) ->
     name : str
         Scenario or path.
     given : mapping of str to object
-        Arguments that differ from their defaults; every launch file has ``tick`` (see `RunSpec`), and each with a virtual
-        device ``device`` (`nodes.launcher.stand_in`).
+        Arguments that differ from their defaults; every launch file has ``tick`` and ``run.NAME`` (see `RunSpec`), and each
+        with a virtual device ``device`` (`nodes.launcher.stand_in`).
     laid_over : sequence of Path
         YAML files, each a mapping from node to parameters, whole or in part, as ``haptic param dump`` and
         ``haptic study design`` write them; a later one goes before an earlier one.
+    included_by : sequence of Path
+        The files that include this one, the outermost first.
 
     Returns
     -------
@@ -215,47 +241,45 @@ def read(name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = ()) ->
         With the path, the value and the limit of whatever is wrong.
     """
     path = find(name)
+    if path.resolve() in included_by:
+        raise ParameterError(f"{name}: includes itself")
     data = read_yaml(path)
     origins = Origins(path, given, data.get("nodes") or {} if isinstance(data, dict) else {})
     try:
-        return _read(path, data, given, laid_over, origins)
+        return _read(path, data, given, laid_over, origins, (*included_by, path.resolve()))
     except ParameterError as error:
         raise ParameterError(origins.located(str(error))) from error
 
 
-def _read(path: Path, data: Any, given: Mapping[str, Any], laid_over: Sequence[Path], origins: Origins) -> Launch:
+def _read(
+    path: Path, data: Any, given: Mapping[str, Any], laid_over: Sequence[Path], origins: Origins, files: Sequence[Path]
+) -> Launch:
     file = convert(data, LaunchText, path.name)
-    tick = {} if "tick" in file.arguments else {"tick": given["tick"]} if "tick" in given else {}
-    declared = {**(stand_in.offered(file.nodes) if stand_in.DEVICE in given else {}), **file.arguments}
-    values = _fill_in(path, declared, {name: value for name, value in given.items() if name not in tick})
-    over = [_by_node(written, file.nodes, path.name) for written in laid_over]
+    # Besides ``run.NAME``: every launch file has ``tick``.
+    over = {name for name in given if name.startswith(_RUN) or (name == "tick" and name not in file.arguments)}
+    over_run = {name.removeprefix(_RUN): given[name] for name in over}
+    declared = {**(_offered(path, file) if stand_in.DEVICE in given else {}), **file.arguments}
+    values = _fill_in(path, declared, {name: value for name, value in given.items() if name not in over})
+    included = [
+        _include(entry, values, f"{path.name}.include[{i}]", origins, files) for i, entry in enumerate(file.include)
+    ]
+    nodes = _nodes(path, file, values, origins, included)
     for written in laid_over:
+        tree = _by_node(written, nodes, path.name)
         origins.laid_over(written)
-    run = convert({**_substitute(file.run, values, f"{path.name}.run", origins), **tick}, RunSpec, f"{path.name}.run")
-    nodes = {}
-    kinds = node_kinds()
-    for node, spec in file.nodes.items():
-        where = f"{path.name}.nodes.{node}"
-        if not _NAME.match(node):
-            raise ParameterError(f"{where}: a node's name is lower-case letters, digits and _, at most 32")
-        made: NodeSpec = convert(_substitute(spec, values, where, origins), NodeSpec, where)
-        if made.kind not in kinds:
-            raise ParameterError(f"{where}.kind: {made.kind!r} is not installed; {choices(made.kind, sorted(kinds))}")
-        for tree in over:
-            made = msgspec.structs.replace(made, parameters=merge(made.parameters, tree.get(node, {})))
-        if made.watch:
-            made = msgspec.structs.replace(made, parameters=_watched(node, made, where))
-        nodes[node] = made
+        for node, parameters in tree.items():
+            merged = merge(nodes[node].parameters, parameters)
+            nodes[node] = msgspec.structs.replace(nodes[node], parameters=merged)
+    for node, spec in nodes.items():
+        if spec.watch:
+            watched = _watched(node, spec, f"{path.name}.nodes.{node}")
+            nodes[node] = msgspec.structs.replace(spec, parameters=watched)
     device = "none" if stand_in.DEVICE in file.arguments else values.get(stand_in.DEVICE, "none")
     if device not in stand_in.NONE:
         nodes = stand_in.stand_in(nodes, device, path.name)
-    if not run.axes:
-        wanted = dict.fromkeys(
-            axis for node, spec in nodes.items() for axis in load(kinds[spec.kind]).axes(spec.parameters, node)
-        )
-        run = msgspec.structs.replace(run, axes=list(wanted) or ["z"])
-    elif len(set(run.axes)) < len(run.axes):
-        raise ParameterError(f"{path.name}.run.axes: [{', '.join(run.axes)}]: an axis stands twice")
+    written_run = {**_substitute(file.run, values, f"{path.name}.run", origins), **over_run}
+    run = convert({**_common_run(included, written_run, path.name), **written_run}, RunSpec, f"{path.name}.run")
+    run, axes = _axes(run, nodes, included, path.name)
     return Launch(
         scenario=path.stem,
         summary=file.summary,
@@ -264,9 +288,91 @@ def _read(path: Path, data: Any, given: Mapping[str, Any], laid_over: Sequence[P
         arguments=values,
         run=run,
         nodes=nodes,
+        axes=axes,
         model=file.model,
         origins=origins,
     )
+
+
+def _nodes(
+    path: Path, file: LaunchText, values: Mapping[str, Any], origins: Origins, included: Sequence[tuple[str, Launch]]
+) -> dict[str, NodeSpec]:
+    """Nodes of the included files, then the file's own."""
+    nodes: dict[str, NodeSpec] = {}
+    kinds = node_kinds()
+    for namespace, launch in included:
+        for name, spec in launch.nodes.items():
+            full = f"{namespace}/{name}" if namespace else name
+            if not _NAME.match(full) or full in nodes:
+                why = "is there twice; give one a namespace" if full in nodes else "is longer than 32 letters"
+                raise ParameterError(f"{path.name}.include: {launch.scenario}: node {full!r} {why}")
+            remap = {topic: within(namespace, instead) for topic, instead in spec.remap.items()}
+            nodes[full] = msgspec.structs.replace(spec, remap=remap)
+    for node, spec in file.nodes.items():
+        where = f"{path.name}.nodes.{node}"
+        if not _NAME.match(node):
+            raise ParameterError(
+                f"{where}: a node's name is lower-case letters, digits and _, with its namespace and / before it, at most 32"
+            )
+        if node in nodes:
+            raise ParameterError(f"{where}: an included launch file has a node of that name; give it a namespace")
+        nodes[node] = made = convert(_substitute(spec, values, where, origins), NodeSpec, where)
+        if made.kind not in kinds:
+            raise ParameterError(f"{where}.kind: {made.kind!r} is not installed; {choices(made.kind, sorted(kinds))}")
+    if not nodes:
+        raise ParameterError(f"{path.name}: no nodes: name them under nodes, or other launch files under include")
+    return nodes
+
+
+def _include(
+    entry: Any, values: Mapping[str, Any], where: str, origins: Origins, files: Sequence[Path]
+) -> tuple[str, Launch]:
+    """Read an included launch file; with its namespace."""
+    made: Include = convert(_substitute(entry, values, where, origins), Include, where)
+    if made.namespace and not _NAME.match(made.namespace):
+        raise ParameterError(
+            f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a / around"
+        )
+    try:
+        return made.namespace, without(read(_beside(files[-1], made.launch), made.arguments, (), files), made.without)
+    except ParameterError as error:
+        raise ParameterError(f"{where}: {error}") from error
+
+
+def _common_run(included: Sequence[tuple[str, Launch]], written: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Collect what the included files say of how the loop runs and this one does not; they have to agree."""
+    found: dict[str, Any] = {}
+    for _, launch in included:
+        for name in set(RunSpec.__struct_fields__) - set(written) - {"axes"}:
+            value = getattr(launch.run, name)
+            if found.setdefault(name, value) != value:
+                raise ParameterError(
+                    f"{where}.run.{name}: the included files differ: {found[name]} and {value}; say here which it is"
+                )
+    return found
+
+
+def _axes(
+    run: RunSpec, nodes: Mapping[str, NodeSpec], included: Sequence[tuple[str, Launch]], where: str
+) -> tuple[RunSpec, dict[str, list[Axis]]]:
+    """Axes of each chain, by its namespace, where they are not the ones of ``run``, which are those of the first chain."""
+    if len(set(run.axes)) < len(run.axes):
+        raise ParameterError(f"{where}.run.axes: [{', '.join(run.axes)}]: an axis stands twice")
+    if run.axes:
+        return run, {}
+    kinds, axes = node_kinds(), {}
+    for namespace, launch in included:
+        for inner in dict.fromkeys(name.rpartition("/")[0] for name in launch.nodes):
+            axes["/".join(filter(None, (namespace, inner)))] = launch.axes.get(inner) or launch.run.axes
+    for namespace in dict.fromkeys(name.rpartition("/")[0] for name in nodes):
+        chain = {name: spec for name, spec in nodes.items() if name.rpartition("/")[0] == namespace}
+        wanted = dict.fromkeys(
+            axis for node, spec in chain.items() for axis in load(kinds[spec.kind]).axes(spec.parameters, node)
+        )
+        if wanted:
+            axes.setdefault(namespace, list(wanted))
+    first: list[Axis] = next(iter(axes.values()), ["z"])
+    return msgspec.structs.replace(run, axes=first), {name: own for name, own in axes.items() if own != first}
 
 
 def without(launch: Launch, left_out: list[str]) -> Launch:

@@ -117,6 +117,8 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         Wait before that [s].
     respawn_max : int
         How often at most; -1 for ever.
+    remap : dict of str to str
+        Topic that the node listens to, as its chain calls it, to the full name of the one that it takes in its place.
     watch : str
         YAML file of parameters: read at the start, and again whenever it is saved. Empty for none.
     by_hand : bool
@@ -139,6 +141,7 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     respawn: bool = False
     respawn_delay: Annotated[float, msgspec.Meta(ge=0.0)] = 0.5
     respawn_max: Annotated[int, msgspec.Meta(ge=-1)] = 5
+    remap: dict[str, str] = {}
     watch: str = ""
     by_hand: bool = False
     host: str = ""
@@ -185,6 +188,27 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     tolerance: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.02
 
 
+class Include(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Another launch file whose nodes belong to this one.
+
+    Attributes
+    ----------
+    launch : str
+        A scenario, or the path of a file.
+    namespace : str
+        What stands before its nodes and topics; empty for nothing.
+    arguments : dict
+        Its arguments that differ from their defaults.
+    without : list of str
+        Nodes of it that are left out.
+    """
+
+    launch: str
+    namespace: str = ""
+    arguments: dict[str, Any] = {}
+    without: list[str] = []
+
+
 class LaunchText(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A launch file as it is written, before its arguments are filled in.
 
@@ -194,6 +218,8 @@ class LaunchText(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         What it shows, in a line.
     nodes, run : dict
         Not yet checked: arguments may stand anywhere in them.
+    include : list
+        Other launch files (`Include`), neither checked yet.
     arguments : dict of str to Argument
         By name.
     model : Model
@@ -201,7 +227,8 @@ class LaunchText(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """
 
     summary: str
-    nodes: dict[str, Any]
+    nodes: dict[str, Any] = {}
+    include: list[dict[str, Any]] = []
     arguments: dict[str, Argument] = {}
     run: dict[str, Any] = {}
     model: Model = Model()
@@ -224,6 +251,8 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
         How the loop runs.
     nodes : dict of str to NodeSpec
         The nodes by name.
+    axes : dict of str to list of str
+        Axes by namespace, where they are not those of ``run``.
     model : Model
         What the scene is for.
     origins : Origins or None
@@ -237,5 +266,6 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
     arguments: dict[str, Any]
     run: RunSpec
     nodes: dict[str, NodeSpec]
+    axes: dict[str, list[Axis]] = {}
     model: Model = Model()
     origins: Any = None

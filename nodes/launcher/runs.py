@@ -47,6 +47,10 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         What to add to a stamp to get wall time [s].
     manifest : dict of str to str
         What goes into every recording.
+    namespace : str
+        Namespace of the one chain that this is about (`within`); empty for the whole run.
+    manifests : dict of str to dict
+        The same for one chain alone, by namespace.
     """
 
     run: str
@@ -56,6 +60,8 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     launcher_started: int = 0
     wall_minus_monotonic: float = 0.0
     manifest: dict[str, str] = {}
+    namespace: str = ""
+    manifests: dict[str, dict[str, str]] = {}
 
     @property
     def lives(self) -> bool:
@@ -68,6 +74,40 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         own = [setup.scheduling for setup in self.nodes.values() if not setup.by_hand]
         return {cpu for scheduling in own if scheduling.fifo for cpu in scheduling.cpus}
 
+    def chains(self) -> list[str]:
+        """List the namespaces of the chains: of the nodes that publish a device's state."""
+        from nodes.base.kinds import load
+
+        drives = [name for name, setup in self.nodes.items() if topics.DEVICE_STATE in load(setup.factory).publishes]
+        return list(dict.fromkeys(name.rpartition("/")[0] for name in drives))
+
+    def within(self, namespace: str) -> RunInfo:
+        """Give one chain of the run as if it were alone: nodes and topics are named as inside it."""
+        namespace = namespace.strip("/")
+        inside = {
+            name.removeprefix(f"{namespace}/"): setup
+            for name, setup in self.nodes.items()
+            if name.startswith(f"{namespace}/")
+        }
+        if not inside:
+            known = ", ".join(filter(None, self.chains())) or "none"
+            raise RunError(f"{self.run}: no namespace {namespace!r}; there is: {known}")
+        return msgspec.structs.replace(
+            self,
+            nodes=inside,
+            namespace=topics.within(self.namespace, f"/{namespace}")[1:],
+            manifest=self.manifests.get(namespace, self.manifest),
+        )
+
+    def only_chain(self) -> RunInfo:
+        """Give the run as that of its only chain; several are refused."""
+        chains = self.chains()
+        if len(chains) > 1:
+            raise RunError(
+                f"{self.run}: several chains: {', '.join(chains)}; choose one with --run {self.scenario}/{chains[-1]}"
+            )
+        return self.within(chains[0]) if chains and chains[0] else self
+
     def publishers(self) -> dict[str, str]:
         """List the endpoints for listeners."""
         return {name: setup.listen or setup.publish for name, setup in self.nodes.items()}
@@ -78,7 +118,9 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
 
         found = {}
         for name, setup in self.nodes.items():
-            for topic in (*load(setup.factory).publishes, topics.status(name), topics.event(name)):
+            place = name.rpartition("/")[0]
+            loop = (topics.within(place, topic) for topic in load(setup.factory).publishes)
+            for topic in (*loop, topics.status(name), topics.event(name)):
                 found[topic] = setup.listen or setup.publish
         return found
 

@@ -34,15 +34,16 @@ def offered(nodes: Mapping[str, Any]) -> dict[str, Argument]:
 def stand_in(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict[str, NodeSpec]:
     """Put a real device in the place of every virtual one, and of the plant that a coupling judges its laws by."""
     kinds, found = node_kinds(), dict(nodes)
-    plant: dict[str, Any] | None = None
+    plants: dict[str, dict[str, Any]] = {}
     for name, spec in nodes.items():
         stood = load(kinds[spec.kind]).stand_in(spec.parameters, name, device)
         if stood is not None:
-            parameters, plant = stood
+            parameters, plants[name.rpartition("/")[0]] = stood
             found[name] = msgspec.structs.replace(spec, parameters=parameters)
-    if plant is None:
+    if not plants:
         raise ParameterError(f"{where}: {DEVICE}:={device}: no node of it has a virtual device; leave it out")
     for name, spec in found.items():
-        if isinstance(spec.parameters.get("plant"), Mapping):
+        plant = plants.get(name.rpartition("/")[0])
+        if plant is not None and isinstance(spec.parameters.get("plant"), Mapping):
             found[name] = msgspec.structs.replace(spec, parameters=merge(spec.parameters, {"plant": plant}))
     return found

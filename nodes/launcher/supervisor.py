@@ -28,7 +28,7 @@ from nodes.launcher import reaper, runs
 from nodes.launcher.child import PYTHON, Child
 from nodes.launcher.external_child import ByHand
 from nodes.launcher.launch_spec import Launch
-from nodes.launcher.wiring import manifest_of, settle_tick, wire, with_forwarder
+from nodes.launcher.wiring import chain_manifest, chains_of, manifest_of, settle_tick, wire, with_forwarder
 
 INT_TIMEOUT = 3.0
 TERM_TIMEOUT = 2.0
@@ -109,6 +109,9 @@ class Supervisor:
                 nodes=setups,
                 wall_minus_monotonic=offset,
                 manifest=manifest,
+                manifests={
+                    chain: chain_manifest(self._launch, manifest, chain) for chain in chains_of(self._launch) if chain
+                },
             )
             self._reaper = self._start_reaper(run_dir)
             self.context = new_context()
@@ -251,8 +254,11 @@ class Supervisor:
             return
         if child.drives and child.is_done(self.run_dir):
             child.over = True
-            self.exit_reason = self._read_report(name).get("status", {}).get("reason", "") or "done"
-            self.stop(self.exit_reason)
+            reason = self._read_report(name).get("status", {}).get("reason", "") or "done"
+            # Of several chains the longest decides.
+            if all(other.over for other in self.children.values() if other.drives):
+                self.exit_reason = reason
+                self.stop(reason)
             return
         child.unreported = child.drives and child.code == 0
         if child.respawns < 0 or child.restarts < child.respawns:

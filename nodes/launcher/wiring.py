@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -16,7 +16,8 @@ from nodes.base.kinds import load, node_kinds
 from nodes.base.node import Node
 from nodes.base.setup import Scheduling, Setup
 from nodes.launcher.external_child import LEASE, PATIENCE
-from nodes.launcher.launch_spec import Launch, NodeSpec
+from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
+from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError, convert
 from nodes.tick.choose import SCARCE, choose
 
@@ -27,23 +28,40 @@ FIFO = 50
 """Priority of the chain in real time: above what a desktop runs, below the kernel's own threads."""
 
 
-def _core(launch: Launch) -> int | None:
-    """Choose the chain's processor, None for no pinning: once for all nodes, for the counts it goes by move on."""
+def chains_of(launch: Launch) -> list[str]:
+    """List the namespaces of a launch's chains: of the nodes that publish a device's state."""
+    factories = node_kinds()
+    drives = [
+        name for name, spec in launch.nodes.items() if topics.DEVICE_STATE in load(factories[spec.kind]).publishes
+    ]
+    return list(dict.fromkeys(name.rpartition("/")[0] for name in drives))
+
+
+def _cores(launch: Launch) -> dict[str, int | None]:
+    """Choose each chain's processor by its namespace, None for no pinning.
+
+    Once for all nodes, for the counts it goes by move on. Several chains share one where that leaves none for the rest.
+    """
+    chains = dict.fromkeys([*chains_of(launch), *(name.rpartition("/")[0] for name in launch.nodes)])
     available = sorted(os.sched_getaffinity(0))
     cpu = launch.run.cpu
     if cpu == "any" or (cpu == "auto" and len(available) < 2):
-        return None
+        return dict.fromkeys(chains)
     if cpu == "auto":
-        return realtime.quietest_processor()
+        first = realtime.quietest_processor()
+        others = [other for other in available if other != first]
+        cores = [first, *others] if len(others) >= len(chains_of(launch)) else [first] * len(chains)
+        cores += [first] * len(chains)
+        return dict(zip(chains, cores, strict=False))
     if cpu in available:
-        return cpu
+        return dict.fromkeys(chains, cpu)
     raise ParameterError(f"{launch.scenario}.run.cpu: {cpu}, available: {', '.join(map(str, available))}")
 
 
-def _scheduling(launch: Launch, kind: type[Node], core: int | None) -> Scheduling:
-    run = launch.run
+def _scheduling(launch: Launch, kind: type[Node], namespace: str, cores: dict[str, int | None]) -> Scheduling:
+    run, core = launch.run, cores[namespace]
     available = sorted(os.sched_getaffinity(0))
-    others = [cpu for cpu in available if cpu != core] or available
+    others = [cpu for cpu in available if cpu not in cores.values()] or available
     hops = [hop for hop, topic in enumerate(topics.LOOP) if topic in kind.publishes]
     if not hops:
         return Scheduling(cpus=others)
@@ -55,28 +73,52 @@ def _scheduling(launch: Launch, kind: type[Node], core: int | None) -> Schedulin
 
 
 def _roles(launch: Launch) -> tuple[dict[str, type[Node]], dict[str, str], dict[str, str]]:
-    """Classes by node, and by loop topic the node that publishes it and the one that relays it, if any."""
+    """Classes by node, and by the full name of a loop topic the node that publishes it and the one that relays it, if any."""
     factories = node_kinds()
     classes = {name: load(factories[spec.kind]) for name, spec in launch.nodes.items()}
     publisher: dict[str, str] = {}
     for name, kind in classes.items():
-        for topic in kind.publishes:
+        for topic in _full(name, kind.publishes):
             if topic in publisher:
                 raise ParameterError(
-                    f"{launch.scenario}.nodes.{name}: {topic} is already published by {publisher[topic]}"
+                    f"{launch.scenario}.nodes.{name}: {topic} is already published by {publisher[topic]}; a second chain needs "
+                    "a namespace of its own, as in right/driver"
                 )
             publisher[topic] = name
     for name, kind in classes.items():
+        remap = launch.nodes[name].remap
+        for topic, instead in remap.items():
+            where = f"{launch.scenario}.nodes.{name}.remap"
+            if topic not in kind.listens_to:
+                raise ParameterError(
+                    f"{where}: the node does not listen to {topic!r}; {choices(topic, kind.listens_to)}"
+                    if kind.listens_to not in ((), ("*",))
+                    else f"{where}: a {launch.nodes[name].kind} listens to no single topic that could be another"
+                )
+            if topics.message_type(topic) is not topics.message_type(instead):
+                raise ParameterError(f"{where}.{topic}: {instead!r} does not carry the same messages")
         for topic in kind.listens_to:
-            if topic != "*" and topic not in publisher:
-                raise ParameterError(f"{launch.scenario}.nodes.{name}: listens to {topic}, which no node publishes")
+            if topic != "*" and (full := _takes(launch, name, topic)) not in publisher:
+                raise ParameterError(
+                    f"{launch.scenario}.nodes.{name}: listens to {full}, which no node publishes; {choices(full, publisher)}"
+                )
     relays: dict[str, str] = {}
     for name, kind in classes.items():
-        for topic in kind.relays:
+        for topic in _full(name, kind.relays):
             if topic in relays:
                 raise ParameterError(f"{launch.scenario}.nodes.{name}: {topic} is already relayed by {relays[topic]}")
             relays[topic] = name
     return classes, publisher, relays
+
+
+def _full(name: str, names: Iterable[str]) -> Iterator[str]:
+    """Full names of topics inside the chain of a node."""
+    return (topics.within(name.rpartition("/")[0], topic) for topic in names)
+
+
+def _takes(launch: Launch, name: str, topic: str) -> str:
+    """Full name of the topic that a node takes for one inside its chain."""
+    return launch.nodes[name].remap.get(topic) or next(_full(name, [topic]))
 
 
 def _source(name: str, topic: str, publisher: dict[str, str], relays: dict[str, str]) -> str:
@@ -157,6 +199,12 @@ def with_forwarder(launch: Launch) -> Launch:
     return msgspec.structs.replace(launch, nodes={**launch.nodes, name: spec})
 
 
+def _audible(launch: Launch, name: str) -> set[str]:
+    """Nodes that one which listens to everything may hear: those of its namespace; outside of any, all."""
+    namespace = name.rpartition("/")[0]
+    return {other for other in launch.nodes if other != name and (not namespace or other.startswith(f"{namespace}/"))}
+
+
 def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
     """Resolve a launch."""
     classes, publisher, relays = _roles(launch)
@@ -176,11 +224,11 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
         return local[source]
 
     setups = {}
-    core = _core(launch)
+    cores = _cores(launch)
     parameters = {name: convert(launch.nodes[name].parameters, kind.Parameters, name) for name, kind in classes.items()}
     subscribed = {name: len(kind.subscribes(parameters[name])) for name, kind in classes.items()}
     heard = {
-        name: kind.hears(parameters[name], launch.nodes.keys() - {name}) if "*" in kind.listens_to else frozenset()
+        name: kind.hears(parameters[name], _audible(launch, name)) if "*" in kind.listens_to else frozenset()
         for name, kind in classes.items()
     }
     for name, spec in launch.nodes.items():
@@ -195,7 +243,8 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             sources = {other: endpoint(other, listen, name) for other in launch.nodes if other in heard[name]}
         else:
             sources = {
-                topic: endpoint(_source(name, topic, publisher, relays), publish, name) for topic in kind.listens_to
+                topic: endpoint(_source(name, _takes(launch, name, topic), publisher, relays), publish, name)
+                for topic in kind.listens_to
             }
         listeners = sum(
             subscribed[other]
@@ -204,9 +253,9 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             and (
                 name in heard[other]
                 or any(
-                    _source(other, topic, publisher, relays) == name
+                    _source(other, _takes(launch, other, topic), publisher, relays) == name
                     for topic in classes[other].listens_to
-                    if topic in publisher
+                    if topic != "*"
                 )
             )
         )
@@ -220,7 +269,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             pace=launch.run.pace,
             apply=launch.run.apply,
             tick="compiled" if launch.run.tick == "compiled" and kind.kernel_module else "plain",
-            axes=launch.run.axes,
+            axes=launch.axes.get(name.rpartition("/")[0]) or launch.run.axes,
             ticks=launch.run.ticks,
             publish=far[name] or publish[name],
             listen="" if far[name] else listen[name],
@@ -229,11 +278,12 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             lease=LEASE if name in by_hand else 0.0,
             patience=PATIENCE if by_hand else 10.0,
             sources=sources,
+            remap=spec.remap,
             listeners=listeners,
-            scheduling=_scheduling(launch, kind, core),
+            scheduling=_scheduling(launch, kind, name.rpartition("/")[0], cores),
             parameters=spec.parameters,
             watch=os.path.abspath(spec.watch) if spec.watch else "",
-            manifest=manifest if everything else {},
+            manifest=chain_manifest(launch, manifest, name.rpartition("/")[0]) if everything else {},
         )
         kind.check(setups[name])
     return {
@@ -248,7 +298,7 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
     """Describe a run for its recordings."""
     uname = os.uname()
     factories = node_kinds()
-    publishes = {name: load(factories[spec.kind]).publishes for name, spec in launch.nodes.items()}
+    publishes = {name: list(_full(name, load(factories[spec.kind]).publishes)) for name, spec in launch.nodes.items()}
     return {
         "run": run,
         "scenario": launch.scenario,
@@ -267,3 +317,32 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
         "publishes": msgspec.json.encode(publishes).decode(),
         "nodes": msgspec.json.encode({name: spec.parameters for name, spec in launch.nodes.items()}).decode(),
     }
+
+
+def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> dict[str, str]:
+    """Describe one chain of a run as if it were alone; its launch file is written out, without arguments."""
+    if not namespace:
+        return manifest
+    inside = {
+        name.removeprefix(f"{namespace}/"): spec
+        for name, spec in launch.nodes.items()
+        if name.startswith(f"{namespace}/")
+    }
+    chain = msgspec.structs.replace(
+        launch,
+        run=msgspec.structs.replace(launch.run, axes=launch.axes.get(namespace) or launch.run.axes),
+        nodes=inside,
+        arguments={},
+    )
+    usual, plain = RunSpec(), NodeSpec(kind="")
+    text = {
+        "summary": launch.summary,
+        "run": {name: value for name, value in msgspec.to_builtins(chain.run).items() if value != getattr(usual, name)},
+        "nodes": {
+            node: {name: value for name, value in msgspec.to_builtins(spec).items() if value != getattr(plain, name)}
+            for node, spec in inside.items()
+        },
+    }
+    # JSON is YAML.
+    chain = msgspec.structs.replace(chain, text=msgspec.json.format(msgspec.json.encode(text)).decode())
+    return manifest_of(chain, manifest["run"], float(manifest["wall_minus_monotonic_s"]))

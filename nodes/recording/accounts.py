@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from messages.topics import DEVICE_STATE, FORCE, LOOP, PROXY, RECEIPT, message_type
+from messages.topics import DEVICE_STATE, FORCE, LOOP, PROXY, RECEIPT, message_type, split
 from messages.types import DeviceState, NodeStatus
 from nodes.recording.ended import read_ended
 from nodes.recording.mcap_walk import RawMessage
@@ -129,7 +129,8 @@ def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
     publishes = recording.manifest.get("publishes")
     if publishes is not None:
         found: dict[str, list[str]] = msgspec.json.decode(publishes)
-        return found.get(status.node, [])
+        own = found.get(status.node) or found.get(status.node.removeprefix(f"{recording.namespace}/"), [])
+        return [split(topic)[1] if recording.namespace else topic for topic in own]
     if "driver" in status.kind:
         return (DEVICE_STATE,)
     return {"environment": (PROXY,), "coupling": (FORCE, RECEIPT)}.get(status.kind, ())
@@ -150,7 +151,8 @@ def accounts(recording: Recording) -> dict[str, Account]:
             status = recording.decode(decoder, raw, offset)
             sent.setdefault(status.node, {})[status.pid] = status.sent
             ticking = _tick_topics(recording, status)
-            own = [t for t in topics if t in ticking or t.startswith(f"/{status.node}/")]
+            inside = status.node.removeprefix(f"{recording.namespace}/")
+            own = [t for t in topics if t in ticking or t.startswith(f"/{inside}/")]
             total, recorded = sum(sent[status.node].values()), sum(counts[t] for t in own)
             # What the first status counts and nobody received was sent before the logger listened, if no tick was sent yet.
             ahead = not since and not any(counts.get(t, 0) for t in ticking)

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NoReturn
 import msgspec
 
 from messages.codec import Decoder, MessageRefusedError
-from messages.topics import FIXED, message_type
+from messages.topics import FIXED, message_type, split
 from messages.transport.links import Links, say_link
 from messages.transport.sockets import Subscription, new_context
 from messages.types import Message
@@ -47,7 +47,7 @@ class LoggerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     Attributes
     ----------
     path : str
-        The file; ``{run}`` stands for the name of the run.
+        The file; ``{run}`` stands for the name of the run, and of the logger's namespace if it has one.
     topics : list of str
         Topics to record; empty for all.
     overwrite : bool
@@ -57,6 +57,11 @@ class LoggerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     path: LocalPath = "recordings/{run}.mcap"
     topics: list[str] = []
     overwrite: LocalChoice = False
+
+
+def file_of(path: str, run: str, node: str) -> str:
+    """Fill in the file that a logger writes, from its name in the launch."""
+    return path.replace("{run}", "-".join([run, *node.split("/")[:-1]]))
 
 
 class Recorder:
@@ -171,7 +176,8 @@ class Logger(Node):
         nodes = {setup.name, *setup.sources}
         for number, topic in enumerate(setup.parameters.get("topics", [])):
             kind = message_type(topic)
-            if kind is None or (topic not in FIXED and topic.split("/")[1] not in nodes):
+            inside = split(topic)[1]
+            if kind is None or (inside not in FIXED and topic[1:].rpartition("/")[0] not in nodes):
                 known = [*FIXED, *(f"/{node}/{{status,event}}" for node in sorted(nodes))]
                 raise ParameterError(
                     f"{setup.name}.topics[{number}]: nothing publishes {topic!r}; there are {', '.join(known)}"
@@ -180,7 +186,7 @@ class Logger(Node):
     def configure(self) -> None:
         """Create the file, so that a bad path fails the start and not the run."""
         parameters: LoggerParameters = self.store.current
-        self._path = parameters.path.replace("{run}", self.setup.run)
+        self._path = file_of(parameters.path, self.setup.run, self.setup.name)
         diary = Path(self.setup.run_dir) / f"{self.setup.name}.parts"
         path, first = next_part(Path(self._path), diary)
         if not first:

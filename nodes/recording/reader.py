@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import msgspec
 
 import messages.types
-from messages.topics import LOOP, message_type
+from messages.topics import LOOP, message_type, split
 from messages.types import Message
 from nodes.recording import mcap_walk
 from nodes.recording.mcap_walk import Channel, CutError, RawMessage, Record, Schema
@@ -105,6 +105,8 @@ class Recording:
     ----------
     path : Path
         The file.
+    namespace : str
+        Namespace of its only chain, whose topics are named as inside it; empty where there is none, or several.
     parts : list of Path
         It, and those in which a logger that was started again went on (nodes/recording/parts.py).
     topics : dict of str to TopicFigures
@@ -135,6 +137,7 @@ class Recording:
         self.cut = ""
         self.first_log = 0.0
         self.wall_duration = 0.0
+        self.namespace = ""
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         # Recordings of earlier versions hold the times of the run as they are.
@@ -208,9 +211,20 @@ class Recording:
             elif record.opcode == mcap_walk.FOOTER:
                 finished += 1
         self.complete = finished == len(self.parts)
+        self._enter_chain()
         if self.topics:
             self.first_log = (first_log - self._log_offset) / _NANO
             self.wall_duration = (last_log - first_log) / _NANO
+
+    def _enter_chain(self) -> None:
+        """Name topics as inside the chain, where there is only one."""
+        spaces = {split(topic)[0] for topic in self.topics}
+        if len(spaces) == 1 and (namespace := spaces.pop()):
+            self.namespace = namespace
+            self.topics = {split(topic)[1]: figures for topic, figures in self.topics.items()}
+            self._channels = {
+                number: channel._replace(topic=split(channel.topic)[1]) for number, channel in self._channels.items()
+            }
 
     def _message(self, shift: int, record: Record) -> RawMessage:
         raw = mcap_walk.parse_message(self.path, record)
@@ -236,7 +250,7 @@ class Recording:
         figures.messages += 1
         figures.first_stamp = min(figures.first_stamp, stamp)
         figures.last_stamp = max(figures.last_stamp, stamp)
-        if channel.topic in LOOP:
+        if split(channel.topic)[1] in LOOP:
             # MCAP keeps 32 bits of seq: differences are taken modulo 2³².
             step = (raw.sequence - figures.last_seq + 0x80000000) % 0x100000000 - 0x80000000
             if step > 0:

@@ -13,7 +13,7 @@ import threading
 from array import array
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 import msgspec
 
@@ -23,6 +23,9 @@ from messages.transport.sockets import Publisher, Subscription
 from nodes.tick.fields import key_blocks
 from nodes.tick.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, Counted
 from nodes.tick.library import Kernel, functions
+
+if TYPE_CHECKING:
+    from nodes.base.setup import Setup
 
 M = TypeVar("M")
 
@@ -39,6 +42,7 @@ WAIT_MS: Final = 100
 class Node(Protocol):
     """What compiled ticks need of their node."""
 
+    setup: Setup
     inbox: Subscription | None
     publisher: Publisher
     clock_offset: float
@@ -67,7 +71,7 @@ class CompiledTicks:
     state : ctypes.Structure
         What the node and its kernel share, of nodes/tick/layout.py.
     expected, topic : str
-        What it listens to, and what it answers on.
+        What it listens to, and what it answers on: topics inside the chain.
     period : float
         Sampling period T [s].
     realtime : bool
@@ -97,6 +101,8 @@ class CompiledTicks:
         state.hop, state.aside, state.batch = node.publisher.lend()
         state.realtime, state.period = int(realtime), period
         self._kept: list[Any] = []
+        keys = key_blocks(LOOP[topic])
+        expected, topic = node.setup.topic(expected), node.setup.topic(topic)
         self._expected = expected.encode()
         self._frame = self._room("frame", LONGEST_TOPIC)
         self._payload = self._room("payload", LONGEST_IN)
@@ -112,7 +118,6 @@ class CompiledTicks:
         for name, content in (("expected", expected), ("topic", topic)):
             self._room(name, len(content) + 1).value = content.encode()
             setattr(state, f"{name}_size", len(content.encode()))
-        keys = key_blocks(LOOP[topic])
         self._room("out_keys", len(keys)).raw = keys
 
     def _room(self, name: str, size: int) -> Any:

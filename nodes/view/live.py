@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from messages.codec import Decoder, MessageRefusedError
-from messages.topics import message_type
+from messages.topics import message_type, split
 from messages.types import DeviceState, Event, Message, NodeStatus, Receipt
 from nodes.base.kinds import load
 from nodes.base.setup import AXIS_INDEX
@@ -162,7 +162,8 @@ class LiveRun:
         """Take one message."""
         known = self._decoders.get(frames[0])
         if known is None:
-            name = frames[0].decode("utf-8", errors="replace")
+            # A page shows one chain, and names topics as inside it.
+            name = split(frames[0].decode("utf-8", errors="replace"))[1]
             kind = message_type(name)
             if kind is None:
                 self.refused += 1

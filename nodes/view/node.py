@@ -13,7 +13,7 @@ import msgspec
 from messages.transport.sockets import Subscription
 from nodes.base.node import Node
 from nodes.base.setup import Setup
-from nodes.launcher.runs import RunInfo
+from nodes.launcher.runs import RunError, RunInfo
 from nodes.parameters.store import convert
 from nodes.recording.logger import QUEUE
 from nodes.view.run_pages import RunPages
@@ -103,7 +103,11 @@ class View(Node):
             if time.monotonic() > deadline or self.stopping:
                 raise OSError(f"{path}: the launcher has not told what the run consists of within {PATIENCE:g} s")
             time.sleep(0.005)
-        return msgspec.json.decode(path.read_bytes(), type=RunInfo)
+        run = msgspec.json.decode(path.read_bytes(), type=RunInfo)
+        try:
+            return run.within(self.setup.namespace) if self.setup.namespace else run.only_chain()
+        except RunError as error:
+            raise OSError(f"{error}: a page shows one chain; give {self.setup.name} its namespace") from error
 
     def loop(self) -> None:
         """Serve until stopped."""

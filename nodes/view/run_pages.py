@@ -117,7 +117,7 @@ class RunPages:
         self._axis = AXIS_INDEX[facts.axes[0]]
         self.live = LiveRun(facts)
         run_dir = next(iter(run.nodes.values())).run_dir
-        self.hand = SharedHand(pointer_file(run_dir, self._commander.driver))
+        self.hand = SharedHand(pointer_file(run_dir, run.nodes[self._commander.driver].name))
         self.server = PageServer(self._open_page, token)
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
         self.listeners: list[Callable[[str, Message], None]] = [self._comparison.take]

@@ -90,7 +90,7 @@ class Link(Node):
         heapq.heappush(self._waiting, (due, self._count, payload))
 
     def _pass_on(self) -> None:
-        topic = topics.FORCE.encode()
+        topic = self.setup.topic(topics.FORCE).encode()
         while self._waiting and self._waiting[0][0] <= time.monotonic():
             payload = heapq.heappop(self._waiting)[2]
             self.publisher.send(topic, payload)

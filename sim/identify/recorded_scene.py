@@ -154,6 +154,10 @@ def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:
 
 def _without_files(content: Any) -> Any:
     """Leave out the parameter files that nodes watch: what they said at the start is among the recorded parameters."""
+    if isinstance(content, dict) and content.get("include"):
+        raise ParameterError(
+            "a recording of a launch file that includes others: replay the recording of one of its chains"
+        )
     if isinstance(content, dict) and isinstance(content.get("nodes"), dict):
         nodes = {
             name: {key: value for key, value in spec.items() if key != "watch"} if isinstance(spec, dict) else spec

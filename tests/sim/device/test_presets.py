@@ -9,6 +9,7 @@ import msgspec
 import pytest
 
 from nodes.launcher import launch_file
+from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDriverParameters
 from sim.device.model import DeviceModel, Hand
@@ -64,19 +65,23 @@ def test_an_unknown_one_is_refused_with_those_there_are() -> None:
 def test_every_scenario_takes_one_and_judges_laws_by_it(scenario: str) -> None:
     assert "device" in launch_file.read_arguments(launch_file.find(scenario))[1]
     before, launch = launch_file.read(scenario, {}), launch_file.read(scenario, {"device": "touch_x"})
+    for name in (name for name, spec in launch.nodes.items() if spec.kind == "sim_driver"):
+        assert_stands_in(name, before, launch)
+    assert launch.arguments["device"] == "touch_x"
+
+
+def assert_stands_in(driver: str, before: Launch, launch: Launch) -> None:
+    """Assert that the driver has the device, and the coupling of its chain the plant."""
     device, described = (
-        convert(one.nodes["driver"].parameters, SimDriverParameters, "driver").device for one in (launch, before)
+        convert(one.nodes[driver].parameters, SimDriverParameters, driver).device for one in (launch, before)
     )
     assert (device.mass, device.damping, device.hand) == (0.035, described.damping, described.hand)
     # Its own limit, or the scene's stricter one.
-    limit = before.nodes["driver"].parameters["safety"]["peak_force"]
-    assert convert(launch.nodes["driver"].parameters, SimDriverParameters, "driver").safety.peak_force == min(
-        limit, 7.9
-    )
-    plant = launch.nodes["coupling"].parameters.get("plant")
+    limit = before.nodes[driver].parameters["safety"]["peak_force"]
+    assert convert(launch.nodes[driver].parameters, SimDriverParameters, driver).safety.peak_force == min(limit, 7.9)
+    plant = launch.nodes[driver.replace("driver", "coupling")].parameters.get("plant")
     if plant is not None:
         assert (plant["mass"], plant["damping"]) == (device.moving_mass, device.moving_damping)
-    assert launch.arguments["device"] == "touch_x"
 
 
 def test_a_launch_without_a_virtual_device_takes_none(tmp_path: Path) -> None:

@@ -1,0 +1,158 @@
+"""Several chains in one launch: namespaces, included launch files, remapping, and values of ``run`` without an argument."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from messages import topics
+from messages.types import DeviceState
+from nodes.launcher import launch_file
+from nodes.parameters.store import ParameterError
+from nodes.recording.reader import Recording
+from tests.support.launching import Running, launch_json, running
+
+HEAD = "summary: a launch of a test\n"
+
+
+def read(folder: Path, text: str, **given: Any) -> launch_file.Launch:
+    file = folder / "mine.yaml"
+    file.write_text(HEAD + text, encoding="utf-8")
+    return launch_file.read(str(file), given)
+
+
+def test_a_full_name_is_taken_apart_as_it_was_put_together() -> None:
+    for namespace in ("", "left", "left/arm"):
+        for topic in (*topics.FIXED, topics.status("driver"), topics.event("driver")):
+            full = topics.within(namespace, topic)
+            assert topics.split(full) == (namespace, topic)
+            assert topics.message_type(full) is topics.message_type(topic) is not None
+
+
+def unclocked(messages: list[Any]) -> list[Any]:
+    """Leave out how long each answer took."""
+    return [msgspec.structs.replace(one, response=0.0) if isinstance(one, DeviceState) else one for one in messages]
+
+
+def test_two_chains_do_what_each_does_alone(tmp_path: Path) -> None:
+    figures = launch_json(tmp_path, "two_hands", "pace:=lockstep", "duration:=0.4", "stiffness:=800")
+    alone = launch_json(tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.4", "stiffness:=800")
+    left, right = (Recording(tmp_path / path) for path in figures["recordings"])
+    assert (left.namespace, right.namespace) == ("left", "right")
+    assert set(figures["chains"]) == {"left", "right"}
+    assert figures["chains"]["left"]["final"] == alone["final"]
+    before = Recording(tmp_path / alone["recording"])
+    for topic in topics.LOOP:
+        # Bit for bit: lockstep is deterministic, and a namespace is a name.
+        assert unclocked(left.messages(topic)) == unclocked(before.messages(topic))
+    assert len(right.messages(topics.DEVICE_STATE)) == len(before.messages(topics.DEVICE_STATE))
+    assert right.manifest["axes"] == "x"
+    assert left.manifest["axes"] == "z"
+
+
+@pytest.fixture(scope="module")
+def two_hands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with running(tmp_path_factory.mktemp("two"), "two_hands", "duration:=0") as launch:
+        yield launch
+
+
+def test_verbs_name_nodes_and_topics_with_their_namespace(two_hands: Running) -> None:
+    found = json.loads(two_hands.haptic("topic", "list", "--json").stdout)["topics"]
+    assert {"/left/device/state", "/right/coupling/force", "/left/driver/status"} <= set(found)
+    assert two_hands.haptic("topic", "echo", "/right/device/state", "--once").stdout.startswith("seq: ")
+    assert two_hands.haptic("param", "get", "left/coupling", "usual.stiffness").stdout
+    refused = two_hands.haptic("law", "switch", "pd_alpha", code=2).stderr
+    assert "left/coupling, right/coupling" in refused
+    assert "--run /left" in refused
+
+
+def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
+    run = ("--run", "two_hands/left")
+    found = json.loads(two_hands.haptic("topic", "list", "--json", *run).stdout)["topics"]
+    assert set(topics.LOOP) <= set(found)
+    assert not any("left" in topic or "right" in topic for topic in found)
+    assert two_hands.haptic("topic", "echo", "/device/state", "--once", *run).stdout.startswith("seq: ")
+    two_hands.haptic("law", "switch", "pd_alpha", "--run", "/left")
+    active = [
+        json.loads(two_hands.haptic("law", "list", "--json", "--run", f"/{hand}").stdout)["active"]
+        for hand in ("left", "right")
+    ]
+    assert active == ["pd_alpha", "pd"]
+    refused = two_hands.haptic("topic", "list", "--run", "/middle", code=2).stderr
+    assert "no namespace 'middle'; there is: left, right" in refused
+
+
+def test_a_node_can_take_another_chains_topic(tmp_path: Path) -> None:
+    """A second environment and coupling follow the first chain's device: the shadow computes the same force."""
+    file = tmp_path / "shadow.yaml"
+    file.write_text(
+        f"""{HEAD}run: {{pace: lockstep, duration: 0.2}}
+include:
+  - launch: floor_drop
+    without: [logger]
+nodes:
+  shadow/environment:
+    kind: environment
+    remap: {{/device/state: /device/state}}
+    parameters: {{surface: {{kind: plane, axis: z, position: 0.0, normal: 1}}}}
+  shadow/coupling:
+    kind: coupling
+    parameters: {{law: pd, laws: {{pd: {{kind: pd, stiffness: 1000.0, damping: 3.0}}}}}}
+  logger: {{kind: logger}}
+""",
+        encoding="utf-8",
+    )
+    figures = launch_json(tmp_path, str(file))
+    recording = Recording(tmp_path / figures["recording"])
+    own, shadow = recording.messages(topics.FORCE), recording.messages("/shadow/coupling/force")
+    assert len(shadow) > 90
+    assert [force.force for force in shadow] == [force.force for force in own][: len(shadow)]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("include:\n  - launch: floor_drop\n  - launch: wall_press\n", "is there twice; give one a namespace"),
+        ("include:\n  - {launch: floor_drop, namespace: a}\n  - {launch: floor_drop_fast, namespace: b}\n", "run.rate"),
+        ("include:\n  - {launch: floor_drop, namespace: LEFT}\n", "lower-case"),
+        ("include:\n  - {launch: floor_drop, namespace: abcdefghijklmnopqrstuvwxyz}\n", "longer than 32 letters"),
+        ("include:\n  - {launch: floor_dorp}\n", "floor_drop"),
+        ("include:\n  - {launch: floor_drop, arguments: {stifness: 1}}\n", "stiffness"),
+        ("include:\n  - {launch: floor_drop, without: [loger]}\n", "logger"),
+        ("include:\n  - {launch: mine.yaml}\n", "includes itself"),
+        ("run: {rate: 500.0}\n", "no nodes"),
+        (
+            "include:\n  - {launch: floor_drop}\nnodes:\n  driver: {kind: sim_driver}\n",
+            "an included launch file has a node of that name",
+        ),
+    ],
+)
+def test_what_cannot_be_included_is_refused(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(ParameterError, match=r"mine\.yaml") as refused:
+        read(tmp_path, text)
+    assert told in str(refused.value)
+
+
+def test_arguments_reach_the_included_file(tmp_path: Path) -> None:
+    launch = read(
+        tmp_path,
+        "arguments: {hard: {default: 900.0}}\n"
+        "include:\n  - {launch: floor_drop, namespace: left, arguments: {stiffness: $(var hard), rate: 250}}\n",
+        hard=1234,
+    )
+    assert launch.nodes["left/coupling"].parameters["usual"]["stiffness"] == 1234.0
+    assert launch.run.rate == 250.0
+
+
+def test_run_is_set_without_an_argument_for_it() -> None:
+    launch = launch_file.read("floor_drop", {"run.axes": ["z"], "run.fifo": 0, "run.rate": 700})
+    assert (launch.run.fifo, launch.run.rate) == (0, 700.0)
+    with pytest.raises(ParameterError, match=r"run.*fifoo"):
+        launch_file.read("floor_drop", {"run.fifoo": 0})
+    with pytest.raises(ParameterError, match=r"run\.rate.*1"):
+        launch_file.read("floor_drop", {"run.rate": 0.0})
