@@ -13,6 +13,7 @@ import pytest
 from messages import topics
 from messages.types import DeviceState
 from nodes.launcher import launch_file
+from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from tests.support.launching import Running, launch_json, running
@@ -20,7 +21,7 @@ from tests.support.launching import Running, launch_json, running
 HEAD = "summary: a launch of a test\n"
 
 
-def read(folder: Path, text: str, **given: Any) -> launch_file.Launch:
+def read(folder: Path, text: str, **given: Any) -> Launch:
     file = folder / "mine.yaml"
     file.write_text(HEAD + text, encoding="utf-8")
     return launch_file.read(str(file), given)
