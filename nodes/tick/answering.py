@@ -13,7 +13,7 @@ import threading
 from array import array
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 import msgspec
 
@@ -23,9 +23,6 @@ from messages.transport.sockets import Publisher, Subscription
 from nodes.tick.fields import key_blocks
 from nodes.tick.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, Counted
 from nodes.tick.library import Kernel, functions
-
-if TYPE_CHECKING:
-    from nodes.base.setup import Setup
 
 M = TypeVar("M")
 
@@ -42,7 +39,7 @@ WAIT_MS: Final = 100
 class Node(Protocol):
     """What compiled ticks need of their node."""
 
-    setup: Setup
+    setup: Any
     inbox: Subscription | None
     publisher: Publisher
     clock_offset: float
