@@ -1,4 +1,4 @@
-"""List the nodes of a running launch, tell what each one does, and start one by hand."""
+"""List the nodes of a running launch, tell what each one does, start one by hand, and let a driver that has stopped go on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nodes.launcher.runs import RunError, RunInfo
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="list|info|start", required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="list|info|start|rearm", required=True)
     text = "List the nodes with kind, state and process number."
     listing = sub.add_parser("list", help=text, description=text)
     listing.set_defaults(run=_list)
@@ -40,6 +40,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="with --bind: where its parameters may name files and libraries; may be given several times",
     )
     add_run(start)
+    text = "Let a driver that has stopped a swinging loop take forces again, by its ramp. Change the law first."
+    again = sub.add_parser("rearm", help=text, description=text)
+    again.set_defaults(run=_rearm)
+    again.add_argument("node", nargs="?", help="the driver (default: the run's only one)")
+    add_run(again)
 
 
 def _state(run: RunInfo, name: str) -> dict[str, Any]:
@@ -94,6 +99,24 @@ def _info(arguments: argparse.Namespace) -> int:
         *(f"    {operation}" for operation in info["operations"]),
     ]
     answer(arguments.json, figures, "\n".join(lines))
+    return 0
+
+
+def _rearm(arguments: argparse.Namespace) -> int:
+    from messages.topics import DEVICE_STATE
+    from nodes.base.kinds import load
+
+    run = chosen_run(arguments)
+    drivers = [name for name, setup in run.nodes.items() if DEVICE_STATE in load(setup.factory).publishes]
+    if not arguments.node and len(drivers) != 1:
+        raise UsageError(f"node rearm: {run.run} has the drivers {', '.join(drivers) or 'none'}; name one")
+    name = node_name(run, arguments.node or drivers[0])
+    receipt = ask(run, name, "rearm", beside=True)
+    answer(
+        arguments.json,
+        {"run": run.run, "node": name, **receipt},
+        f"/{name}: takes forces again, from tick {receipt['seq']}",
+    )
     return 0
 
 

@@ -30,7 +30,7 @@ from nodes.driver.motion import set_motion
 from nodes.driver.parameters import DriverParameters, check
 from nodes.driver.passivity import set_guard
 from nodes.driver.report import DriverReport
-from nodes.driver.safety import set_safety, soft_stop
+from nodes.driver.safety import rearm, set_safety, soft_stop
 from nodes.driver.state import BETWEEN, SAFETY, DriverState
 from nodes.driver.tick import BROKEN, GOT, NONE, REFUSED, SILENT, UNREAD, Port, make_ticks, take_sample
 from nodes.driver.watch import Watch
@@ -381,7 +381,28 @@ class Driver(Node):
         """Offer what the launcher's status line asks for."""
         limits = self._device.limits
         times = {"opening_s": limits.opening, "closing_s": limits.closing}
-        return {"progress": lambda: self._report.progress(self.setup.ticks), "device": lambda: times}
+        return {
+            "progress": lambda: self._report.progress(self.setup.ticks),
+            "device": lambda: times,
+            "rearm": self._rearm,
+        }
+
+    def _rearm(self, beside: bool = False) -> dict[str, Any]:
+        """Take forces again after a stop; of a device that exists only when whoever asks says to stand beside it."""
+        name = self.setup.name
+        if not (self.virtual or beside):
+            raise ParameterError(
+                f"{name}: the device exists, and its driver has stopped a loop that swings; whoever stands beside it may ask "
+                "for forces again, after a softer law: haptic node rearm"
+            )
+
+        def apply(seq: int) -> dict[str, Any]:
+            if not rearm(self.driving, seq):
+                raise ParameterError(f"{name}: has not stopped the loop; nothing was changed")
+            return {"seq": seq}
+
+        receipt: dict[str, Any] = self.hand_over(apply)
+        return receipt
 
     def report(self) -> dict[str, Any]:
         """Summarise the run."""

@@ -8,7 +8,7 @@ A small machine of states, the same for the virtual device and for hardware::
                             zero ◀──back inside── fault ◀──outside the workspace── any of them
                          stopped ◀──the force swings between its limits, and gives out energy── any of them
 
-``stopped`` is for good: damping, then no force, until the driver is started again.
+``stopped`` is for good: damping, then no force, until somebody asks for it (`rearm`) or the driver is started again.
 While there is no force, a hand that keeps pushing sinks in, and the law then asks for far more than before. So every force
 that was away comes back by a ramp: each tick away takes `REGAIN` ticks of ramp, up to the whole one (`recovery`). A ramp that
 pushes the device faster than `RETURN_SPEED` goes back, so that whoever has sunk in is let out, not thrown.
@@ -50,6 +50,7 @@ from nodes.driver.telling import (
     LET_GO,
     NO_POSITION,
     OUTSIDE,
+    REARMED,
     REFUSED_FIRST,
     SILENT,
     STILL_SILENT,
@@ -108,6 +109,24 @@ def enter(
     s.safety = state
     s.entered[state] += 1
     note(s, why, seq, 8 * before + state, a, b, c, d)
+
+
+def rearm(s: Any, seq: int) -> bool:
+    """Let a driver that has stopped take forces again, from nothing and by the whole ramp; whether it had stopped.
+
+    Only on request. Whoever asks has seen to it that the loop is another one: the same swings again, and is stopped again.
+    """
+    if s.safety != STOPPED:
+        return False
+    # Swings are counted anew; what the motor has been heated by, and energy, are not forgotten.
+    s.peaks_count = s.peaked = 0
+    s.regained, s.away_from = 0, float(seq)
+    for i in range(3):
+        s.brake[i] = s.sides[i] = 0
+    s.safety = NOTHING
+    s.entered[NOTHING] += 1
+    note(s, REARMED, seq, 8 * STOPPED + NOTHING)
+    return True
 
 
 def admit(s: Any, seq: int) -> bool:

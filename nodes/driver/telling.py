@@ -19,7 +19,8 @@ BACK_INSIDE: Final = 8
 SWINGS: Final = 9
 CONTINUOUS: Final = 10
 HELD_UP: Final = 11
-REFUSED_FIRST: Final = 12
+REARMED: Final = 12
+REFUSED_FIRST: Final = 13
 """The first of four: future, replayed, stale, not finite."""
 
 _WORDS: Final[tuple[Callable[..., str], ...]] = (
@@ -34,10 +35,11 @@ _WORDS: Final[tuple[Callable[..., str], ...]] = (
     lambda *_: "back inside the workspace",
     lambda _, peak, times, span, gained, *__: (
         f"the loop swings: its force came to the limit of {peak:g} N {times:.0f} times within {span:.2g} s and gave out "
-        f"{gained * 1e3:.3g} mJ; no force until the next start: launch again with a softer law"
+        f"{gained * 1e3:.3g} mJ; no force until it is asked for: a softer law first, then haptic node rearm, or launch again"
     ),
     lambda tick, _, most, *__: f"continuous force at tick {tick}: limit {most:.3g} N reached",
     lambda tick, written, *_: f"no force from tick {written:.0f} to {tick}; the device let go by itself",
+    lambda *_: "armed again on request: the force comes back by its ramp, and swings are counted anew",
     lambda tick, _, answers, *__: f"a force for tick {answers:.0f}, which has not been: now is {tick}",
     lambda _, __, answers, last, *___: (
         f"a force for tick {answers:.0f} once more: {last:.0f} was the last (replayed or out of order)"
@@ -48,6 +50,7 @@ _WORDS: Final[tuple[Callable[..., str], ...]] = (
 
 _KINDS: Final = {
     SWINGS: "stopped",
+    REARMED: "rearmed",
     CONTINUOUS: "limit",
     HELD_UP: "device",
     **{REFUSED_FIRST + n: f"refused_{why}" for n, why in enumerate(("future", "replayed", "stale", "not_finite"))},

@@ -100,7 +100,7 @@ class Loop:
         """Refuse a driver that gives no force."""
         state = self.progress()["safety"]
         if state == "stopped":
-            raise RefusedError(f"{self.driver}: has stopped for good ({self.why_stopped()}); launch again")
+            raise RefusedError(f"{self.driver}: has stopped for good ({self.why_stopped()})")
         if state == "fault":
             raise RefusedError(f"{self.driver}: the device is outside its workspace; bring it back first")
 
@@ -108,6 +108,10 @@ class Loop:
         """Ask the driver for the newest change of its safety state."""
         reasons = ask(self.run, self.driver, "report").get("safety", {}).get("reasons", [])
         return str(reasons[-1]) if reasons else "the driver gives no reason"
+
+    def rearm(self, beside: bool) -> None:
+        """Let a driver that has stopped take forces again; one of a device that exists only `beside` somebody who asked."""
+        ask(self.run, self.driver, "rearm", beside=beside)
 
     def wait(self, ticks: int) -> None:
         """Wait for some ticks."""

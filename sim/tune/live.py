@@ -4,7 +4,7 @@ The law on trial is a law of the coupling that gives up after its ticks, or as s
 (`nodes.laws.knock`): counted by the loop itself, so in lockstep too, where thousands of ticks pass before anybody could ask
 for an end. The driver's passivity guard watches meanwhile, with an allowance: a knock that dies down never meets it, and a
 loop that gives out more than that is held within a tick. A driver that stopped the loop has given its verdict: it does not
-rest.
+rest. It takes forces again once the soft spring holds the device; where that exists, only when the user has asked for it.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ HOLDS = 3
 """How often the far end of the soft spring is put where the device is, which still creeps towards it."""
 TRIAL = "trial"
 """Name that the coupling gets for the law on trial."""
+STOPPED = "the driver stopped the loop"
+"""How a verdict of the driver's own begins."""
 
 
 class StalledError(RefusedError):
@@ -48,6 +50,8 @@ class Trials:
         The force that carries the device's weight [N].
     say : callable
         Told how it goes.
+    rearm : bool
+        Whether the driver of a device that exists takes forces again after a stop.
     """
 
     def __init__(
@@ -58,10 +62,11 @@ class Trials:
         knock: float,
         load: float,
         say: Callable[[str], None],
+        rearm: bool = False,
     ) -> None:
         self._loop, self._held, self._say = loop, held, say
         self._taps, self._knock, self._load = list(taps), knock, load
-        self._near, self._sign = 0, -1.0
+        self._near, self._sign, self._rearm = 0, -1.0, rearm
         # A launch that has a guard of its own keeps it.
         self._own = ask(loop.run, loop.driver, "param.get", name="passivity")
         self._guarded = not (self._own and self._own["guard"] == "on")
@@ -98,7 +103,7 @@ class Trials:
         factor, doubted, disturbed, rested = factor_of(step), False, "", 0
         for _ in range(AGAIN):
             verdict, disturbed = self._try(factor)
-            if verdict.why.startswith("the driver stopped"):
+            if verdict.why.startswith(STOPPED):
                 return verdict
             rested += verdict.rests and not disturbed
             if verdict.rests and not disturbed and rested < 2 and step >= self._near:
@@ -130,10 +135,24 @@ class Trials:
             left = float(np.ptp(position[-len(position) // 3 :])) / self._knock if len(position) else 0.0
             verdict = Verdict(factor, left, False, why)
         left = ask(loop.run, loop.coupling, "law.switch", law=SOFT_LAW, ramp=0)["from"]
-        if left != TRIAL:
+        if why.startswith(STOPPED):
+            self._start_again(why)
+        elif left != TRIAL:
             disturbed = disturbed or f"the law overran its time budget: {left} rendered"
         loop.wait(WINDOW // 2)
         return verdict, disturbed
+
+    def _start_again(self, why: str) -> None:
+        """Let the driver take forces again, when the soft spring holds the device where it came to lie."""
+        loop = self._loop
+        self._say(why)
+        self.hold()
+        try:
+            loop.rearm(self._rearm)
+        except RefusedError as error:
+            self._say(f"{error}; or tune with --rearm")
+            return
+        loop.wait(SOFT_RAMP)
 
     def _window(self, factor: float) -> tuple[Array, str, str]:
         """Let the law on trial take over, and hear the positions until they tell: with why it ended, and what disturbed it."""
@@ -143,7 +162,7 @@ class Trials:
         began, late, energy, overruns = -1, 0, 0.0, 0
         for state in loop.states():
             if state.safety == "stopped":
-                return np.array(positions), f"the driver stopped the loop: {loop.why_stopped()}", ""
+                return np.array(positions), f"{STOPPED}: {loop.why_stopped()}", ""
             if began < 0:
                 receipt = ask(loop.run, loop.coupling, "law.switch", law=TRIAL, ramp=0)
                 began, energy, overruns = int(receipt["seq"]), state.energy, state.overruns

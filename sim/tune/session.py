@@ -57,6 +57,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
         Of the push [N]: a force above it is taken for a hand's.
     load : float or None
         The force that carries the device's weight [N]; None for what acts at rest.
+    rearm : bool
+        Whether the driver of a device that exists takes forces again after it stopped a trial.
     command : str
         What was typed.
     """
@@ -70,6 +72,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     refuted: bool = False
     amplitude: float = 0.7
     load: float | None = None
+    rearm: bool = False
     command: str = ""
 
 
@@ -242,7 +245,8 @@ class Tuning:
         edge = Edge()
         with borrowed(loop) as held:
             try:
-                trials = Trials(loop, held, designed["taps_n_per_m"], predicted["knock_m"], load, self._say)
+                taps, knock = designed["taps_n_per_m"], predicted["knock_m"]
+                trials = Trials(loop, held, taps, knock, load, self._say, self._options.rearm)
                 trials.climb(plan, edge)
             except KeyboardInterrupt:
                 edge.ended = edge.ended or "interrupted"

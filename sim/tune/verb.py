@@ -47,6 +47,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--refuted", action="store_true", help="design even if the recording refutes the model of the device"
     )
+    parser.add_argument(
+        "--rearm",
+        action="store_true",
+        help="you stand beside the device: after a trial that the driver stopped, it takes forces again (a virtual one always)",
+    )
     add_push(parser)
     add_run(parser)
     parser.set_defaults(run=run, out=Path("tuning"))
@@ -78,6 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
         refuted=arguments.refuted,
         amplitude=arguments.amplitude,
         load=arguments.load,
+        rearm=arguments.rearm,
         command=shlex.join(["haptic", *sys.argv[1:]]),
     )
     steps = [name for name in STEPS if name in arguments.steps]

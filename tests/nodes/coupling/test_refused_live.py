@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from messages.topics import DEVICE_STATE
+from nodes.driver.limits import SafetyParameters
 from nodes.parameters.yaml_io import write_yaml
 from nodes.recording.reader import Recording
 from tests.support.launching import Running, running, wait_for
@@ -82,6 +83,15 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     # It stays so, whatever is sent: a stable law does not bring the force back.
     press.haptic("law", "switch", "pd")
     stopped = press.wait_ticks(1500) - 1500
+    # Until somebody asks for it.
+    told = press.haptic("node", "rearm", "--json")
+    again = json.loads(told.stdout.splitlines()[-1])["seq"]
+    wait_for(lambda: "[driver] rearmed: stopped → zero at tick" in press.errors, "the event")
+    wait_for(lambda: press.call("driver", "progress")["safety"] == "active", "the force to be back")
+    assert "has not stopped the loop" in press.haptic("node", "rearm", code=1).stderr
+    # A loop that swings again is stopped again.
+    press.haptic("law", "switch", "hard", "--force")
+    wait_for(lambda: press.call("driver", "progress")["safety"] == "stopped", "the second stop")
     figures = press.finish(signal.SIGINT, code=0)
     recording = Recording(press.folder / figures["recording"])
     states = recording.messages(DEVICE_STATE)
@@ -91,13 +101,20 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     assert max(abs(state.position[0]) for state in states) < 0.2
     assert figures["safety"]["limited"]["peak"] > 0
     # 50 ticks of damping, and a hundred for the words to get here.
-    after = [state for state in states if state.seq > stopped + 150]
+    after = [state for state in states if stopped + 150 < state.seq < again]
     assert len(after) > 1000
     assert {state.safety for state in after} == {"stopped"}
     assert {state.force for state in after} == {(0.0, 0.0, 0.0)}
     event = next(event for event in recording.messages("/driver/event") if event.kind == "stopped")
     assert "its force came to the limit of 7.9 N 6 times within" in event.reason
-    assert "launch again with a softer law" in event.reason
+    assert "haptic node rearm, or launch again" in event.reason
+    # From nothing, by the whole ramp: each tick at most a 75th of the largest force, until it is active.
+    ramp = round(SafetyParameters().recovery / 0.002)
+    back = [state for state in states if again < state.seq <= again + ramp]
+    assert any(state.safety == "ramp" for state in back)
+    # One more for the tick in which it was asked, and the rounding of a quotient.
+    assert all(abs(state.force[0]) <= 7.9 * (state.seq - again + 1) / ramp * (1.0 + 1e-12) for state in back)
+    assert figures["safety"]["entered"]["stopped"] == 2
 
 
 def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> None:

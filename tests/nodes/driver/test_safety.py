@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from messages.types import ZERO, Force, Vector
 from nodes.driver.limits import STOP_TIME
 from nodes.driver.passivity import PassivityParameters
-from nodes.driver.safety import REGAIN, let_go, soft_stop
+from nodes.driver.safety import REGAIN, let_go, rearm, soft_stop
 from tests.support.safety import UP, Port, T, force
 
 # -- watchdog --------------------------------------------------------------------------------------------------------
@@ -385,6 +385,47 @@ def test_a_stop_is_for_good_and_damps_first() -> None:
     assert not port.watch_position((0.2, 0.0, 0.0), tick)
     assert port.missed(tick, ZERO) == ZERO
     assert port.state == "stopped"
+
+
+def test_a_stop_ends_only_when_somebody_asks_and_then_by_the_whole_ramp() -> None:
+    port = Port(peak_force=8.0, damping_ticks=0, recovery=20 * T)
+    assert not rearm(port.s, 0)
+    assert port.events == []
+    tick = swung(port, 6, 10, 1e-3)
+    for _ in range(500):
+        port.watch_swings(0.0, ZERO, tick)
+        port.answer(force(tick, 4.0), tick)
+        assert (port.state, port.force) == ("stopped", ZERO)
+        tick += 1
+    assert rearm(port.s, tick)
+    assert port.state == "zero"
+    shares = []
+    for _ in range(25):
+        port.watch_swings(0.0, ZERO, tick)
+        port.answer(force(tick, 4.0), tick)
+        shares.append(port.force[2] / 4.0)
+        tick += 1
+    assert shares == pytest.approx([min((n + 1) / 20, 1.0) for n in range(25)], abs=1e-15)  # quotients
+    assert port.changes()[-2:] == ["zero → ramp", "ramp → active"]
+    assert any(kind == "rearmed" and reason.startswith("stopped → zero at tick") for kind, reason in port.events)
+    # It swings again, from where it is now: six times anew, not once.
+    for n in range(1, 7):
+        assert port.state == "active"
+        port.answer(force(tick, 20.0), tick)
+        port.answer(force(tick + 1, 1.0), tick + 1)
+        tick += 2
+        port.watch_swings(1e-3 * n, ZERO, tick)
+    assert port.state == "stopped"
+
+
+def test_a_device_outside_its_workspace_has_no_force_after_a_stop_either() -> None:
+    port = Port(peak_force=8.0, damping_ticks=0, recovery=20 * T, workspace=((-0.1, 0.1),) * 3)
+    tick = swung(port, 6, 10, 1e-3)
+    assert not port.watch_position((0.2, 0.0, 0.0), tick)
+    assert rearm(port.s, tick)
+    assert not port.watch_position((0.2, 0.0, 0.0), tick + 1)
+    port.answer(force(tick + 1, 4.0), tick + 1)
+    assert (port.state, port.force) == ("fault", ZERO)
 
 
 def test_without_a_largest_force_or_by_request_nobody_stops_it() -> None:

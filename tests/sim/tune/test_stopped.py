@@ -1,0 +1,105 @@
+"""A trial that the driver stops for good: a verdict, and a launch that takes forces again afterwards."""
+
+from __future__ import annotations
+
+import json
+import signal
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from messages.topics import DEVICE_STATE
+from nodes.driver.limits import SafetyParameters
+from nodes.recording.reader import Recording
+from sim.tune.knock import STRIDE, factor_of
+from sim.tune.live import STOPPED
+from tests.support.launching import running, wait_for
+
+T = 0.002
+PEAK = 3.0
+
+SCENE = {
+    "summary": "A device held at a point",
+    "run": {"rate": 1.0 / T, "duration": 0.0, "pace": "lockstep", "cpu": "any"},
+    "nodes": {
+        "driver": {
+            "kind": "sim_driver",
+            "parameters": {
+                "device": {"mass": 0.1, "damping": 1.0, "delay": 1.0},
+                "safety": {"peak_force": PEAK, "workspace": [[-0.05, 0.05]] * 3},
+            },
+        },
+        "environment": {
+            "kind": "environment",
+            "parameters": {"surface": {"kind": "anchor", "position": [0.0, 0.0, 0.0]}},
+        },
+        "coupling": {
+            "kind": "coupling",
+            "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 300.0, "damping": 2.0}}},
+        },
+        "logger": {"kind": "logger", "parameters": {"path": "run.mcap"}},
+    },
+}
+
+
+def designed(folder: Path, taps: list[float]) -> None:
+    """Leave a design and a prediction: a law that rests just so, to be tried in large steps."""
+    h1 = sum(taps)
+    edges = {"edge_h1_n_per_m": None, "edge_factor": None, "edge_linear_h1_n_per_m": h1, "edge_linear_factor": 1.0}
+    told: dict[str, Any] = {
+        "designed": {
+            "taps_n_per_m": taps,
+            "law": {"kind": "fir", "taps": taps, "period": T},
+            "h1_n_per_m": h1,
+            "gain_over_pd": None,
+            "lands": False,
+            "demand": {"mass": [0.1, 0.1], "delay": [1.0, 1.0], "radius": 1.0},
+        },
+        "predicted": {
+            **edges,
+            "h1_n_per_m": h1,
+            "knock_m": 2e-3,
+            "pole_radius": 1.0,
+            "drops_settled": 0,
+            "drops": 0,
+            "stable_up_to_delay_ticks": None,
+            "every_delay_stable": None,
+            "limit_cycle_free": None,
+        },
+        "predicted_steps": {"steps": [], "ended": "", "plan": {"first": 0, "near": 60, "last": 60}},
+    }
+    (folder / "tuning").mkdir()
+    (folder / "tuning" / "tune.json").write_text(json.dumps(told))
+
+
+def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_path: Path) -> None:
+    """Without it every later trial met a dead driver, and whoever tuned a running launch had to start it anew."""
+    (tmp_path / "held.yaml").write_text(json.dumps(SCENE))
+    designed(tmp_path, [20000.0, -19500.0])
+    with running(tmp_path, "held.yaml") as launch:
+        launch.haptic("tune", "--steps", "verify", "--json", code=1)
+        # It takes forces again, and the launch has its own law back.
+        wait_for(lambda: launch.call("driver", "progress")["safety"] == "active", "forces to be back")
+        assert launch.call("coupling", "law.list")["active"] == "pd"
+        figures = launch.finish(signal.SIGINT)
+    after = json.loads((tmp_path / "tuning" / "tune.json").read_text())["verified"]
+    assert not after["holds"]
+    stops = [step["factor"] for step in after["steps"] if step["why"].startswith(f"{STOPPED}: active → stopped")]
+    rested = [step["factor"] for step in after["steps"] if step["rests"]]
+    # The first stride of 22 % is stopped; what lies below it is tried afterwards, on a driver that takes forces again.
+    assert stops[-1] == pytest.approx(factor_of(STRIDE))
+    assert all(factor < max(stops) for factor in rested)
+    assert len(after["steps"]) > 2
+    times = figures["safety"]["entered"]["stopped"]
+    assert times == len(stops)
+    assert launch.errors.count("[driver] rearmed: stopped → zero") >= 1
+    # From nothing, by the whole ramp.
+    states = Recording(tmp_path / "run.mcap").messages(DEVICE_STATE)
+    ramp = round(SafetyParameters().recovery / T)
+    for before, state in pairwise(states):
+        if before.safety == "stopped" != state.safety:
+            back = [one for one in states if state.seq <= one.seq < state.seq + ramp]
+            # Two roundings.
+            assert all(abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15) for one in back)
