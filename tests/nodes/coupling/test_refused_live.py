@@ -84,8 +84,8 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     press.haptic("law", "switch", "pd")
     stopped = press.wait_ticks(1500) - 1500
     # Until somebody asks for it.
-    told = press.haptic("node", "rearm", "--json")
-    again = json.loads(told.stdout.splitlines()[-1])["seq"]
+    done = press.haptic("node", "rearm", "--json")
+    again = json.loads(done.stdout.splitlines()[-1])["seq"]
     wait_for(lambda: "[driver] rearmed: stopped → zero at tick" in press.errors, "the event")
     wait_for(lambda: press.call("driver", "progress")["safety"] == "active", "the force to be back")
     assert "has not stopped the loop" in press.haptic("node", "rearm", code=1).stderr
