@@ -65,7 +65,7 @@ class Forwarder(Node):
         parameters: ForwarderParameters = self.store.current
         self._strangers = new_context()
         self._ports = {
-            node: OpenPort(self._strangers, f"tcp://127.0.0.1:{port}", self.deny)
+            node: OpenPort(self._strangers, f"tcp://127.0.0.1:{port}", self.events.deny)
             for node, port in parameters.ports.items()
         }
 

@@ -51,7 +51,7 @@ from nodes.view import server
 from nodes.view.commands import Commander, CommandError
 from nodes.view.pointer import PointerReader
 from nodes.view.shared_hand import SharedHand
-from tests.nodes.tick.test_messages import assert_read_alike
+from tests.nodes.compiled.test_messages import assert_read_alike
 from tests.support.launching import private_runtime_dir
 from tests.support.recorded import drop
 from tests.support.setups import setup_of

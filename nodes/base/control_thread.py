@@ -88,12 +88,12 @@ class ControlServer(threading.Thread):
             "clock.set": node.set_clock,
             "param.list": node.store.flat,
             "param.get": lambda name: node.store.get(name),
-            "param.set": lambda values, force=False: node.change_parameters(
-                lambda: node.store.changed(values), node.prepare_forced if force else None
+            "param.set": lambda values, force=False: node.changes.change(
+                lambda: node.store.changed(values), node.prepare_forced if force else node.prepare
             ),
             "param.dump": node.store.dump,
-            "param.load": lambda values, force=False: node.change_parameters(
-                lambda: node.store.merged(values), node.prepare_forced if force else None
+            "param.load": lambda values, force=False: node.changes.change(
+                lambda: node.store.merged(values), node.prepare_forced if force else node.prepare
             ),
             **node.operations(),
         }
@@ -158,7 +158,7 @@ class ControlServer(threading.Thread):
         now = realtime.memory_bytes()
         self._usual_memory = self._usual_memory or now
         if now - self._usual_memory > MOST_GROWTH:
-            self._node.deny(
+            self._node.events.deny(
                 f"memory grew by {(now - self._usual_memory) >> 20} MiB; all connections for requests are ended"
             )
             self._usual_memory = now
@@ -172,7 +172,7 @@ class ControlServer(threading.Thread):
                 try:
                     self._open()
                 except EndpointRefusedError as error:
-                    self._node.tell("control", str(error))
+                    self._node.events.emit("control", str(error))
                     time.sleep(WATCH_PERIOD)
 
     def await_fetch(self, timeout: float) -> None:
@@ -184,7 +184,7 @@ class ControlServer(threading.Thread):
         lease = self._node.setup.lease
         if lease and now - self._asked > lease and not self._node.stopping:
             reason = f"launcher lost: no request for {lease:g} s"
-            self._node.say(f"{reason}; stopping")
+            self._node.events.log(f"{reason}; stopping")
             self._node.stop(reason)
 
     def _put_back(self) -> None:
@@ -193,16 +193,18 @@ class ControlServer(threading.Thread):
             try:
                 self._operations[op](**args)
             except Exception as error:  # noqa: BLE001  # as for requests: told, and served on
-                self._node.announce("lease", f"lease {name!r} has run out, but {op} failed: {error}")
+                self._node.events.emit_each("lease", f"lease {name!r} has run out, but {op} failed: {error}")
             else:
-                self._node.announce("lease", f"lease {name!r} has run out, nobody renewed it: {op} {args}"[:4000])
+                self._node.events.emit_each(
+                    "lease", f"lease {name!r} has run out, nobody renewed it: {op} {args}"[:4000]
+                )
 
     def _answer(self, frames: list[bytes]) -> Reply:
         name = self._node.setup.name
         try:
             request = decode_request(frames)
         except MessageRefusedError as error:
-            self._node.refused += 1
+            self._node.events.refused += 1
             return Reply(False, error=f"{name}: {error}")
         operation = self._operations.get(request.op)
         if operation is None:
@@ -230,14 +232,14 @@ class ControlServer(threading.Thread):
 
     def _serve(self) -> None:
         node = self._node
-        node.serving.stop()
+        node.changes.serving.stop()
         try:
             frames = self._socket.recv_multipart()
             self._await_turn()
         except zmq.Again:
             return
         finally:
-            node.serving.start()
+            node.changes.serving.start()
         self._asked = time.monotonic()
         reply = self._answer(frames)
         # Before the answer: what was granted outlives this process.
@@ -252,7 +254,7 @@ class ControlServer(threading.Thread):
         try:
             keep(self._node)
         except OSError as error:
-            self._node.tell("kept", f"the parameters would not outlive this process: {error}")
+            self._node.events.emit("kept", f"the parameters would not outlive this process: {error}")
 
     def run(self) -> None:
         """Serve until stopped."""
@@ -261,7 +263,7 @@ class ControlServer(threading.Thread):
             try:
                 self._serve()
             except zmq.ZMQError as error:
-                self._node.tell("control", f"a request could not be served: {error}")
+                self._node.events.emit("control", f"a request could not be served: {error}")
             self._node.look_after()
             self._keep()
             self._watch_lease(time.monotonic())
@@ -270,7 +272,7 @@ class ControlServer(threading.Thread):
                 self._look_around(time.monotonic())
             except OSError as error:
                 # Descriptors or memory ran out: what the lease and the next request are for goes on.
-                self._node.tell("control", f"{error}")
+                self._node.events.emit("control", f"{error}")
         self._links.close()
         self._socket.close(linger=100)
         remove_ipc(self._node.setup.control)
@@ -282,7 +284,7 @@ class ControlServer(threading.Thread):
             self._poll_file(self._watched)
         if now >= self._next_status:
             self._next_status = now + STATUS_PERIOD
-            node.post(topics.status(node.setup.name), node.status())
+            node.events.publish(topics.status(node.setup.name), node.status())
             self._reopening.tend()
             self._review_memory()
             # Who answers each tick should hear one all the time, from the first one on.
@@ -293,12 +295,12 @@ class ControlServer(threading.Thread):
         try:
             values = watched.poll()
             if values is not None and node.store.merged(values) != node.store.current:
-                receipt = node.change_parameters(lambda: node.store.merged(values))
-                node.say(f"applied {watched.path}: {receipt}")
+                receipt = node.changes.change(lambda: node.store.merged(values), node.prepare)
+                node.events.log(f"applied {watched.path}: {receipt}")
         except Exception as error:  # noqa: BLE001  # as for requests: refused, told, and served on
             reason = str(error) if isinstance(error, ParameterError) else f"{type(error).__name__}: {error}"
             where = "" if reason.startswith(watched.path) else f"{watched.path}: "
-            node.announce("refused", f"{where}{reason}; the running parameters are untouched")
+            node.events.emit_each("refused", f"{where}{reason}; the running parameters are untouched")
 
     def stop(self) -> bool:
         """Stop serving and wait for the thread, but not for ever."""

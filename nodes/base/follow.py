@@ -22,7 +22,7 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
     """
     topic = node.setup.topic(topic)
     expected = topic.encode()
-    ticks = node.compiled()
+    ticks = node.make_compiled()
     realtime, period = node.setup.pace == "realtime", node.setup.period
     next_frame, decode, clock = inbox.next_frame, decoder.decode, time.monotonic
     waker = node.waker
@@ -43,7 +43,7 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         if missing > 0 and last >= 0:
             node.gaps += missing
         elif seq < last:
-            node.tell("restart", f"{topic} went back from tick {last} to {seq}")
+            node.events.emit("restart", f"{topic} went back from tick {last} to {seq}")
 
     def take() -> M | None:
         try:
@@ -57,12 +57,12 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         try:
             message = decode(next_frame())
         except TimedOut:
-            node.refuse(f"a message on {topic} without a payload")
+            node.events.refuse(f"a message on {topic} without a payload")
             return None
         except MessageRefusedError as error:
-            node.refuse(str(error))
+            node.events.refuse(str(error))
             return None
-        if realtime and clock() + node.clock_offset - message.stamp > period:
+        if realtime and clock() + node.clock.offset - message.stamp > period:
             message = newest(message)
         node.seq = seq = message.seq
         if seq != node.followed + 1:
@@ -71,4 +71,4 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         return message
 
     inbox.set_timeout(patience)
-    return take if ticks is None else ticks.before(take)
+    return take if ticks is None else ticks.in_front_of(take)

@@ -70,23 +70,37 @@ class Change:
 
 
 class Changes:
-    """What waits to be applied; the loop looks whether there is anything, and takes one a tick.
+    """How a node's parameters change while it runs, all or nothing: prepared on the control thread, applied by the loop.
 
     Parameters
     ----------
-    node : str
-        Name of the node, for errors.
+    setup : Setup
+        Who the node is.
+    store : ParameterStore
+        Its parameters.
+    notify : callable
+        Calls the loop's attention.
+    lives : callable
+        Whether the loop still takes up what is handed over.
+
+    Attributes
+    ----------
+    serving : Stopwatch
+        How long the control thread was at work.
     """
 
-    def __init__(self, node: str) -> None:
-        self._node = node
+    def __init__(
+        self, setup: Setup, store: ParameterStore, notify: Callable[[], None], lives: Callable[[], bool]
+    ) -> None:
+        self._setup, self._store, self._notify, self._lives = setup, store, notify, lives
         self._waiting: deque[Change] = deque()
+        self.serving = Stopwatch()
 
     def __bool__(self) -> bool:
         return bool(self._waiting)
 
     def apply_next(self, seq: int) -> None:
-        """Apply one change (main thread)."""
+        """Apply one change (main thread): the loop takes one a tick."""
         try:
             change = self._waiting.popleft()
         except IndexError:
@@ -94,57 +108,32 @@ class Changes:
             return
         change.run(seq)
 
-    def hand_over(
-        self, apply: Callable[[int], Any], call: Callable[[], None], lives: Callable[[], bool], timeout: float = 2.0
-    ) -> Any:
-        """Hand a prepared change to the loop and wait until it was applied (control thread)."""
-        change = Change(apply)
-        self._waiting.append(change)
-        call()
-        deadline = time.monotonic() + timeout
-        while not change.wait(0.05):
-            if time.monotonic() < deadline and lives():
-                continue
-            try:
-                self._waiting.remove(change)
-            except ValueError:
-                # Taken up just now: it is being applied.
-                change.wait(None)
-            else:
-                raise ParameterError(
-                    f"{self._node}: not taken up by the loop within {timeout:g} s; nothing was changed; is the node stopping?"
-                )
-        return change.result()
-
-
-class Changeable:
-    """A node whose parameters change while it runs, all or nothing: prepared on the control thread, applied by the loop."""
-
-    setup: Setup
-    store: ParameterStore
-    changes: Changes
-    serving: Stopwatch
-    state: str
-
-    def call(self) -> None:
-        """Wake the loop."""
-        raise TypeError(f"{type(self).__name__} does not define call()")
-
-    def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare a change."""
-        raise TypeError(f"{type(self).__name__} does not define prepare(), asked for {parameters!r}")
-
     def hand_over(self, apply: Callable[[int], Any], timeout: float = 2.0) -> Any:
         """Hand a prepared change to the loop and wait until it was applied (control thread); one not taken up is withdrawn."""
         self.serving.stop()
         try:
-            return self.changes.hand_over(apply, self.call, lambda: self.state not in ("finished", "failed"), timeout)
+            change = Change(apply)
+            self._waiting.append(change)
+            self._notify()
+            deadline = time.monotonic() + timeout
+            while not change.wait(0.05):
+                if time.monotonic() < deadline and self._lives():
+                    continue
+                try:
+                    self._waiting.remove(change)
+                except ValueError:
+                    # Taken up just now: it is being applied.
+                    change.wait(None)
+                else:
+                    raise ParameterError(
+                        f"{self._setup.name}: not taken up by the loop within {timeout:g} s; nothing was changed; "
+                        "is the node stopping?"
+                    )
+            return change.result()
         finally:
             self.serving.start()
 
-    def change_parameters(
-        self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]] | None = None
-    ) -> dict[str, Any]:
+    def change(self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]]) -> dict[str, Any]:
         """Make, check, prepare and apply new parameters, all or nothing (control thread).
 
         Should the parameters change in between (a scheduled swap), all is made again from the newer ones.
@@ -152,9 +141,9 @@ class Changeable:
         Parameters
         ----------
         make : callable
-            Makes the node's parameters after the change from those in `store`.
-        prepare : callable, optional
-            Used in place of the method `prepare`.
+            Makes the node's parameters after the change from those in the store.
+        prepare : callable
+            Prepares the change: from the parameters to what is applied between two ticks.
 
         Returns
         -------
@@ -167,21 +156,20 @@ class Changeable:
             When they are refused, or the loop does not take them up.
         """
         while True:
-            base = self.store.current
+            base = self._store.current
             parameters = make()
-            if self.setup.allow_paths is not None:
-                check_paths(parameters, [Path(folder) for folder in self.setup.allow_paths], self.setup.name)
-            apply = (prepare or self.prepare)(parameters)
-            receipt = self.hand_over(self._unless_changed(base, parameters, apply))
+            if self._setup.allow_paths is not None:
+                check_paths(parameters, [Path(folder) for folder in self._setup.allow_paths], self._setup.name)
+            receipt = self.hand_over(self._unless_changed(base, parameters, prepare(parameters)))
             if receipt is not None:
                 return {**receipt, "changed": differences(base, parameters)}
 
     def _unless_changed(self, base: Any, parameters: Any, apply: Callable[[int], Any]) -> Callable[[int], Any]:
         def at_tick(seq: int) -> Any:
-            if self.store.current is not base:
+            if self._store.current is not base:
                 return None
             receipt = apply(seq)
-            self.store.accept(parameters)
+            self._store.accept(parameters)
             return receipt
 
         return at_tick

@@ -55,7 +55,9 @@ def resume(node: Node) -> None:
         kept = msgspec.json.decode(path.read_bytes(), type=Kept)
         node.store.accept(convert(kept.parameters, node.Parameters, node.setup.name))
     except (msgspec.DecodeError, ParameterError) as error:
-        node.say(f"what it had before it was started again cannot be used: {error}; the launch file's parameters hold")
+        node.events.log(
+            f"what it had before it was started again cannot be used: {error}; the launch file's parameters hold"
+        )
         return
     node.kept, node.resumed_at = node.store.current, kept.seq
-    node.announce("resumed", f"goes on with the parameters that it had at tick {kept.seq}")
+    node.events.emit_each("resumed", f"goes on with the parameters that it had at tick {kept.seq}")

@@ -18,16 +18,18 @@ import msgspec
 from messages.codec import Decoder, MessageRefusedError
 from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription
+from messages.transport.waker import Waker
 from messages.types import Message, NodeStatus
 from nodes.base import realtime
-from nodes.base.events import Telling
-from nodes.base.handover import Changeable, Changes, Stopwatch
+from nodes.base.events import Clock, Events
+from nodes.base.handover import Changes
 from nodes.base.setup import Axis, Setup
+from nodes.compiled.layout import Counted
 from nodes.parameters.store import ParameterError, ParameterStore
 
 if TYPE_CHECKING:
-    from nodes.tick.answering import CompiledTicks
-    from nodes.tick.library import Kernel
+    from nodes.compiled.answering import CompiledTicks
+    from nodes.compiled.library import Kernel
 
 __all__ = [
     "IDLE_MS",
@@ -40,7 +42,7 @@ IDLE_MS = 100
 """How long a blocking receive waits before it looks whether the node should stop [ms]."""
 
 
-class Node(Telling, Changeable):
+class Node:
     """Base of all nodes.
 
     Parameters
@@ -61,13 +63,21 @@ class Node(Telling, Changeable):
     answered, answer : int, bytes
         The tick answered last, and what was sent; -1 before the first.
     kernel_module : str
-        Module of the compiled ticks of the kind (nodes/tick); empty when it has none. Not inherited.
+        Module of the compiled ticks of the kind (nodes/compiled); empty when it has none. Not inherited.
     kernel : callable or None
         They, where the launch asks for them and they could be had.
     ticks_compiled : int
         How many of the ticks they did.
-    serving : Stopwatch
-        How long the control thread was at work.
+    seq : int
+        The tick that the node is at.
+    ticks, gaps, skipped : int
+        Ticks handled so far, ticks missing in what it follows, and messages left out for newer ones.
+    clock, events, changes : Clock, Events, Changes
+        The run's time; what it has to say beside its ticks; how its parameters change.
+    compiled : CompiledTicks or None
+        Its compiled ticks, when the sockets exist.
+    waker : Waker or None
+        What ends the loop's wait; None for a loop that does not wait without end.
     kept : msgspec.Struct
         The parameters that a successor of this process would go on with.
     resumed_at : int
@@ -90,22 +100,26 @@ class Node(Telling, Changeable):
             cls.kernel_module = ""
 
     def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
+        self.setup = setup
         self.store = ParameterStore(setup.name, self.Parameters, setup.parameters)
         self.state = "configuring"
         self.stop_reason = ""
         self.stopping = False
         self.started = threading.Event()
-        self.changes = Changes(setup.name)
+        self.seq = self.ticks = self.gaps = self.skipped = 0
+        self.clock = Clock(setup, lambda: self.counted().seq)
+        self.events = Events(setup.name, self.clock, lambda: self.counted().seq)
+        self.changes = Changes(setup, self.store, self.events.notify, lambda: self.state not in ("finished", "failed"))
         self.inbox: Subscription | None = None
         self.links: Links | None = None
         self.sent = self.received = 0
         self.followed = self.answered = -1
         self.answer = b""
-        self.serving = Stopwatch()
         self.kept = self.store.current
         self.resumed_at = -1
         self.kernel: Kernel | None = None
+        self.compiled: CompiledTicks | None = None
+        self.waker: Waker | None = None
         self.ticks_compiled = 0
 
     @classmethod
@@ -131,7 +145,7 @@ class Node(Telling, Changeable):
         Returns
         -------
         set of str
-            Modules of nodes/tick.
+            Modules of nodes/compiled.
         """
         return {cls.kernel_module} - {""}
 
@@ -320,18 +334,33 @@ class Node(Telling, Changeable):
 
     # -- what every node can use -------------------------------------------------------------------------------------
 
+    def ticking(self) -> CompiledTicks | None:
+        """Give the compiled ticks while they go on: the node itself knows then only what was before; from any thread."""
+        return self.compiled if self.compiled is not None and self.compiled.inside else None
+
+    def counted(self) -> Counted:
+        """Tell how far the node is, compiled ticks that still go on included; from any thread."""
+        ticking = self.ticking()
+        return Counted(self.seq, self.ticks, self.gaps, self.skipped) if ticking is None else ticking.counted()
+
+    def set_clock(self, offset: float, error: float) -> None:
+        """Take over how far this host's clock is from the launcher's, as the launcher has measured it."""
+        self.clock.set(offset, error)
+        # Compiled ticks go on with the one that they were given.
+        self.events.notify()
+
     def load_kernel(self) -> None:
         """Load the compiled ticks, where the launch asks for them; without them the plain ones do."""
         if self.setup.tick == "compiled" and self.kernel_module:
-            from nodes.tick.fields import NotCompilableError
-            from nodes.tick.library import obtain
+            from nodes.compiled.fields import NotCompilableError
+            from nodes.compiled.library import obtain
 
             try:
                 self.kernel = obtain(self.kernel_module)
             except NotCompilableError as error:
-                self.tell("tick", f"plain: {error}")
+                self.events.emit("tick", f"plain: {error}")
 
-    def compiled(self) -> CompiledTicks | None:
+    def make_compiled(self) -> CompiledTicks | None:
         """Make the compiled ticks, where there are any.
 
         Returns
@@ -339,8 +368,10 @@ class Node(Telling, Changeable):
         CompiledTicks or None
             Of this node, when its sockets exist.
         """
-        self.ahead = None if self.kernel is None else self.compiled_ticks(self.kernel)
-        return self.ahead
+        if self.kernel is not None:
+            self.compiled = self.compiled_ticks(self.kernel)
+            self.events.mail = self.compiled.mail
+        return self.compiled
 
     def stop(self, reason: str) -> None:
         """Ask the loop to end after the present tick.
@@ -354,14 +385,14 @@ class Node(Telling, Changeable):
             self.stop_reason = reason
             self.stopping = True
         self.started.set()
-        self.wake()
+        self.events.interrupt()
 
     def flush_outbox(self) -> None:
         """Send what is queued (main thread)."""
-        if self.ahead is not None:
-            self.ahead.take_mail()
-        while self.outbox:
-            topic, payload = self.outbox.popleft()
+        if self.compiled is not None:
+            self.compiled.take_mail()
+        while self.events.outbox:
+            topic, payload = self.events.outbox.popleft()
             self.publisher.send_aside(topic, payload)
             self.sent += 1
         self.publisher.flush()
@@ -389,7 +420,7 @@ class Node(Telling, Changeable):
         try:
             message = decoder.decode(frames[1])
         except MessageRefusedError as error:
-            self.refuse(str(error))
+            self.events.refuse(str(error))
             return None
         self.received += 1
         return message
@@ -406,7 +437,7 @@ class Node(Telling, Changeable):
         """
         if self.inbox is not None:
             self.inbox.resynchronise()
-        self.refuse(f"a message on {frame[:64]!r} where {topic.decode()} was expected")
+        self.events.refuse(f"a message on {frame[:64]!r} where {topic.decode()} was expected")
 
     def between_ticks(self, seq: int) -> None:
         """Take up what the control thread prepared, and send what is queued (main thread, after a tick, when `called`).
@@ -417,13 +448,13 @@ class Node(Telling, Changeable):
             The tick at which a change takes effect.
         """
         # Before looking: what comes in between calls again.
-        self.called = False
+        self.events.waiting = False
         if self.changes:
             self.changes.apply_next(seq)
-        if self.outbox:
+        if self.events.outbox:
             self.flush_outbox()
         if self.tend() or self.changes:
-            self.called = True
+            self.events.waiting = True
 
     def tend(self) -> bool:
         """Take in what listeners have sent, and connect anew what the control thread found deaf (main thread).
@@ -449,11 +480,11 @@ class Node(Telling, Changeable):
         """
         seq, ticks, gaps, skipped = self.counted()
         answered, sampled = (ticks, 0) if self.answers else (0, ticks - self.ticks)
-        mailed = 0 if self.ahead is None else self.ahead.state.mailed
+        mailed = 0 if self.compiled is None else self.compiled.state.mailed
         usage = resource.getrusage(resource.RUSAGE_SELF)
         return NodeStatus(
             seq=seq,
-            stamp=self.now(),
+            stamp=self.clock.now(),
             node=self.setup.name,
             kind=self.setup.kind,
             state=self.state,
@@ -461,13 +492,13 @@ class Node(Telling, Changeable):
             ticks=ticks,
             sent=self.sent + mailed + answered + sampled,
             received=self.received + answered + sampled + skipped - self.skipped,
-            refused=self.refused,
+            refused=self.events.refused,
             skipped=skipped,
             gaps=gaps,
             reason=self.stop_reason,
             memory=float(realtime.memory_bytes()),
             cpu=usage.ru_utime + usage.ru_stime,
-            denied=self.denied,
-            clock_offset=self.clock_offset,
-            clock_error=self.clock_error,
+            denied=self.events.denied,
+            clock_offset=self.clock.offset,
+            clock_error=self.clock.error,
         )

@@ -49,7 +49,7 @@ def _await_listeners(node: Node) -> None:
     node.state = "waiting"
     while node.publisher.listeners() < node.setup.listeners and not node.stopping:
         if time.monotonic() > deadline:
-            node.tell(
+            node.events.emit(
                 "listeners",
                 f"{node.publisher.listeners()} of {node.setup.listeners} listeners within "
                 f"{node.setup.patience:g} s; going on without",
@@ -84,15 +84,16 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
     """Make all sockets, and before them the gate, where some are encrypted."""
     setup = node.setup
     bound = (setup.publish, setup.control, setup.reach, setup.listen_reach)
-    links = node.links = Links(context, lambda reason: node.tell("link", reason), node.deny, node.call)
+    events = node.events
+    links = node.links = Links(context, lambda reason: events.emit("link", reason), events.deny, events.notify)
 
     def evict() -> None:
         node.publisher.evict()
         control.evict()
-        node.call()
+        events.notify()
 
     is_encrypted = any("#" in place for place in bound)
-    gate = Gate(context, node.deny, evict, realtime.step_aside) if is_encrypted else None
+    gate = Gate(context, events.deny, evict, realtime.step_aside) if is_encrypted else None
     try:
         hops, listeners = [setup.reach], [setup.listen, setup.listen_reach]
         batch = LOCKSTEP_BATCH if setup.pace == "lockstep" else max(1, int(LISTENERS_WAIT / setup.period))
@@ -106,6 +107,7 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
         node.connect(subscribe)
         if node.answers and node.inbox is not None:
             node.waker = Waker(context, node.setup.topic(node.listens_to[0]).encode())
+            node.events.interrupt = node.waker.wake
             node.inbox.woken_by(node.waker)
         control = ControlServer(node, context, links)
         if gate is not None:
@@ -119,7 +121,7 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
 
 
 def _fail_to_start(node: Node, error: Exception) -> int:
-    node.say(f"cannot start: {error}")
+    node.events.log(f"cannot start: {error}")
     node.stop_reason, node.state = str(error), "failed"
     write_report(node, {})
     return 1
@@ -151,7 +153,7 @@ def live(node: Node) -> int:
                 gate.start()
             control.start()
             for text in refused:
-                node.tell("realtime", text)
+                node.events.emit("realtime", text)
             _await_listeners(node)
             node.state = "ready"
             realtime.quiet_interpreter()
@@ -162,7 +164,7 @@ def live(node: Node) -> int:
     except (ParameterError, OSError) as error:
         # What a device or a disk says is no fault of the program: one line, no traceback.
         node.stop_reason = node.stop_reason or str(error)
-        node.say(f"ended: {error}")
+        node.events.log(f"ended: {error}")
     finally:
         _close(node, context, control, gate, code)
     return code
@@ -177,7 +179,7 @@ def _close(node: Node, context: Context, control: ControlServer, gate: Gate | No
     is_ended = control.stop()
     # Emptied first, so that the last status tells exactly what was sent before it.
     node.flush_outbox()
-    node.post(topics.status(node.setup.name), node.status())
+    node.events.publish(topics.status(node.setup.name), node.status())
     node.flush_outbox()
     if node.inbox is not None:
         node.inbox.close()

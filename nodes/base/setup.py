@@ -58,7 +58,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     apply : str
         When a force takes effect: ``on_arrival`` or ``next_tick``.
     tick : str
-        ``compiled`` where the node takes its usual ticks without the interpreter (nodes/tick), ``plain`` where not.
+        ``compiled`` where the node takes its usual ticks without the interpreter (nodes/compiled), ``plain`` where not.
     axes : list of str
         Axes that the scene computes.
     ticks : int

@@ -113,8 +113,8 @@ def where(thread: int) -> str:
 def give_up(node: Node, reason: str) -> None:
     """End a process whose loop will not end it: say why, publish it, write the report, go."""
     node.stop_reason, node.state, node.stopping = reason, "failed", True
-    node.tell("hung", f"{reason}; it was in {where(node.loop_thread)}")
-    node.post(topics.status(node.setup.name), node.status())
+    node.events.emit("hung", f"{reason}; it was in {where(node.events.loop_thread)}")
+    node.events.publish(topics.status(node.setup.name), node.status())
     node.flush_outbox()
     write_report(node)
     time.sleep(SENDING)

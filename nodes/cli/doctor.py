@@ -21,12 +21,12 @@ from nodes.base import realtime
 from nodes.base.kinds import load, node_kinds
 from nodes.base.setup import Scheduling
 from nodes.cli.main import add_json, answer
+from nodes.compiled.build import find
+from nodes.compiled.cache import CacheRefusedError, folder
 from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
 from nodes.launcher.wiring import FIFO
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
-from nodes.tick.build import find
-from nodes.tick.cache import CacheRefusedError, folder
 
 DISTRIBUTION = ("/usr",)
 """Where the interpreters of distributions are installed."""

@@ -25,6 +25,7 @@ from nodes.cli.main import UsageError, add_json, answer
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.places import refuse_unwritable
 from nodes.cli.status_line import StatusLine
+from nodes.compiled.choose import compile_later
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.runs import RunError
@@ -33,7 +34,6 @@ from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
 from nodes.recording.ended import Ended, write_ended
 from nodes.recording.logger import LoggerParameters, file_of
-from nodes.tick.choose import compile_later
 
 
 def add(parser: argparse.ArgumentParser) -> None:

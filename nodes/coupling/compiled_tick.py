@@ -7,11 +7,11 @@ from typing import Any, NamedTuple, Protocol
 
 from messages import topics
 from nodes.base.setup import Setup
+from nodes.compiled.answering import NEVER, CompiledTicks, Node
+from nodes.compiled.layout import LEAVING, CouplingState
+from nodes.compiled.library import Kernel
 from nodes.coupling.law_on_axis import MAX_LEAVING, Fade, History, LawOnAxis
 from nodes.coupling.renderer import ActiveLaw, Renderer
-from nodes.tick.answering import NEVER, CompiledTicks, Node
-from nodes.tick.layout import LEAVING, CouplingState
-from nodes.tick.library import Kernel
 
 STANDBY_TICKS = 64
 """After how many ticks the kernel stops for laws that stand by, whose sections run along."""
@@ -83,7 +83,7 @@ class CouplingTicks(CompiledTicks):
     node : Coupling
         The node; its renderer's histories are `SharedHistory`.
     kernel : callable
-        nodes/tick/kernels/coupling.py, compiled.
+        nodes/coupling/kernel.py, compiled.
     state : CouplingState
         That of the histories.
     """
@@ -105,7 +105,7 @@ class CouplingTicks(CompiledTicks):
         self._known = False
         self._longest = self._most
 
-    def enter(self) -> bool:
+    def load_state(self) -> bool:
         """Take over law, fades, conventions and schedule."""
         node, state = self._coupling, self.state
         renderer = node._renderer
@@ -161,7 +161,7 @@ class CouplingTicks(CompiledTicks):
         )
         return _Numbers(taps, sections, law, told)
 
-    def leave(self, done: int) -> None:
+    def store_state(self, done: int) -> None:
         """Let the node know what the kernel did."""
         del done
         node, state = self._coupling, self.state

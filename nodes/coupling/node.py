@@ -29,8 +29,8 @@ from nodes.kernels import SMOOTHING
 from nodes.parameters.store import ParameterError, convert
 
 if TYPE_CHECKING:
-    from nodes.tick.answering import CompiledTicks
-    from nodes.tick.library import Kernel
+    from nodes.compiled.answering import CompiledTicks
+    from nodes.compiled.library import Kernel
 
 Scheduled: TypeAlias = tuple[int, ActiveLaw, int]
 """Tick, law and ramp [ticks] of a swap to come."""
@@ -50,7 +50,7 @@ class Coupling(Node):
     publishes: ClassVar[tuple[str, ...]] = (topics.FORCE, topics.RECEIPT)
     listens_to: ClassVar[tuple[str, ...]] = (topics.PROXY,)
     answers: ClassVar[bool] = True
-    kernel_module: ClassVar[str] = "nodes.tick.kernels.coupling"
+    kernel_module: ClassVar[str] = "nodes.coupling.kernel"
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -77,15 +77,15 @@ class Coupling(Node):
         if self.kernel is None:
             self._renderer = Renderer(axes, parameters.memory)
         else:
+            from nodes.compiled.layout import CouplingState
             from nodes.coupling.compiled_tick import SharedHistory
-            from nodes.tick.layout import CouplingState
 
             self._shared = CouplingState()
             self._renderer = Renderer(axes, parameters.memory, lambda memory, n: SharedHistory(memory, self._shared, n))
         for reason in self._book.unfit(parameters):
-            self.announce("law", f"{reason}; it cannot be switched to")
+            self.events.emit_each("law", f"{reason}; it cannot be switched to")
         for text in self._judgement.at_start(parameters, self._delay):
-            self.announce("stability", text)
+            self.events.emit_each("stability", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
         self._take_schedule(
@@ -139,8 +139,8 @@ class Coupling(Node):
     @property
     def _felt_delay(self) -> float:
         """Delay of the loop as measured by now [ticks]; from any thread."""
-        ahead = self.ticking()
-        return self._delay if ahead is None else float(ahead.state.delay)
+        ticking = self.ticking()
+        return self._delay if ticking is None else float(ticking.state.delay)
 
     def _judge(
         self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool
@@ -148,7 +148,7 @@ class Coupling(Node):
         """Refuse a change that the stability figures call unstable, or tell these figures, before and after it."""
         verdict, warning = self._judgement.of_change(now, wanted, law.name, law.compiled, self._felt_delay, force)
         if warning:
-            self.announce("stability", warning)
+            self.events.emit_each("stability", warning)
         before = self._judgement.verdict(wanted, self._renderer.law.compiled, self._felt_delay)
         return {
             "pole_radius": verdict and verdict.pole_radius,
@@ -252,7 +252,7 @@ class Coupling(Node):
             ramps.append(changed.ramp)
             return msgspec.structs.replace(changed, ramp=usual)
 
-        receipt: dict[str, Any] = self.change_parameters(
+        receipt: dict[str, Any] = self.changes.change(
             make, lambda parameters: self._prepare(parameters, "switch", ramps[-1], bool(force))
         )
         parameters: CouplingParameters = self.store.current
@@ -284,7 +284,7 @@ class Coupling(Node):
         self._revision += 1
         receipt = Receipt(
             seq=seq,
-            stamp=self.now(),
+            stamp=self.clock.now(),
             action=action,
             before=old.text,
             after=new.text,
@@ -293,7 +293,7 @@ class Coupling(Node):
             reason=reason[:4000],
             revision=self._revision,
         )
-        self.post(self.setup.topic(topics.RECEIPT), receipt)
+        self.events.publish(self.setup.topic(topics.RECEIPT), receipt)
 
     def _follow_schedule(self, seq: int) -> None:
         while self._schedule and self._schedule[0][0] <= seq:
@@ -305,7 +305,7 @@ class Coupling(Node):
             try:
                 self._swap(seq, law, ramp, "switch", "schedule")
             except ParameterError as error:
-                self.announce("refused", f"scheduled swap at tick {seq}: {error}; the running law goes on")
+                self.events.emit_each("refused", f"scheduled swap at tick {seq}: {error}; the running law goes on")
             else:
                 self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
 
@@ -324,19 +324,21 @@ class Coupling(Node):
         force = self._renderer.fall_back(proxy, pushes)
         self._failed_text = failed.text
         self._file_receipt(proxy.seq, "fallback", failed, self._renderer.law, reason)
-        self.announce("fallback", f"law {failed.name!r} at tick {proxy.seq}: {reason}; the fallback renders now")
+        self.events.emit_each(
+            "fallback", f"law {failed.name!r} at tick {proxy.seq}: {reason}; the fallback renders now"
+        )
         return force
 
     def _watched(self, proxy: Proxy) -> Vector:
         """Render with a law that has code of its own, which may raise or take its time."""
         pushes = self._renderer.pushes()
-        served = self.serving.seconds()
+        served = self.changes.serving.seconds()
         self._budget.start()
         try:
             force = self._renderer.render(proxy)
         except Exception as error:  # noqa: BLE001  # a law from another package may raise anything
             return self._fall_back(proxy, f"raised {type(error).__name__}: {error}", pushes)
-        over = self._budget.overrun(excused=self.serving.seconds() - served)
+        over = self._budget.overrun(excused=self.changes.serving.seconds() - served)
         return self._fall_back(proxy, over) if over else force
 
     def loop(self) -> None:
@@ -344,7 +346,7 @@ class Coupling(Node):
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         take = follow(self, self.inbox, Decoder(Proxy), topics.PROXY)
-        topic, send, simulated = self.setup.topic(topics.FORCE).encode(), self.publisher.send, self._simulated
+        topic, send, simulated = self.setup.topic(topics.FORCE).encode(), self.publisher.send, self.clock.simulated
         send_again = self.publisher.send_hop
         renderer, finite = self._renderer, math.isfinite
         while not self.stopping:
@@ -368,11 +370,11 @@ class Coupling(Node):
                     force = self._watched(proxy) if renderer.watched else renderer.render(proxy)
                     if not finite(force[0] + force[1] + force[2]):
                         force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
-                    stamp = proxy.stamp if simulated else self.now()
+                    stamp = proxy.stamp if simulated else self.clock.now()
                     payload = self.answer = encode(
                         Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=self._revision)
                     )
                     send(topic, payload)
                     self.ticks += 1
-            if self.called:
+            if self.events.waiting:
                 self.between_ticks(self.seq + 1)

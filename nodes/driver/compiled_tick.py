@@ -9,13 +9,13 @@ from typing import Any
 import msgspec
 
 from messages import topics
+from nodes.compiled.answering import WAIT_MS, CompiledTicks
+from nodes.compiled.layout import Counted
+from nodes.compiled.library import Kernel
 from nodes.driver.calls import DeviceCalls
 from nodes.driver.device import Device
 from nodes.driver.state import SAFETY
 from nodes.driver.tick import SILENT, UNREAD
-from nodes.tick.answering import WAIT_MS, CompiledTicks
-from nodes.tick.layout import Counted
-from nodes.tick.library import Kernel
 
 
 class DriverTicks(CompiledTicks):
@@ -64,8 +64,8 @@ class DriverTicks(CompiledTicks):
         # Before looking: what comes in between stops it.
         s.attention = 0
         # What waits between two ticks is not left waiting.
-        s.most = 1 if node.called or node.stopping else self._most
-        s.clock_offset = node.clock_offset
+        s.most = 1 if node.events.waiting or node.stopping else self._most
+        s.clock_offset = node.clock.offset
         node.publisher.flush()
         if not s.realtime:
             self._inbox.set_timeout(WAIT_MS)

@@ -6,12 +6,9 @@ from typing import Any
 
 from messages.types import DeviceState, Force
 from nodes import kernels
-from nodes.driver import motion, motor_heat, passivity, response_times, safety, state, tick
-from nodes.driver.state import BETWEEN, DriverState
-from nodes.driver.tick import GOT, NONE, UNREAD, Port, make_ticks
-from nodes.tick.fields import fields_of, slot
-from nodes.tick.kernels.encode import make_encode
-from nodes.tick.kernels.hop import (
+from nodes.compiled.fields import fields_of, slot
+from nodes.compiled.kernels.encode import make_encode
+from nodes.compiled.kernels.hop import (
     CLOCK_MONOTONIC,
     DONTWAIT,
     called,
@@ -23,7 +20,7 @@ from nodes.tick.kernels.hop import (
     receive,
     send_hop,
 )
-from nodes.tick.kernels.machine import (
+from nodes.compiled.kernels.machine import (
     call_poll,
     call_read,
     call_sleep,
@@ -34,8 +31,11 @@ from nodes.tick.kernels.machine import (
     record_at,
     wholes_at,
 )
-from nodes.tick.kernels.scan import make_scan
-from nodes.tick.kernels.sources import kernel, record_of
+from nodes.compiled.kernels.scan import make_scan
+from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.driver import motion, motor_heat, passivity, response_times, safety, state, tick
+from nodes.driver.state import BETWEEN, DriverState
+from nodes.driver.tick import GOT, NONE, UNREAD, Port, make_ticks
 
 for _function in (
     *(state.note, state.seldom, kernels.limit),

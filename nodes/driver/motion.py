@@ -11,9 +11,9 @@ from __future__ import annotations
 from array import array
 from typing import Any, Final
 
+from nodes.compiled.memory import reals_at
 from nodes.driver.ending import Ending, ending
 from nodes.driver.passivity import line_of, observe, through
-from nodes.tick.memory import reals_at
 
 RECENT: Final = 0.25
 """Time at the end of a run that tells how it ends [s]; at least `LEAST` ticks."""

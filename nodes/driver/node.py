@@ -37,8 +37,8 @@ from nodes.driver.watch import Watch
 from nodes.parameters.store import ParameterError, convert
 
 if TYPE_CHECKING:
+    from nodes.compiled.library import Kernel
     from nodes.driver.compiled_tick import DriverTicks
-    from nodes.tick.library import Kernel
 
 __all__ = [
     "ASK_AGAIN",
@@ -82,6 +82,7 @@ class Driver(Node):
     kernel_module: ClassVar[str] = "nodes.driver.kernel"
     device_module: ClassVar[str] = ""
 
+    compiled: DriverTicks | None
     seq = _kept("asked")
     ticks = _kept("ticks")
     skipped = _kept("skipped")
@@ -96,9 +97,9 @@ class Driver(Node):
     def __init__(self, setup: Setup) -> None:
         self.driving: Any = DriverState()
         self._report = DriverReport(self.driving)
-        self._ahead: DriverTicks | None = None
         self._payload = b""
         super().__init__(setup)
+        self.events.interrupt = self._interrupt
 
     @classmethod
     def modules(cls) -> set[str]:
@@ -159,9 +160,9 @@ class Driver(Node):
         set_guard(s, parameters.passivity)
         self._report.begin(self._device, held, s.guard_on != 0)
         for text in held.told:
-            self.tell("limit", text)
+            self.events.emit("limit", text)
         if limits.latency is None and s.guard_on:
-            self.tell(
+            self.events.emit(
                 "guard", "the device does not tell its latency: the guard takes forces to act when they are handed over"
             )
         debugged = parameters.safety.hang is None
@@ -233,7 +234,7 @@ class Driver(Node):
             s.arrival = clock()
             while frames[1] == expected:
                 # A message of one frame, and the beginning of the next.
-                self.refuse("a message of one frame where topic and payload were expected")
+                self.events.refuse("a message of one frame where topic and payload were expected")
                 s.skipped += 1
                 frames = expected, inbox.next_frame()
             force = self.take(decoder, frames, expected)
@@ -250,7 +251,7 @@ class Driver(Node):
 
         def called(s: Any) -> bool:
             del s
-            return self.called or self.stopping
+            return self.events.waiting or self.stopping
 
         self._receive, self._publish, self._aside = receive, publish, aside
         lockstep, paced = make_ticks(Port(sleep_until, read, write, publish, receive, aside, called))
@@ -271,9 +272,9 @@ class Driver(Node):
         self.started.wait()
         self.state = "running"
         ticks = self._plain_ticks()
-        self.compiled()
-        if self._ahead is not None:
-            ticks = self._ahead.run
+        self.make_compiled()
+        if self.compiled is not None:
+            ticks = self.compiled.run
         s = self.driving
         s.until, s.most = self.setup.ticks or NEVER, NEVER
         if not self.stopping:
@@ -287,7 +288,7 @@ class Driver(Node):
             self._tick(ticks)
             end = realtime.sleep_until(s.epoch + s.seq * s.period) if s.realtime else time.monotonic()
             self._report.last = end
-            self._last_sample(end + self.clock_offset if s.realtime else s.seq * s.period)
+            self._last_sample(end + self.clock.offset if s.realtime else s.seq * s.period)
             self._report.complete = s.seq >= s.until
             if self._report.complete:
                 self.stop("done")
@@ -302,8 +303,8 @@ class Driver(Node):
                 asked = max(asked, s.sampled)
                 if time.monotonic() - asked > ASK_AGAIN:
                     asked = time.monotonic()
-                    self.tell("unanswered", f"tick {s.seq} has no answer; asking again")
-                    payload = self._payload if self._ahead is None else self._ahead.last_sent()
+                    self.events.emit("unanswered", f"tick {s.seq} has no answer; asking again")
+                    payload = self._payload if self.compiled is None else self.compiled.last_sent()
                     self.publisher.send_hop(self.setup.topic(topics.DEVICE_STATE).encode(), payload)
             elif why == BROKEN:
                 self._mend()
@@ -312,14 +313,14 @@ class Driver(Node):
                 s.given = self._receive(s, arrival) == GOT
                 s.skipped += not s.given
                 s.arrival = arrival
-            if self.called or s.notes_count:
+            if self.events.waiting or s.notes_count:
                 self.between_ticks(s.seq)
 
     def _mend(self) -> None:
         """Ask the device itself what a call of it that failed has to say, which raises it; else go on with what it gives."""
         s = self.driving
-        if self._ahead is not None:
-            self._ahead.raise_error()
+        if self.compiled is not None:
+            self.compiled.raise_error()
         if s.failed:
             s.failed = 0
             self._device.write_force(tuple(s.handed), s.seq, 0.0)
@@ -343,8 +344,7 @@ class Driver(Node):
         """Make the compiled ticks."""
         from nodes.driver.compiled_tick import DriverTicks
 
-        self._ahead = DriverTicks(self, kernel, self._device)
-        return self._ahead
+        return DriverTicks(self, kernel, self._device)
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Prepare another guard, its account at zero: all of a driver that changes, where the launch file asked for none."""
@@ -366,7 +366,7 @@ class Driver(Node):
     def _tell_notes(self) -> None:
         for kind, reason, is_change, count in self._report.notes():
             # Every change of state is published, whatever else happened.
-            self.tell(kind, reason, is_change, count)
+            self.events.emit(kind, reason, is_change, count)
 
     def between_ticks(self, seq: int) -> None:
         """Tell what happened, then do what every node does."""
@@ -408,10 +408,9 @@ class Driver(Node):
         """Summarise the run."""
         return self._report.summary()
 
-    def wake(self) -> None:
-        """Ask compiled ticks, too, to come back."""
+    def _interrupt(self) -> None:
+        """Ask compiled ticks to come back."""
         self.driving.attention = 1
-        super().wake()
 
     def _begin_at_epoch(self) -> None:
         """Set when tick 0 is or was: a respawned driver goes on counting where its predecessor was killed."""

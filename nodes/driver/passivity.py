@@ -28,7 +28,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from nodes.tick.memory import reals_at
+from nodes.compiled.memory import reals_at
 
 
 class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -9,8 +9,8 @@ from __future__ import annotations
 from array import array
 from typing import Any, Final
 
+from nodes.compiled.memory import wholes_at
 from nodes.driver.state import BINS, RECENT, DriverState
-from nodes.tick.memory import wholes_at
 
 BLOCK: Final = 64
 """Responses that are counted together; a divisor of RECENT."""

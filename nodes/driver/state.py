@@ -10,7 +10,7 @@ from __future__ import annotations
 from ctypes import Structure, c_double, c_int64
 from typing import Any, Final
 
-from nodes.tick.layout import LOOP
+from nodes.compiled.layout import LOOP
 
 BETWEEN: Final = 0
 WAITING: Final = 1

@@ -6,10 +6,10 @@ from typing import Protocol
 
 from messages import topics
 from nodes.base.setup import Setup
+from nodes.compiled.answering import NEVER, CompiledTicks, Node
+from nodes.compiled.layout import EnvironmentState
+from nodes.compiled.library import Kernel
 from nodes.environment.meet import Numbers
-from nodes.tick.answering import NEVER, CompiledTicks, Node
-from nodes.tick.layout import EnvironmentState
-from nodes.tick.library import Kernel
 
 
 class _Environment(Node, Protocol):
@@ -46,7 +46,7 @@ class EnvironmentTicks(CompiledTicks):
         self.state.bears_gap = NEVER
         self._numbers: Numbers | None = None
 
-    def enter(self) -> bool:
+    def load_state(self) -> bool:
         """Take over the surface, when it has changed."""
         numbers = self._environment.numbers
         if numbers is not None and numbers is not self._numbers:

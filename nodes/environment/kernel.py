@@ -7,16 +7,16 @@ from typing import Any
 # Registers the geometry with numba.
 import nodes.environment.shapes.compiled as _registered
 from messages.types import DeviceState, Proxy
+from nodes.compiled.fields import fields_of, slot
+from nodes.compiled.kernels.encode import make_encode
+from nodes.compiled.kernels.follow import in_order, overtaken
+from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
+from nodes.compiled.kernels.machine import compilable, reals_at, record_at
+from nodes.compiled.kernels.scan import make_match, make_scan
+from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.compiled.layout import TEXTS, EnvironmentState
 from nodes.environment.meet import meet
 from nodes.kernels import plane_distance
-from nodes.tick.fields import fields_of, slot
-from nodes.tick.kernels.encode import make_encode
-from nodes.tick.kernels.follow import in_order, overtaken
-from nodes.tick.kernels.hop import answer, called, flush, monotonic, out_at, receive
-from nodes.tick.kernels.machine import compilable, reals_at, record_at
-from nodes.tick.kernels.scan import make_match, make_scan
-from nodes.tick.kernels.sources import kernel, record_of
-from nodes.tick.layout import TEXTS, EnvironmentState
 
 del _registered
 kernel(plane_distance)

@@ -10,10 +10,10 @@ from collections.abc import Callable, MutableSequence, Sequence
 from typing import NamedTuple
 
 from messages.types import Vector
+from nodes.compiled.layout import ANCHOR, PLANE, SHAPES
 from nodes.environment.shapes import proxy
 from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY
 from nodes.kernels import plane_distance
-from nodes.tick.layout import ANCHOR, PLANE, SHAPES
 
 MET = 7
 """Numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m]."""

@@ -21,8 +21,8 @@ from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
 
 if TYPE_CHECKING:
-    from nodes.tick.answering import CompiledTicks
-    from nodes.tick.library import Kernel
+    from nodes.compiled.answering import CompiledTicks
+    from nodes.compiled.library import Kernel
 
 
 class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -81,7 +81,7 @@ class Environment(Node):
                 for i, axis in left_out:
                     if met[0][i] != position[i]:
                         computed = ", ".join(self.setup.axes)
-                        self.tell(
+                        self.events.emit(
                             "axes", f"the surface pushes along {axis}, but run.axes is [{computed}]: no force there"
                         )
             return met
@@ -109,7 +109,7 @@ class Environment(Node):
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
-        topic, send, simulated = self.setup.topic(topics.PROXY).encode(), self.publisher.send, self._simulated
+        topic, send, simulated = self.setup.topic(topics.PROXY).encode(), self.publisher.send, self.clock.simulated
         send_again = self.publisher.send_hop
         while not self.stopping:
             state = take()
@@ -122,7 +122,7 @@ class Environment(Node):
                 proxy, normal, distance, contact = self._meet(position)
                 message = Proxy(
                     seq=state.seq,
-                    stamp=state.stamp if simulated else self.now(),
+                    stamp=state.stamp if simulated else self.clock.now(),
                     position=position,
                     proxy=proxy,
                     normal=normal,
@@ -133,5 +133,5 @@ class Environment(Node):
                 self.answered, self.answer = state.seq, (payload := encode(message))
                 send(topic, payload)
                 self.ticks += 1
-            if self.called:
+            if self.events.waiting:
                 self.between_ticks(self.seq + 1)

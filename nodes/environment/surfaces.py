@@ -14,10 +14,10 @@ import msgspec
 
 from messages.types import ZERO, Vector
 from nodes.base.setup import AXIS_INDEX, Axis
+from nodes.compiled.layout import ANCHOR, FREE, PLANE
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError, convert
-from nodes.tick.layout import ANCHOR, FREE, PLANE
 
 __all__ = [
     "SURFACES",

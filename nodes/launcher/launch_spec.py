@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from nodes.base.setup import Apply, Axis, Pace
-from nodes.tick.choose import Wanted
+from nodes.compiled.choose import Wanted
 
 
 class Argument(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -59,7 +59,7 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     fifo : int or str
         SCHED_FIFO priority of the chain; ``auto`` takes 50 in real time, 0 none.
     tick : str
-        How environment, coupling and virtual driver take their ticks (nodes/tick): ``compiled``, ``plain`` (by the interpreter)
+        How environment, coupling and driver take their ticks (nodes/compiled): ``compiled``, ``plain`` (by the interpreter)
         or ``auto``: compiled where that is there already, for it was asked for before.
     awake : bool or str
         Whether idle processors are kept from going to sleep (`nodes.base.realtime.awake`); ``auto``: in real

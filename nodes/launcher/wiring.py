@@ -15,11 +15,11 @@ from nodes.base import realtime
 from nodes.base.kinds import load, node_kinds
 from nodes.base.node import Node
 from nodes.base.setup import Scheduling, Setup
+from nodes.compiled.choose import SCARCE, choose
 from nodes.launcher.external_child import LEASE, PATIENCE
 from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError, convert
-from nodes.tick.choose import SCARCE, choose
 
 FORWARDER = "forwarder"
 """The kind of node at which strangers may listen."""

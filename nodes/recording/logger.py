@@ -190,7 +190,7 @@ class Logger(Node):
         diary = Path(self.setup.run_dir) / f"{self.setup.name}.parts"
         path, first = next_part(Path(self._path), diary)
         if not first:
-            self.announce("recording", f"goes on in {path}; {self._path} is left as its predecessor left it")
+            self.events.emit_each("recording", f"goes on in {path}; {self._path} is left as its predecessor left it")
         try:
             self._writer = open_writer(str(path), self.setup.manifest, parameters.overwrite)
         except RecordError as error:
@@ -219,13 +219,13 @@ class Logger(Node):
         assert recorder is not None  # noqa: S101  # connect() came first
         try:
             while not self.stopping:
-                recorder.clock_offset = self.clock_offset
+                recorder.clock_offset = self.clock.offset
                 recorder.take(50)
                 self.received = self.ticks = recorder.recorded
-                self.refused = recorder.refused
+                self.events.refused = recorder.refused
                 self.between_ticks(0)
             # What is sent later, where only this logger ends, is not its business; in lockstep nothing tells when it was sent.
-            end = self.now() if self.setup.pace == "realtime" else math.inf
+            end = self.clock.now() if self.setup.pace == "realtime" else math.inf
             while recorder.take(QUIET_MS) and recorder.latest <= end:
                 self.received = self.ticks = recorder.recorded
         except RecordError as error:
@@ -235,7 +235,7 @@ class Logger(Node):
 
     def _give_up(self, error: RecordError) -> NoReturn:
         """End with an event and exit code 1: a full disk is no bug, so no traceback either."""
-        self.tell("recording", str(error))
+        self.events.emit("recording", str(error))
         self.stop(str(error))
         raise SystemExit(1) from error
 

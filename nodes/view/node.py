@@ -126,7 +126,9 @@ class View(Node):
         await pages.server.start(parameters.port or (before.port if before else 0))
         server = pages.server
         if parameters.foxglove is not None:
-            self.say(f"Foxglove and Lichtblick find the run at ws://{ADDRESS}:{pages.bridge(parameters.foxglove)}")
+            self.events.log(
+                f"Foxglove and Lichtblick find the run at ws://{ADDRESS}:{pages.bridge(parameters.foxglove)}"
+            )
         place = Place(url=server.url, port=server.port, token=server.token)
         path = place_file(self.setup.run_dir, self.setup.name)
         draft = path.with_suffix(".draft")

@@ -12,8 +12,8 @@ from typing import Any
 from nodes.base.realtime import awake, quietest_processor
 from nodes.base.setup import Tick
 from nodes.cli.main import add_json, answer
+from nodes.compiled.choose import choose
 from nodes.launcher.launch_spec import AWAKE_RATE
-from nodes.tick.choose import choose
 from sim.measure.bare import BARE, bare_loop, c_loop
 from sim.measure.launches import fifo_granted, launch, machine
 from sim.measure.stopwatch import Progress
@@ -22,7 +22,7 @@ RATES = (500, 4000, 8000)
 
 KERNELS = (
     "nodes.environment.kernel",
-    "nodes.tick.kernels.coupling",
+    "nodes.coupling.kernel",
     "nodes.driver.kernel",
     "sim.device.kernel",
 )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nodes.tick.kernels.sources import kernel
+from nodes.compiled.kernels.sources import kernel
 from sim.design.cases import Loop, alternating
 from sim.design.demand import Demand, Vector
 from sim.scene.compiled import compiled

@@ -11,12 +11,12 @@ import msgspec
 
 from messages.types import Vector
 from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.compiled.fields import NotCompilableError
 from nodes.driver.calls import Calls
 from nodes.driver.device import Device, DeviceLimits
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
-from nodes.tick.fields import NotCompilableError
 from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
 from sim.device.model import DeviceModel
 from sim.device.presets import preset, provenance
@@ -145,7 +145,7 @@ class SimDevice:
         """Give the compiled calls, where they could be had."""
         if not self._compiled:
             return None
-        from nodes.tick.library import functions, obtain_calls
+        from nodes.compiled.library import functions, obtain_calls
 
         try:
             read, write = obtain_calls(SimDriver.device_module, ("read", "write"))
@@ -209,7 +209,7 @@ class SimDriver(Driver):
         """Make the device, and say what is known of the real one that it stands for."""
         super().configure()
         if self.store.current.preset not in ("", "none"):
-            self.announce("device", provenance(self.store.current.preset))
+            self.events.emit_each("device", provenance(self.store.current.preset))
 
     @classmethod
     def check(cls, setup: Setup) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-import nodes.tick.kernels.hop  # noqa: F401  # what a kernel does in place of the clock
-from nodes.tick.kernels.machine import compilable, reals_at, record_at, wholes_at
-from nodes.tick.kernels.sources import kernel, record_of
+import nodes.compiled.kernels.hop  # noqa: F401  # what a kernel does in place of the clock
+from nodes.compiled.kernels.machine import compilable, reals_at, record_at, wholes_at
+from nodes.compiled.kernels.sources import kernel, record_of
 from sim.device import friction, model, state
 from sim.device.state import AxisState, read_axis, write_axis
 

@@ -13,7 +13,7 @@ from array import array
 from ctypes import Structure, c_double, c_int64
 from typing import Any, Final
 
-from nodes.tick.memory import monotonic, pairs_at, shared_real, shared_whole
+from nodes.compiled.memory import monotonic, pairs_at, shared_real, shared_whole
 from sim.device.friction import move
 from sim.device.model import (
     Coefficients,

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from nodes.compiled.kernels.sources import kernel
 from nodes.laws import CompiledLaw
 from nodes.laws.pd_windowed import WindowedDamper
-from nodes.tick.kernels.sources import kernel
 from sim.device.model import DeviceModel, Hand
 from sim.scene.compiled import compiled
 from sim.scene.loop import Array, Scene, Surface, contact_of, motion_of, run

@@ -13,9 +13,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from nodes.compiled.fields import NotCompilableError
+from nodes.compiled.library import library_of_pyzmq
 from nodes.launcher.child import PYTHON
-from nodes.tick.fields import NotCompilableError
-from nodes.tick.library import library_of_pyzmq
 from sim.measure.launches import MeasurementError
 
 BARE = (*PYTHON, "-m", "sim.measure.bare_loop")

@@ -2,7 +2,7 @@
 
 The kernels of `nodes.kernels` and `sim.device.model` are registered with numba as they are, without copies and without
 fastmath, so compiled and interpreted runs give the same bits. Compiled code is kept between processes in the cache of compiled
-code (nodes/tick/cache.py), each version of a function with the digests of all sources that it was made of.
+code (nodes/compiled/cache.py), each version of a function with the digests of all sources that it was made of.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ import nodes.kernels
 import nodes.laws.pd_windowed
 import sim.device.friction
 import sim.device.model
+from nodes.compiled import cache
+from nodes.compiled.kernels.sources import kernel
 from nodes.laws.excitation import Push, faded, held_back, went_on
 from nodes.laws.pd_windowed import WindowedDamper
-from nodes.tick import cache
-from nodes.tick.kernels.sources import kernel
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

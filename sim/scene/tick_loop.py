@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
+from nodes.compiled.kernels.sources import kernel
 from nodes.driver.passivity import backlog, control, forget, observe, through
 from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_distance, push, sections, warm_up
-from nodes.tick.kernels.sources import kernel
 from sim.device.friction import move
 from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate
 from sim.scene.compiled import compiled, own_force

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nodes.tick.kernels.machine import compilable
+from nodes.compiled.kernels.machine import compilable
 
 
 @compilable

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from messages.types import Vector
-from nodes.tick import cache
+from nodes.compiled import cache
 
 FORCE_OUTPUT = 0x4000
 CALIBRATION_OK, CALIBRATION_NEEDS_UPDATE, CALIBRATION_NEEDS_MANUAL = 0x5000, 0x5001, 0x5002

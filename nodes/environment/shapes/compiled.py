@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from inspect import isfunction
 
+from nodes.compiled.kernels.sources import kernel
 from nodes.environment.shapes import convex, patch, planes, proxy, tree, triangle
-from nodes.tick.kernels.sources import kernel
 
 for _module in (convex, triangle, tree, planes, patch, proxy):
     for _function in vars(_module).values():

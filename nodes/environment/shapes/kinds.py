@@ -12,12 +12,12 @@ import msgspec
 
 from messages.types import ZERO, Vector
 from nodes.base.setup import Axis
+from nodes.compiled.layout import SHAPES
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.shapes import scene
 from nodes.environment.shapes.scene import Friction, Solid
 from nodes.environment.surfaces import Meeting, Surface, parse_surface
 from nodes.parameters.store import ParameterError
-from nodes.tick.layout import SHAPES
 
 __all__ = [
     "Ball",

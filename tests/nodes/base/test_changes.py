@@ -68,7 +68,7 @@ def ticking(node: Amplifier, each: Callable[[int], None] = lambda _: None) -> It
 
 
 def changing(node: Amplifier, **values: float) -> dict[str, Any]:
-    found: dict[str, Any] = node.change_parameters(lambda: node.store.changed(values))
+    found: dict[str, Any] = node.changes.change(lambda: node.store.changed(values), node.prepare)
     return found
 
 
@@ -83,7 +83,7 @@ def test_a_change_is_applied_once_between_two_ticks() -> None:
 def test_what_the_loop_does_not_take_up_is_withdrawn_for_good() -> None:
     node = Amplifier()
     with pytest.raises(ParameterError, match=r"not taken up by the loop within 0\.1 s; nothing was changed"):
-        node.hand_over(lambda seq: node.applied.append((seq, 0.0)), timeout=0.1)
+        node.changes.hand_over(lambda seq: node.applied.append((seq, 0.0)), timeout=0.1)
     node.between_ticks(1)
     assert node.applied == []
 
@@ -92,7 +92,7 @@ def test_a_node_that_has_finished_refuses_at_once() -> None:
     node = Amplifier()
     node.state = "finished"
     with pytest.raises(ParameterError, match="nothing was changed"):
-        node.hand_over(lambda seq: seq, timeout=1e6)
+        node.changes.hand_over(lambda seq: seq, timeout=1e6)
 
 
 @pytest.mark.parametrize(("gain", "told"), [(10.5, "limit 10"), (5.5, "limit 5 just now"), (float("nan"), "finite")])
@@ -123,7 +123,7 @@ def test_a_change_that_a_scheduled_one_overtakes_is_made_again_from_the_newer_pa
         return node.store.changed({"gain": 4.0})
 
     with ticking(node, schedule):
-        receipt = node.change_parameters(make)
+        receipt = node.changes.change(make, node.prepare)
     assert receipt["gain"] == 4.0
     assert len(node.applied) == 1
     assert len(made) >= 4

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 def server(context: Context, folder: Path, **operations: Any) -> ControlServer:
     setup = setup_of(run_dir=str(folder), name="n", kind="k", control=f"ipc://{folder}/n.ctl")
     node = Node(setup)
-    made = ControlServer(node, context, Links(context, node.say, node.deny))
+    made = ControlServer(node, context, Links(context, node.events.log, node.events.deny))
     made._operations |= operations
     return made
 

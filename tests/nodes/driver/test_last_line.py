@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from messages.transport.requests import ControlError
+from nodes.compiled.choose import choose
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
 from nodes.recording.reader import Recording
-from nodes.tick.choose import choose
 from sim.bench.loop import KERNELS
 from sim.measure.rig import full_pipe
 from tests.support import INSTALLED
@@ -82,7 +82,7 @@ def forces(folder: Path) -> list[float]:
 
 
 def test_a_driver_that_is_not_virtual_has_the_compiled_tick_too(tmp_path: Path) -> None:
-    kernels = ["nodes.environment.kernel", "nodes.tick.kernels.coupling", "nodes.driver.kernel"]
+    kernels = ["nodes.environment.kernel", "nodes.coupling.kernel", "nodes.driver.kernel"]
     assert choose("compiled", kernels, print) == "compiled"
     path = scene(tmp_path, run={"duration": 0.6, "tick": "compiled"})
     with running(tmp_path, path, environment=INSTALLED) as launch:

@@ -244,9 +244,9 @@ def test_a_running_node_takes_no_path_from_the_wire_either(tmp_path: Path) -> No
     setup = setup_of(name="n", kind="k", allow_paths=[str(tmp_path)])
     node = _Kind(setup)
     with pytest.raises(ParameterError, match="--allow-path /etc"):
-        node.change_parameters(lambda: node.store.changed({"path": "/etc/passwd"}))
+        node.changes.change(lambda: node.store.changed({"path": "/etc/passwd"}), node.prepare)
     with pytest.raises(ParameterError, match="fixed while it runs"):
-        node.change_parameters(lambda: node.store.changed({"path": f"{tmp_path}/x"}))
+        node.changes.change(lambda: node.store.changed({"path": f"{tmp_path}/x"}), node.prepare)
 
 
 # -- without keys -----------------------------------------------------------------------------------------------------

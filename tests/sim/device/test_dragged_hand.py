@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from messages.topics import DEVICE_STATE
+from nodes.compiled.choose import Wanted, choose
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
-from nodes.tick.choose import Wanted, choose
 from nodes.view.pointer import PointerParameters, PointerReader, PointerWriter, pointer_file
 from sim.bench.loop import KERNELS
 from sim.device.driver import SimDevice, SimDriver

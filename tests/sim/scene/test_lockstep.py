@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
+from nodes.compiled.choose import choose
 from nodes.launcher import launch_file
 from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
-from nodes.tick.choose import choose
 from sim.bench.loop import KERNELS
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild

@@ -1,7 +1,7 @@
 """The Python side of compiled ticks: it enters them before each plain tick, and comes back with what is unusual.
 
-A node that answers ticks waits for its next message with a function (nodes/base/follow.py). `CompiledTicks.before` puts the
-compiled ticks in front of it: they answer message after message, and when one is not theirs it is put back on the
+A node that answers ticks waits for its next message with a function (nodes/base/follow.py). `CompiledTicks.in_front_of` puts
+the compiled ticks in front of it: they answer message after message, and when one is not theirs it is put back on the
 subscription, so that the plain tick receives it as if nobody had looked at it.
 """
 
@@ -11,7 +11,6 @@ import ctypes
 import sys
 import threading
 from array import array
-from collections import deque
 from collections.abc import Callable
 from typing import Any, Final, Protocol, TypeVar
 
@@ -20,9 +19,10 @@ import msgspec
 from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
 from messages.transport.sockets import Publisher, Subscription
-from nodes.tick.fields import key_blocks
-from nodes.tick.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, Counted
-from nodes.tick.library import Kernel, functions
+from nodes.base.events import Clock, Events
+from nodes.compiled.fields import key_blocks
+from nodes.compiled.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, Counted
+from nodes.compiled.library import Kernel, functions
 
 M = TypeVar("M")
 
@@ -42,7 +42,8 @@ class Node(Protocol):
     setup: Any
     inbox: Subscription | None
     publisher: Publisher
-    clock_offset: float
+    clock: Clock
+    events: Events
     seq: int
     followed: int
     answered: int
@@ -52,8 +53,6 @@ class Node(Protocol):
     answer: bytes
     ticks: int
     ticks_compiled: int
-    outbox: deque[tuple[bytes, bytes]]
-    called: bool
 
 
 class CompiledTicks:
@@ -66,7 +65,7 @@ class CompiledTicks:
     kernel : callable
         What does the ticks.
     state : ctypes.Structure
-        What the node and its kernel share, of nodes/tick/layout.py.
+        What the node and its kernel share, of nodes/compiled/layout.py.
     expected, topic : str
         What it listens to, and what it answers on: topics inside the chain.
     period : float
@@ -139,11 +138,11 @@ class CompiledTicks:
 
     # -- what a kind of node defines ---------------------------------------------------------------------------------
 
-    def enter(self) -> bool:
+    def load_state(self) -> bool:
         """Bring the kernel's side up to date, before its ticks."""
         return True
 
-    def leave(self, done: int) -> None:
+    def store_state(self, done: int) -> None:
         """Bring the node's side up to date, after compiled ticks."""
 
     # -- for other threads, while the kernel ticks --------------------------------------------------------------------
@@ -165,7 +164,7 @@ class CompiledTicks:
             return False
         try:
             # What waits in the outbox was posted before it.
-            if state.mail or self._node.outbox:
+            if state.mail or self._node.events.outbox:
                 return False
             for room, content in zip(self._mail, (topic, payload), strict=True):
                 ctypes.memmove(room, content, len(content))
@@ -192,7 +191,7 @@ class CompiledTicks:
         node.skipped = state.skipped
         self.take_mail()
         if state.upstream:
-            node.called = True
+            node.events.waiting = True
         return done
 
     def take_mail(self) -> None:
@@ -200,25 +199,25 @@ class CompiledTicks:
         state = self.state
         if state.mail:
             topic, payload = self._mail
-            self._node.outbox.appendleft((topic.raw[: state.mail_topic_size], payload.raw[: state.mail_size]))
+            self._node.events.outbox.appendleft((topic.raw[: state.mail_topic_size], payload.raw[: state.mail_size]))
             state.mail = 0
-            self._node.called = True
+            self._node.events.waiting = True
 
     def last_sent(self) -> bytes:
         """Copy the message sent last."""
         return ctypes.string_at(self.state.sent, self.state.sent_size)
 
-    def before(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
+    def in_front_of(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
         """Put the compiled ticks before the plain one."""
         node, state, inbox = self._node, self.state, self._inbox
 
         def take_next() -> M | None:
-            if not self.enter():
+            if not self.load_state():
                 return take()
             node.publisher.flush()
             inbox.set_timeout(WAIT_MS)
             state.most = self._most
-            state.seq, state.ticks, state.clock_offset = node.followed, node.ticks, node.clock_offset
+            state.seq, state.ticks, state.clock_offset = node.followed, node.ticks, node.clock.offset
             state.gaps = node.gaps
             done = self.go()
             went_on = state.seq != node.followed
@@ -231,7 +230,7 @@ class CompiledTicks:
                 node.ticks_compiled += done
             if went_on:
                 # Also when all that was done is the bridge over a gap.
-                self.leave(done)
+                self.store_state(done)
             if not state.frames:
                 return None
             inbox.put_back(self._frames())

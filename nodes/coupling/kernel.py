@@ -6,15 +6,15 @@ import math
 from typing import Any
 
 from messages.types import Force, Proxy
+from nodes.compiled.fields import fields_of, slot
+from nodes.compiled.kernels.encode import make_encode
+from nodes.compiled.kernels.follow import in_order, overtaken
+from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
+from nodes.compiled.kernels.machine import compilable, reals_at, record_at
+from nodes.compiled.kernels.scan import make_scan
+from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.compiled.layout import LEAVING, CouplingState
 from nodes.kernels import SMOOTHING, cross_fade, deflection, fir, one_sided, push, sections
-from nodes.tick.fields import fields_of, slot
-from nodes.tick.kernels.encode import make_encode
-from nodes.tick.kernels.follow import in_order, overtaken
-from nodes.tick.kernels.hop import answer, called, flush, monotonic, out_at, receive
-from nodes.tick.kernels.machine import compilable, reals_at, record_at
-from nodes.tick.kernels.scan import make_scan
-from nodes.tick.kernels.sources import kernel, record_of
-from nodes.tick.layout import LEAVING, CouplingState
 
 for _function in (cross_fade, deflection, fir, one_sided, push, sections):
     kernel(_function)

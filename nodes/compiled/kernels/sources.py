@@ -20,5 +20,5 @@ def kernel(function: Function) -> Function:
 
 
 def record_of(structure: type[Structure]) -> Any:
-    """Give a struct of nodes/tick/layout.py its type in kernels."""
+    """Give a struct of nodes/compiled/layout.py its type in kernels."""
     return numba.from_dtype(np.dtype(structure))

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from nodes.tick.build import find
-from nodes.tick.choose import choose, compile_later
-from nodes.tick.fields import NotCompilableError
-from nodes.tick.library import functions, library_of_pyzmq, obtain
+from nodes.compiled.build import find
+from nodes.compiled.choose import choose, compile_later
+from nodes.compiled.fields import NotCompilableError
+from nodes.compiled.library import functions, library_of_pyzmq, obtain
 from tests.support.launching import running, wait_for
 
 TINY = "tests.support.tiny_kernel"
@@ -64,7 +64,7 @@ def background(base: Path) -> dict[int, str]:
         with contextlib.suppress(OSError):
             if process.name.isdigit() and str(base).encode() in (process / "environ").read_bytes():
                 line = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-                if "nodes.tick.build --idle" in line:
+                if "nodes.compiled.build --idle" in line:
                     found[int(process.name)] = line
     return found
 
@@ -113,7 +113,7 @@ def test_a_launch_says_which_tick_ran_and_has_the_other_made(empty_cache: Path, 
         (process, line), *more = background(empty_cache).items()
         try:
             assert not more
-            assert "nodes.driver.kernel nodes.environment.kernel nodes.tick.kernels.coupling sim.device.kernel" in line
+            assert "nodes.driver.kernel nodes.environment.kernel nodes.coupling.kernel sim.device.kernel" in line
             wait_for(lambda: os.sched_getscheduler(process) == os.SCHED_IDLE, "it steps aside")
             assert os.getpriority(os.PRIO_PROCESS, process) == 19
             assert os.getsid(process) == process

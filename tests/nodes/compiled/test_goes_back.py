@@ -14,10 +14,10 @@ from messages.codec import encode
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import DeviceState, Message, Proxy, Vector
 from nodes.base.node import Node
+from nodes.compiled.choose import choose
 from nodes.coupling.node import Coupling
 from nodes.environment.node import Environment
 from nodes.environment.surfaces import Meeting, Plane
-from nodes.tick.choose import choose
 from sim.measure.launches import wait_for
 from tests.support import ROOT
 from tests.support.setups import setup_of
@@ -137,7 +137,7 @@ def played(place: Path, case: Case) -> tuple[Node, int]:
             for message in case.sent:
                 feed.send_hop(heard.encode(), message if isinstance(message, bytes) else encode(message))
                 if isinstance(message, bytes):
-                    wait_for(lambda: node.refused, "the refusal")
+                    wait_for(lambda: node.events.refused, "the refusal")
                 else:
                     frames = inbox.receive(20_000)
                     assert frames is not None, f"no answer to {message}"

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from nodes.tick import build, cache
-from nodes.tick.choose import choose
-from nodes.tick.fields import NotCompilableError
-from nodes.tick.library import obtain
+from nodes.compiled import build, cache
+from nodes.compiled.choose import choose
+from nodes.compiled.fields import NotCompilableError
+from nodes.compiled.library import obtain
 
 TINY = "tests.support.tiny_kernel"
 SOURCES = {"nodes/kernels.py": cache.digest_of(cache.ROOT / "nodes" / "kernels.py")}
@@ -159,7 +159,7 @@ def test_other_sources_make_other_code(place: Path, tmp_path: Path) -> None:
         ("sim.population.virtual", "nodes/laws/excitation.py"),
         ("sim.scene.tick_loop", "nodes/kernels.py"),
         ("sim.experiments.drop", "sim/scene/tick_loop.py"),
-        ("nodes.tick.kernels.coupling", "messages/types.py"),
+        ("nodes.coupling.kernel", "messages/types.py"),
         (TINY, "tests/support/tiny_kernel.py"),
     ],
 )
@@ -169,12 +169,12 @@ def test_every_source_counts_near_and_far(module: str, needs: str) -> None:
 
 def test_sources_are_those_that_are_loaded() -> None:
     code = (
-        "import sys; import sim.population.virtual; from nodes.tick import cache;"
+        "import sys; import sim.population.virtual; from nodes.compiled import cache;"
         "print(*{m.__file__ for n, m in sys.modules.items() if n.split('.')[0] in ('messages', 'nodes', 'sim')})"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {str(Path(file).relative_to(cache.ROOT)) for file in done.stdout.split()}
-    assert loaded <= {*cache.sources_of("sim.population.virtual"), "nodes/tick/cache.py"}
+    assert loaded <= {*cache.sources_of("sim.population.virtual"), "nodes/compiled/cache.py"}
 
 
 class Evil:

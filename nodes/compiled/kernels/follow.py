@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from nodes.tick.kernels.hop import has_message, monotonic
-from nodes.tick.kernels.machine import compilable
+from nodes.compiled.kernels.hop import has_message, monotonic
+from nodes.compiled.kernels.machine import compilable
 
 
 @compilable

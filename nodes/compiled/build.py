@@ -4,7 +4,7 @@ numba makes a kernel from the functions that the plain tick calls, and LLVM writ
 a linker it becomes a shared library, which costs a node nothing; otherwise llvmlite loads the object file. In a process of its
 own, which compiles one kernel after the other, with ``--idle`` only what is missing and when nothing else has to be done::
 
-    python -m nodes.tick.build [--idle] MODULE...
+    python -m nodes.compiled.build [--idle] MODULE...
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from nodes.tick import cache
-from nodes.tick.fields import NotCompilableError
+from nodes.compiled import cache
+from nodes.compiled.fields import NotCompilableError
 
 ENTRY: Final = "haptic_tick"
 """Name of a kernel in its file."""
@@ -51,7 +51,7 @@ def reason(entry: cache.Entry | None) -> str:
 def build_in_background(modules: Sequence[str]) -> None:
     """Compile kernels when nobody else wants the processor, in a process that outlives this one."""
     nothing = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)]
-    command = [sys.executable, "-m", "nodes.tick.build", "--idle", *modules]
+    command = [sys.executable, "-m", "nodes.compiled.build", "--idle", *modules]
     os.posix_spawn(sys.executable, command, os.environ, file_actions=nothing, setsid=True)
 
 
@@ -59,7 +59,7 @@ def build(modules: Sequence[str]) -> None:
     """Compile kernels, each in a process of its own."""
     processes = [
         subprocess.Popen(
-            [sys.executable, "-m", "nodes.tick.build", module],
+            [sys.executable, "-m", "nodes.compiled.build", module],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -166,7 +166,7 @@ def _linked(made: bytes) -> cache.Entry:
 
 def _compile(module: str, keep_failure: bool) -> None:
     # Before compiling: what is changed meanwhile was not compiled.
-    sources = {**cache.sources_of(module), **cache.sources_of("nodes.tick.build")}
+    sources = {**cache.sources_of(module), **cache.sources_of("nodes.compiled.build")}
     try:
         entry = _linked(_object_file(module))
     except Exception as error:

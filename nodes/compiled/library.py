@@ -13,9 +13,9 @@ from typing import Any, Final, TypeAlias
 
 import zmq
 
-from nodes.tick import cache
-from nodes.tick.build import ENTRY, find, reason
-from nodes.tick.fields import NotCompilableError
+from nodes.compiled import cache
+from nodes.compiled.build import ENTRY, find, reason
+from nodes.compiled.fields import NotCompilableError
 
 _ZMQ: Final = ("zmq_recv", "zmq_send", "zmq_getsockopt")
 _LIBC: Final = ("clock_gettime", "clock_nanosleep", "ppoll", "sched_yield")
@@ -101,7 +101,7 @@ def _kernel_at(address: int) -> Kernel:
 
     def call(state: int) -> int:
         if function(at, told, state):
-            raise NotCompilableError("a kernel failed: see nodes/tick")
+            raise NotCompilableError("a kernel failed: see nodes/compiled")
         return result.value
 
     _kept.append((result, error))

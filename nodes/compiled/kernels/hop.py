@@ -7,9 +7,9 @@ from typing import Any
 from numba.extending import overload
 
 from messages.codec import MAX_PAYLOAD
-from nodes.tick.kernels.machine import byte, call_clock, call_option, call_pass, call_yield, compilable, wholes_at
-from nodes.tick.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TOPIC
-from nodes.tick.memory import monotonic as monotonic
+from nodes.compiled.kernels.machine import byte, call_clock, call_option, call_pass, call_yield, compilable, wholes_at
+from nodes.compiled.layout import LONGEST_IN, LONGEST_OUT, LONGEST_TOPIC
+from nodes.compiled.memory import monotonic as monotonic
 
 SNDMORE = 2
 DONTWAIT = 1

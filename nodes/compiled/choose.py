@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable, Collection
 from typing import Final, Literal, TypeAlias
 
-from nodes.tick.build import build, build_in_background, find, reason
-from nodes.tick.cache import CacheRefusedError
-from nodes.tick.fields import NotCompilableError
+from nodes.compiled.build import build, build_in_background, find, reason
+from nodes.compiled.cache import CacheRefusedError
+from nodes.compiled.fields import NotCompilableError
 
 Wanted: TypeAlias = Literal["auto", "compiled", "plain"]
 

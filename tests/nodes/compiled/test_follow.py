@@ -14,8 +14,8 @@ from messages import topics
 from messages.codec import Decoder, encode
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import Force, Proxy
+from nodes.compiled.choose import choose
 from nodes.coupling.node import Coupling
-from nodes.tick.choose import choose
 from sim.measure.launches import wait_for
 from tests.support.setups import setup_of
 

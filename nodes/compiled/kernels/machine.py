@@ -12,9 +12,9 @@ import numba
 from llvmlite import ir
 from numba.extending import intrinsic, overload
 
-from nodes.tick.memory import pairs_at, shared_real, shared_whole
-from nodes.tick.memory import reals_at as reals_at
-from nodes.tick.memory import wholes_at as wholes_at
+from nodes.compiled.memory import pairs_at, shared_real, shared_whole
+from nodes.compiled.memory import reals_at as reals_at
+from nodes.compiled.memory import wholes_at as wholes_at
 
 # Of numba a type checker sees only a part.
 types: Any = numba.types

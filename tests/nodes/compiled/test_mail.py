@@ -13,10 +13,10 @@ from messages import topics
 from messages.codec import Decoder
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import Event, NodeStatus
+from nodes.compiled.layout import CouplingState
 from nodes.coupling.node import Coupling
 from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
-from nodes.tick.layout import CouplingState
 from tests.support.launching import launch_json
 from tests.support.setups import setup_of
 
@@ -72,10 +72,10 @@ def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) 
     node.configure()
     proxies, node.publisher = Publisher(context, source), Publisher(context, f"ipc://{place}/force")
     node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))
-    compiled = node.compiled()
+    compiled = node.make_compiled()
     assert compiled is not None
     compiled.go()
-    told = [Decoder(Event).decode(payload).reason for _, payload in node.outbox]
+    told = [Decoder(Event).decode(payload).reason for _, payload in node.events.outbox]
     for socket in (proxies, node.publisher, node.inbox):
         assert socket is not None
         socket.close()
@@ -86,15 +86,15 @@ def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) 
 def test_what_is_told_leaves_in_its_order(tmp_path: Path) -> None:
     def unsent(node: Coupling, _: CouplingState) -> None:
         for number in range(5):
-            node.announce("test", f"{number}")
+            node.events.emit_each("test", f"{number}")
 
     def sent_in_between(node: Coupling, state: CouplingState) -> None:
-        node.announce("test", "0")
-        node.announce("test", "1")
+        node.events.emit_each("test", "0")
+        node.events.emit_each("test", "1")
         # As the kernel does when it has sent it: what is told now must not leave before what waits for the loop.
         assert b"0" in ctypes.string_at(state.mail_payload, state.mail_size)
         state.mail = 0
-        node.announce("test", "2")
+        node.events.emit_each("test", "2")
 
     assert told_during(tmp_path, unsent) == ["0", "1", "2", "3", "4"]
     assert told_during(tmp_path, sent_in_between) == ["1", "2"]
