@@ -19,7 +19,6 @@ import msgspec
 from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
 from messages.transport.sockets import Publisher, Subscription
-from nodes.base.events import Clock, Events
 from nodes.compiled.fields import key_blocks
 from nodes.compiled.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, Counted
 from nodes.compiled.library import Kernel, functions
@@ -42,8 +41,8 @@ class Node(Protocol):
     setup: Any
     inbox: Subscription | None
     publisher: Publisher
-    clock: Clock
-    events: Events
+    clock: Any
+    events: Any
     seq: int
     followed: int
     answered: int
