@@ -401,7 +401,7 @@ class Driver(Node):
                 raise ParameterError(f"{name}: has not stopped the loop; nothing was changed")
             return {"seq": seq}
 
-        receipt: dict[str, Any] = self.hand_over(apply)
+        receipt: dict[str, Any] = self.changes.hand_over(apply)
         return receipt
 
     def report(self) -> dict[str, Any]:
