@@ -423,8 +423,9 @@ class Driver(Node):
         else:
             s.epoch = time.monotonic() + 0.002
             path.write_text(repr(s.epoch), encoding="ascii")
-        self._report.first = time.monotonic()
         s.seq = self._report.first_seq = max(0, math.ceil((time.monotonic() - s.epoch) / s.period))
+        # A rate is of deadlines: what passes until the first of them is no part of the run.
+        self._report.first = s.epoch + s.seq * s.period
 
     def finish(self) -> None:
         """Bring the force down to zero and close the device, on every way out."""

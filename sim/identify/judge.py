@@ -113,6 +113,10 @@ def whiteness(what: Left) -> float:
     """Tell how probable it is that a model that holds leaves residuals at least so far from white."""
     from scipy.stats import gamma
 
+    # What fits to the bit (windows at rest) leaves nothing that could have a colour.
+    if not np.any(what.residual):
+        return 1.0
+
     def correlation(rows: Array) -> Array:
         power = np.sum(rows**2, axis=(-2, -1))
         lags = [np.sum(rows[..., lag:] * rows[..., :-lag], axis=(-2, -1)) / power for lag in range(1, LAGS + 1)]

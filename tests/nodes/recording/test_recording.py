@@ -146,7 +146,7 @@ SOUND = record(mcap_walk.CHANNEL, struct.pack("<HHI", 1, 0, 2) + b"/a" + struct.
     ("body", "told"),
     [
         (chunk(zstandard.compress(BOMB), b"zstd", 100, 0), "compressed frame has another size"),
-        (chunk(b"", b"zstd", mcap_walk.MAX_RECORD + 1, 0), f"limit {mcap_walk.MAX_RECORD}"),
+        (chunk(bytes(99_999), b"zstd", mcap_walk.MAX_CHUNK + 1, 0), f"limit {mcap_walk.MAX_CHUNK}"),
         (chunk(b"", b"lz4", 0, 0), "compressed with 'lz4'"),
         (chunk(b"rubbish", b"zstd", 7, 0), "chunk"),
         (chunk(SOUND, b"", len(SOUND), zlib.crc32(SOUND) ^ 1), "checksum"),
