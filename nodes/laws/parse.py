@@ -72,11 +72,6 @@ def parse_law(data: object, path: str = "law") -> Law:
         raise LawRefusedError(
             f"{path}.{unknown[0]}: law kind {kind} has no such parameter; it takes {', '.join(parameters)}"
         )
-    if whole.get("gains") == "normalised":
-        raise LawRefusedError(
-            f"{path}.gains: 'normalised' was the gain at the Nyquist frequency with unlimited memory; write 'unlimited' for "
-            "that, or 'paper' for the paper's eq. (9), the sum to n that renders (THEORY.md §1: they differ by 2 % at n = 3)"
-        )
     try:
         made: Law = convert(whole, law, path)
         return made

@@ -19,33 +19,6 @@ __all__ = [
 ]
 
 
-MOVED = {
-    "messages.control": "messages.transport.requests",
-    "messages.endpoints": "messages.transport.endpoints",
-    "messages.sockets": "messages.transport.sockets",
-    "nodes.base": "nodes.base.node",
-    "nodes.cli": "nodes.cli.main",
-    "nodes.derivatives": "nodes.laws.derivatives",
-    "nodes.device": "nodes.driver.device",
-    "nodes.driver": "nodes.driver.node",
-    "nodes.environment": "nodes.environment.node",
-    "nodes.launchfile": "nodes.launcher.launch_file",
-    "nodes.limits": "nodes.driver.limits",
-    "nodes.parameters": "nodes.parameters.store",
-    "nodes.realtime": "nodes.base.realtime",
-    "nodes.record": "nodes.recording.writer",
-    "nodes.recording": "nodes.recording.reader",
-    "nodes.setup": "nodes.base.setup",
-    "nodes.stability": "nodes.stability.closed_loop",
-    "nodes.surfaces": "nodes.environment.surfaces",
-    "sim.design": "sim.design.families",
-    "sim.driver": "sim.device.driver",
-    "sim.plant": "sim.device.model",
-    "sim.scene": "sim.scene.from_launch",
-}
-"""Where version 0.1 had what another package may import, and where it is now."""
-
-
 class NotInstalledError(ParameterError):
     """Nothing of that name is installed, or it cannot be imported; the text says which package it comes from."""
 
@@ -110,11 +83,9 @@ class Registry:
             return point.load()
         except (Exception, SystemExit) as error:  # another package's module may raise anything while it is imported
             package = point.dist.name if point.dist is not None else "?"
-            old = getattr(error, "name", None) or ""  # of an ImportError: the module
-            now = MOVED.get(old, "")
             raise NotInstalledError(
                 f"{name!r}: the {self._noun} cannot be imported: {type(error).__name__}: {error} "
-                f"({point.value}, of the package {package})" + (f"; write {now} for {old}" if now else "")
+                f"({point.value}, of the package {package})"
             ) from error
 
     def all(self) -> tuple[dict[str, Any], dict[str, str]]:

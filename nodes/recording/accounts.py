@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from messages.topics import DEVICE_STATE, FORCE, LOOP, PROXY, RECEIPT, message_type, split
+from messages.topics import DEVICE_STATE, LOOP, message_type, split
 from messages.types import DeviceState, NodeStatus
 from nodes.recording.ended import read_ended
 from nodes.recording.mcap_walk import RawMessage
@@ -125,15 +125,10 @@ def clocks(recording: Recording) -> dict[str, Clock]:
 
 
 def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
-    """Topics outside its own name that a node publishes: the manifest's, or for older recordings those of its kind."""
-    publishes = recording.manifest.get("publishes")
-    if publishes is not None:
-        found: dict[str, list[str]] = msgspec.json.decode(publishes)
-        own = found.get(status.node) or found.get(status.node.removeprefix(f"{recording.namespace}/"), [])
-        return [split(topic)[1] if recording.namespace else topic for topic in own]
-    if "driver" in status.kind:
-        return (DEVICE_STATE,)
-    return {"environment": (PROXY,), "coupling": (FORCE, RECEIPT)}.get(status.kind, ())
+    """Topics outside its own name that a node publishes, by the manifest."""
+    found: dict[str, list[str]] = msgspec.json.decode(recording.manifest.get("publishes", "{}"))
+    own = found.get(status.node) or found.get(status.node.removeprefix(f"{recording.namespace}/"), [])
+    return [split(topic)[1] if recording.namespace else topic for topic in own]
 
 
 def accounts(recording: Recording) -> dict[str, Account]:

@@ -140,7 +140,7 @@ class Recording:
         self.namespace = ""
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
-        # Recordings of earlier versions hold the times of the run as they are.
+        # Without a clock's record (a foreign writer's) the times stand as they are.
         self._log_offset = self._publish_offset = 0
         self._scan()
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 from pathlib import Path
 
 import pytest
 
-from nodes.parameters.registry import MOVED
 from tests.support.launching import haptic, launch_json, private_runtime_dir, running
 
 HALF_DERIVED = "{kind: pd_alpha, stiffness: 1000, damping: 3, order: 0.5, taps: 4, gains: physical, derivative: half}"
@@ -100,23 +98,3 @@ def test_an_installed_law_is_taken_by_name_in_every_scenario(tmp_path: Path) -> 
     with running(tmp_path, "wall_press", "duration:=0", environment=environment) as launch:
         assert "soft" in launch.call("coupling", "law.list")["laws"]
         assert launch.call("coupling", "law.show", law="soft")["h1_n_per_m"] == 1000.0
-
-
-@pytest.mark.parametrize(
-    ("line", "now"),
-    [
-        ("from nodes.surfaces import Surface", "write nodes.environment.surfaces for nodes.surfaces"),
-        ("from nodes.driver import Driver", "write nodes.driver.node for nodes.driver"),
-    ],
-)
-def test_a_package_written_for_version_0_1_is_told_where_things_are(
-    line: str, now: str, tmp_path: Path, broken: dict[str, str]
-) -> None:
-    (tmp_path / "site" / "half_finished.py").write_text(f"{line}\n", encoding="utf-8")
-    assert now in haptic(tmp_path, "study", "kmax", "--law", "half", environment=broken, code=2).stderr
-
-
-def test_every_new_place_is_there() -> None:
-    for old, new in MOVED.items():
-        importlib.import_module(new)
-        assert old != new
