@@ -3,11 +3,12 @@
 Heat is the mean square of the force, forgotten with one time constant. Cutting the force when the heat reaches its limit
 would be a jump of several newtons under somebody's hand, so the force is lowered early enough: at any time the way down to
 the continuous force, at the slew limit, still fits below the heat limit, even when so many ticks as the watchdog has are lost
-first, in which the device holds what it has.
+before each step of it, in which the device holds what it has.
 
 Let φ = exp(−T/τ), h the heat [N²], C the limit, s the largest change in a tick, n the watchdog's ticks and κ = φ^(1+n). Before
-each tick holds κh + (1−κ)F² + (1−φ)R(F) ≤ C², where R(F) = (F³ − C³)/(3s) for F > C bounds the sum of the squares on the way
-down from F to C. Going down by s keeps that inequality, so there is always a force that respects it.
+each tick holds κh + (1−κ)(F² + R(F)) ≤ C², where R(F) = (F³ − C³)/(3s) for F > C bounds the sum of the squares on the way
+down from F to C. Holding F for up to 1+n ticks and then going down by s keeps that inequality, because (F−s)² + R(F−s) ≤ R(F):
+so there is always a force that respects it.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ def _fits(s: Any, x: float, y: float, z: float) -> bool:
     way = 0.0
     if size > s.continuous and math.isfinite(s.slew):
         way = (size**3 - s.continuous**3) / (3.0 * s.slew)
-    reserved = s.heat_reserve * s.heat + (1.0 - s.heat_reserve) * squared
-    return bool(reserved + (1.0 - s.heat_keep) * way <= s.continuous * s.continuous)
+    reserved = s.heat_reserve * s.heat + (1.0 - s.heat_reserve) * (squared + way)
+    return bool(reserved <= s.continuous * s.continuous)
 
 
 def lower_heat(s: Any) -> bool:
