@@ -47,9 +47,23 @@ def announce(url: str, as_json: bool, out: IO[str] | Words | None = None) -> Non
     print(json.dumps({"url": url}) if as_json else f"page  {url}", file=out or sys.stdout, flush=True)
     screen = "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
     if screen and not as_json and sys.stdout.isatty():
-        import webbrowser
+        _open(url)
 
-        webbrowser.open(url)
+
+def _open(url: str) -> None:
+    """Open a page through a file that only this user reads: a command line, which everybody reads, must not hold its token."""
+    import atexit
+    import tempfile
+    import webbrowser
+
+    descriptor, path = tempfile.mkstemp(prefix="haptic-page-", suffix=".html")
+    with open(descriptor, "w", encoding="utf-8") as file:
+        file.write(
+            f'<!doctype html><title>haptic</title><meta http-equiv="refresh" content="0; url={url}"><a href="{url}">page</a>\n'
+        )
+    # A browser may take its time to start.
+    atexit.register(lambda: Path(path).unlink(missing_ok=True))
+    webbrowser.open(Path(path).as_uri())
 
 
 class PageAnnouncer:

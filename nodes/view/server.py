@@ -77,6 +77,12 @@ class Page(Protocol):
         ...
 
 
+def _one(request: Request, name: str) -> str | None:
+    """Value of a header; of one that stands there several times, what is no name and no origin."""
+    found = request.headers.get_all(name)
+    return found[0] if len(found) == 1 else "several" if found else None
+
+
 def _hostname(host: str) -> str:
     """Name in a Host header; empty for what is none."""
     try:
@@ -190,16 +196,16 @@ class PageServer:
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
         del connection
-        host = request.headers.get("Host", "")
+        host = _one(request, "Host") or ""
         if _hostname(host) not in LOCAL:
             # A name of somebody else's that leads here: DNS rebinding.
             self.turned_away += 1
             return _text(HTTPStatus.FORBIDDEN, f"haptic view is served to {ADDRESS} only, not to {host[:100]}\n")
-        origin = request.headers.get("Origin")
+        origin = _one(request, "Origin")
         if origin is not None and origin != f"http://{host}":
             self.turned_away += 1
             return _text(HTTPStatus.FORBIDDEN, f"haptic view takes no requests from {origin[:100]}\n")
-        token, slash, name = urlsplit(request.path).path.lstrip("/").partition("/")
+        token, slash, name = request.path.partition("?")[0].lstrip("/").partition("/")
         if not secrets.compare_digest(token.encode(), self.token.encode()):
             self.turned_away += 1
             return _text(HTTPStatus.FORBIDDEN, "Wrong or missing token: open the whole URL that haptic has printed.\n")

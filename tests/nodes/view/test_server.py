@@ -5,7 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pty
+import re
 import signal
+import socket
+import stat
 import struct
 import subprocess
 import urllib.error
@@ -86,6 +90,17 @@ def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: Running) -> N
     assert get(url, Host="elsewhere.example")[0] == 403
     # No name at all: it once was an error of the server.
     assert get(url, Host="[")[0] == 403
+    place, token = url.split("/")[2:4]
+    for line, headers in (
+        (f"/{token}/", ""),
+        (f"/{token}/", f"Host: {place}\r\nHost: {place}\r\n"),
+        (f"/{token}/", f"Host: {place}\r\nOrigin: http://{place}\r\nOrigin: http://{place}\r\n"),
+        ("//[", f"Host: {place}\r\n"),
+        ("http://[/", f"Host: {place}\r\n"),
+    ):
+        with socket.create_connection(("127.0.0.1", int(place.partition(":")[2]))) as bare:
+            bare.sendall(f"GET {line} HTTP/1.1\r\n{headers}\r\n".encode())
+            assert bare.recv(1000).startswith(b"HTTP/1.1 403 "), (line, headers)
     with live(url, origin="/".join(url.split("/")[:3])) as page:
         assert texts(page, "hello")["scenario"] == "touch_wall"
 
@@ -177,6 +192,41 @@ def viewing(launch_folder: Path, *words: str, environment: Any = None, stderr: A
         process.stdout.close()
         assert process.wait(30.0) == 0
         assert json.loads(rest.splitlines()[-1])
+
+
+def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> None:
+    """Every user of the machine reads the command lines of all others; a browser gets a file that only its own user reads."""
+    browser, seen = tmp_path / "browser", tmp_path / "seen"
+    browser.write_text(f'#!/bin/sh\necho "$@" > {seen}.draft\nmv {seen}.draft {seen}\n')
+    browser.chmod(0o755)
+    leader, follower = pty.openpty()
+    process = subprocess.Popen(
+        [*HAPTIC, "view"],
+        env={**launch.environment, "DISPLAY": ":0", "BROWSER": f"{browser} %s", "TMPDIR": str(tmp_path)},
+        stdin=follower,
+        stdout=follower,
+        stderr=subprocess.STDOUT,
+    )
+    os.close(follower)
+    try:
+        wait_for(seen.exists, "the browser to be called")
+        told = os.read(leader, 4096).decode()
+        url = re.search(r"http://\S+/", told)
+        assert url is not None, told
+        token = url[0].split("/")[3]
+        opened = seen.read_text().strip()
+        assert opened.startswith("file:///")
+        assert token not in opened
+        file = Path(opened.removeprefix("file://"))
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+        assert f'content="0; url={url[0]}"' in file.read_text()
+        process.send_signal(signal.SIGINT)
+        process.wait(20.0)
+        assert not file.exists()
+    finally:
+        process.kill()
+        process.wait()
+        os.close(leader)
 
 
 def test_a_view_beside_a_launch_sees_the_same(launch: Running) -> None:
