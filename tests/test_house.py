@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import itertools
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -103,3 +104,21 @@ def test_a_circle_is_found_and_named() -> None:
 def test_few_modules_stand_outside_the_rooms() -> None:
     outside = [module for module in MODULES if module.count(".") == 1 and MODULES[module].name != "__init__.py"]
     assert len([module for module in outside if not module.startswith("messages.")]) <= 6
+
+
+def test_one_word_is_one_class() -> None:
+    """No two public classes have one name: a reader who meets it in a message or a page knows which."""
+    found: dict[str, list[str]] = {}
+    for module, path in MODULES.items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found.setdefault(node.name, []).append(module)
+    assert {name: places for name, places in found.items() if len(places) > 1} == {}
+
+
+def test_the_tables_of_rooms_name_every_room() -> None:
+    for floor in ("nodes", "sim"):
+        page = (ROOT / floor / "README.md").read_text(encoding="utf-8")
+        told = set(re.findall(r"`([\w.]+?)/?`", "".join(re.findall(r"^\| (`.*?) \|", page, re.MULTILINE))))
+        there = {path.name for path in (ROOT / floor).iterdir() if path.is_dir() and path.name != "__pycache__"}
+        assert there - told == set(), floor

@@ -21,8 +21,8 @@ from messages.types import Name, Text
 __all__ = [
     "MAX_REPLY",
     "MAX_REQUEST",
+    "Connection",
     "ControlError",
-    "Line",
     "Reply",
     "Request",
     "T",
@@ -134,7 +134,7 @@ def _decode(name: str, decoder: msgspec.msgpack.Decoder[T], frames: Sequence[byt
         raise MessageRefusedError(f"{name}: {error}") from error
 
 
-class Line:
+class Connection:
     """A connection to a node that is kept from one request to the next: over a slow cable each handshake costs round trips.
 
     One thread uses it.
@@ -251,7 +251,7 @@ def call(context: zmq.Context[zmq.Socket[bytes]], endpoint: str, op: str, timeou
     EndpointRefusedError, KeyRefusedError
         When the endpoint or this machine's keys cannot be used.
     """
-    line = Line(context, endpoint)
+    line = Connection(context, endpoint)
     try:
         return line.call(op, timeout, **args)
     finally:

@@ -15,7 +15,7 @@ from nodes.cli.main import UsageError, add_json, add_run_name, answer, complain
 from nodes.parameters.registry import Registry
 
 if TYPE_CHECKING:
-    from nodes.recording.accounts import Clock, Completeness
+    from nodes.recording.accounts import ClockRecord, Completeness
     from nodes.recording.reader import Recording
 
 OWN = ("record", "info", "play", "recover", "export", "plot")
@@ -159,7 +159,7 @@ def printable(text: str) -> str:
     return "".join(sign if sign.isprintable() or sign == "\n" else "\N{REPLACEMENT CHARACTER}" for sign in text)
 
 
-def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str, Clock]) -> str:
+def _info_text(recording: Recording, verdict: Completeness, remote: Mapping[str, ClockRecord]) -> str:
     lines = [str(recording.path)]
     facts = dict(recording.manifest)
     with contextlib.suppress(KeyError, ValueError, OverflowError):

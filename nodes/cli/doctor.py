@@ -46,7 +46,7 @@ RUN_NAME = 83
 
 
 @dataclass(frozen=True)
-class Finding:
+class Diagnosis:
     """What was found about one setting.
 
     Attributes
@@ -87,12 +87,12 @@ def _limit(kind: int) -> str:
     return f"{soft} (hard limit {hard})"
 
 
-def _fifo() -> Finding:
+def _fifo() -> Diagnosis:
     allowed = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO))
     except OSError as error:
-        return Finding(
+        return Diagnosis(
             "SCHED_FIFO",
             "limited",
             f"priority {FIFO} refused: {error.strerror} (rtprio limit {allowed})",
@@ -100,16 +100,16 @@ def _fifo() -> Finding:
             "log in again; in a container: --cap-add SYS_NICE --ulimit rtprio=90. Until then another process may cost ticks",
         )
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    return Finding("SCHED_FIFO", "ok", f"priority {FIFO} granted (rtprio limit {allowed}; root needs none)")
+    return Diagnosis("SCHED_FIFO", "ok", f"priority {FIFO} granted (rtprio limit {allowed}; root needs none)")
 
 
-def _throttling() -> Finding:
+def _throttling() -> Diagnosis:
     runtime, period = _read("/proc/sys/kernel/sched_rt_runtime_us"), _read("/proc/sys/kernel/sched_rt_period_us")
     if runtime is None or period is None:
-        return Finding("RT throttling", "ok", "not readable here")
+        return Diagnosis("RT throttling", "ok", "not readable here")
     if int(runtime) < 0:
-        return Finding("RT throttling", "ok", "off")
-    return Finding(
+        return Diagnosis("RT throttling", "ok", "off")
+    return Diagnosis(
         "RT throttling",
         "ok",
         f"FIFO may use {runtime} of every {period} µs: no hindrance to one loop with a fixed rate; several on one processor "
@@ -117,13 +117,13 @@ def _throttling() -> Finding:
     )
 
 
-def _processors() -> Finding:
+def _processors() -> Diagnosis:
     available = sorted(os.sched_getaffinity(0))
     isolated = _read("/sys/devices/system/cpu/isolated")
     text = f"{len(available)} of {os.cpu_count()} available: {', '.join(map(str, available))}"
     text += f"; isolated: {isolated}" if isolated else ""
     if len(available) < 2:
-        return Finding(
+        return Diagnosis(
             "processors",
             "limited",
             text,
@@ -133,23 +133,23 @@ def _processors() -> Finding:
         os.sched_setaffinity(0, available[-1:])
         os.sched_setaffinity(0, available)
     except OSError as error:
-        return Finding(
+        return Diagnosis(
             "processors",
             "limited",
             f"{text}; pinning refused: {error.strerror}",
             "allow sched_setaffinity in the container",
         )
-    return Finding("processors", "ok", f"{text}; the chain is pinned to {realtime.quietest_processor()}")
+    return Diagnosis("processors", "ok", f"{text}; the chain is pinned to {realtime.quietest_processor()}")
 
 
-def _governor() -> Finding:
+def _governor() -> Diagnosis:
     core = realtime.quietest_processor()
     governor = _read(f"/sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor")
     if governor is None:
-        return Finding("CPU governor", "ok", "not readable here (a virtual machine, or fixed by the firmware)")
+        return Diagnosis("CPU governor", "ok", "not readable here (a virtual machine, or fixed by the firmware)")
     if governor == "performance":
-        return Finding("CPU governor", "ok", governor)
-    return Finding(
+        return Diagnosis("CPU governor", "ok", governor)
+    return Diagnosis(
         "CPU governor",
         "limited",
         f"{governor} on processor {core}",
@@ -157,11 +157,11 @@ def _governor() -> Finding:
     )
 
 
-def _sleep() -> Finding:
+def _sleep() -> Diagnosis:
     with realtime.awake() as refused:
         if not refused:
-            return Finding("idle processors", "ok", f"can be kept awake ({realtime.WAKE_LATENCY})")
-    return Finding(
+            return Diagnosis("idle processors", "ok", f"can be kept awake ({realtime.WAKE_LATENCY})")
+    return Diagnosis(
         "idle processors",
         "limited",
         refused.partition(";")[0],
@@ -169,85 +169,87 @@ def _sleep() -> Finding:
     )
 
 
-def _preemption() -> Finding:
+def _preemption() -> Diagnosis:
     version = platform.version()
     model = next((word for word in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT") if word in version.split()), "")
     if not model and _read("/sys/kernel/realtime") == "1":
         model = "PREEMPT_RT"
     if model:
-        return Finding("kernel", "ok", f"{platform.release()}, {model}")
-    return Finding(
+        return Diagnosis("kernel", "ok", f"{platform.release()}, {model}")
+    return Diagnosis(
         "kernel",
         "ok",
         f"{platform.release()}, preemption model not told by its version; the wake-ups below show what it is worth",
     )
 
 
-def _memlock() -> Finding:
-    return Finding("locked memory", "ok", f"{_limit(resource.RLIMIT_MEMLOCK)} bytes; nodes lock none")
+def _memlock() -> Diagnosis:
+    return Diagnosis("locked memory", "ok", f"{_limit(resource.RLIMIT_MEMLOCK)} bytes; nodes lock none")
 
 
-def _open_files() -> Finding:
+def _open_files() -> Diagnosis:
     soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if soft != resource.RLIM_INFINITY and soft < OPEN_FILES:
-        return Finding(
+        return Diagnosis(
             "open files",
             "missing",
             f"{_limit(resource.RLIMIT_NOFILE)}, needed: {OPEN_FILES}",
             f"ulimit -n {OPEN_FILES}",
         )
-    return Finding("open files", "ok", _limit(resource.RLIMIT_NOFILE))
+    return Diagnosis("open files", "ok", _limit(resource.RLIMIT_NOFILE))
 
 
-def _runtime() -> Finding:
+def _runtime() -> Diagnosis:
     try:
         path = runtime_dir()
     except (RunError, OSError) as error:
-        return Finding(
+        return Diagnosis(
             "runtime directory", "missing", str(error), "set HAPTIC_RUNTIME_DIR to a directory that you may write to"
         )
     longest = len(os.fsencode(path)) + RUN_NAME
     if longest > MAX_IPC_PATH:
-        return Finding(
+        return Diagnosis(
             "runtime directory",
             "missing",
             f"{path}: socket paths would reach {longest} bytes, limit {MAX_IPC_PATH}",
             "set HAPTIC_RUNTIME_DIR to a shorter path, e.g. below /tmp",
         )
     if not os.access(path, os.W_OK | os.X_OK):
-        return Finding("runtime directory", "missing", f"{path}: not writable", "set HAPTIC_RUNTIME_DIR to one that is")
-    return Finding("runtime directory", "ok", f"{path}, private")
+        return Diagnosis(
+            "runtime directory", "missing", f"{path}: not writable", "set HAPTIC_RUNTIME_DIR to one that is"
+        )
+    return Diagnosis("runtime directory", "ok", f"{path}, private")
 
 
-def _zeromq() -> Finding:
+def _zeromq() -> Diagnosis:
     import zmq
 
     text = f"pyzmq {zmq.__version__}, libzmq {zmq.zmq_version()}"
     if not zmq.has("ipc"):
-        return Finding("ZeroMQ", "missing", f"{text} without ipc", "pip install --force-reinstall pyzmq")
+        return Diagnosis("ZeroMQ", "missing", f"{text} without ipc", "pip install --force-reinstall pyzmq")
     if not zmq.has("curve"):
-        return Finding(
+        return Diagnosis(
             "ZeroMQ",
             "limited",
             f"{text} without CURVE (libsodium): no encrypted connections to other machines",
             "pip install --force-reinstall --only-binary :all: pyzmq",
         )
-    return Finding("ZeroMQ", "ok", f"{text} with ipc and CURVE (libsodium)")
+    return Diagnosis("ZeroMQ", "ok", f"{text} with ipc and CURVE (libsodium)")
 
 
-def interpreter() -> Finding:
+def interpreter() -> Diagnosis:
     """Look at how this interpreter was built."""
     optimised = "-fprofile-use" in (sysconfig.get_config_var("PY_CORE_CFLAGS") or "") or "--enable-optimizations" in (
         sysconfig.get_config_var("CONFIG_ARGS") or ""
     )
     text = f"{platform.python_implementation()} {platform.python_version()}"
     if optimised:
-        return Finding("Python", "ok", f"{text}, built with PGO")
+        return Diagnosis("Python", "ok", f"{text}, built with PGO")
     if sys.base_prefix in DISTRIBUTION:
         # Distributions run the profiling build by hand, so that its flags are not in the configuration.
-        return Finding("Python", "ok", f"{text}, the distribution's build")
+        return Diagnosis("Python", "ok", f"{text}, the distribution's build")
     text += ", built without PGO"
-    return Finding(
+    return Diagnosis(
         "Python",
         "limited",
         text,
@@ -269,11 +271,11 @@ def wake_ups(period: float = PERIOD, count: int = WAKE_UPS) -> dict[str, float]:
     }
 
 
-def _slack() -> Finding:
+def _slack() -> Diagnosis:
     slack = ctypes.CDLL(None).prctl(30, 0, 0, 0, 0)  # PR_GET_TIMERSLACK
     if slack == 1:
-        return Finding("timer slack", "ok", "1 ns granted")
-    return Finding(
+        return Diagnosis("timer slack", "ok", "1 ns granted")
+    return Diagnosis(
         "timer slack",
         "limited",
         f"{slack} ns; setting 1 ns refused",
@@ -281,7 +283,7 @@ def _slack() -> Finding:
     )
 
 
-def _packages() -> Finding:
+def _packages() -> Diagnosis:
     """Import what other packages have installed beside us, as a launch would that names it."""
     broken: dict[str, str] = {}
     found = []
@@ -295,16 +297,16 @@ def _packages() -> Finding:
                 except NotInstalledError as error:
                     broken[found[-1]] = str(error)
     if broken:
-        return Finding(
+        return Diagnosis(
             "other packages",
             "limited",
             "; ".join(broken.values()),
             "mend or uninstall what cannot be imported; everything else works meanwhile",
         )
-    return Finding("other packages", "ok", ", ".join(found) or "none")
+    return Diagnosis("other packages", "ok", ", ".join(found) or "none")
 
 
-def _compiled_tick() -> Finding:
+def _compiled_tick() -> Diagnosis:
     """Look whether `run.tick: auto` finds the compiled ticks: it takes what is built, and never waits for the compiler."""
     modules: set[str] = set()
     for factory in node_kinds().values():
@@ -314,15 +316,15 @@ def _compiled_tick() -> Finding:
     try:
         missing = sorted(module for module in modules if find(module) is None)
     except CacheRefusedError as error:
-        return Finding(
+        return Diagnosis(
             "compiled tick",
             "limited",
             f"compiled code is not taken from there: {error}",
             "remove it, or set XDG_CACHE_HOME to a folder that only you may write to",
         )
     if not missing:
-        return Finding("compiled tick", "ok", f"built for this version and processor, auto takes it: {folder()}")
-    return Finding(
+        return Diagnosis("compiled tick", "ok", f"built for this version and processor, auto takes it: {folder()}")
+    return Diagnosis(
         "compiled tick",
         "limited",
         f"not built for this version: {', '.join(missing)}; auto takes the plain tick",
@@ -330,15 +332,15 @@ def _compiled_tick() -> Finding:
     )
 
 
-def _punctuality(measured: dict[str, dict[str, float]]) -> Finding:
+def _punctuality(measured: dict[str, dict[str, float]]) -> Diagnosis:
     best = measured.get("fifo", measured["normal"])
     text = "; ".join(
         f"{name}: p50 {late['p50']:.0f}, p99 {late['p99']:.0f}, max {late['max']:.0f} µs late"
         for name, late in measured.items()
     )
     if best["p99"] <= LATE * 1e6:
-        return Finding("wake-ups", "ok", text)
-    return Finding(
+        return Diagnosis("wake-ups", "ok", text)
+    return Diagnosis(
         "wake-ups",
         "limited",
         text,
@@ -346,8 +348,8 @@ def _punctuality(measured: dict[str, dict[str, float]]) -> Finding:
     )
 
 
-def _findings(measured: dict[str, dict[str, float]]) -> Iterator[Finding]:
-    checks: tuple[Callable[[], Finding], ...] = (
+def _findings(measured: dict[str, dict[str, float]]) -> Iterator[Diagnosis]:
+    checks: tuple[Callable[[], Diagnosis], ...] = (
         interpreter,
         _zeromq,
         _packages,

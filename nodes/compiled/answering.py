@@ -35,7 +35,7 @@ WAIT_MS: Final = 100
 """Longest wait for a message before it looks [ms]."""
 
 
-class Node(Protocol):
+class AnsweringNode(Protocol):
     """What compiled ticks need of their node."""
 
     setup: Any
@@ -59,7 +59,7 @@ class CompiledTicks:
 
     Parameters
     ----------
-    node : Node
+    node : AnsweringNode
         The node; its sockets exist.
     kernel : callable
         What does the ticks.
@@ -81,7 +81,7 @@ class CompiledTicks:
     """
 
     def __init__(
-        self, node: Node, kernel: Kernel, state: Any, expected: str, topic: str, period: float, realtime: bool
+        self, node: AnsweringNode, kernel: Kernel, state: Any, expected: str, topic: str, period: float, realtime: bool
     ) -> None:
         assert node.inbox is not None  # noqa: S101  # every kind that answers has one
         self._node, self._kernel, self._inbox = node, kernel, node.inbox

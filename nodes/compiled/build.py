@@ -32,7 +32,7 @@ TIMEOUT: Final = 300.0
 _LINKERS: Final = ("cc", "gcc", "clang")
 
 
-def find(module: str) -> cache.Entry | None:
+def find(module: str) -> cache.CacheEntry | None:
     """Find a kernel that was compiled before, from what is installed now.
 
     Raises
@@ -43,7 +43,7 @@ def find(module: str) -> cache.Entry | None:
     return cache.read(f"{module}.tick")
 
 
-def reason(entry: cache.Entry | None) -> str:
+def reason(entry: cache.CacheEntry | None) -> str:
     """Say why a kernel cannot be compiled here, as it turned out in the background; empty for one that can."""
     return entry.content.decode() if entry is not None and entry.kind == "failed" else ""
 
@@ -151,7 +151,7 @@ def _object_file(module: str) -> bytes:
     return made
 
 
-def _linked(made: bytes) -> cache.Entry:
+def _linked(made: bytes) -> cache.CacheEntry:
     """Make a shared library of an object file, where there is a linker."""
     linker = next(filter(None, map(shutil.which, _LINKERS)), None)
     if linker is not None:
@@ -160,8 +160,8 @@ def _linked(made: bytes) -> cache.Entry:
             draft.write_bytes(made)
             done = subprocess.run([linker, "-shared", "-o", linked, draft, "-lm"], capture_output=True, check=False)
             if done.returncode == 0:
-                return cache.Entry(kind="so", content=linked.read_bytes())
-    return cache.Entry(kind="o", content=made)
+                return cache.CacheEntry(kind="so", content=linked.read_bytes())
+    return cache.CacheEntry(kind="o", content=made)
 
 
 def _compile(module: str, keep_failure: bool) -> None:
@@ -174,7 +174,7 @@ def _compile(module: str, keep_failure: bool) -> None:
             raise
         # It would fail at each launch.
         lines = str(error).strip().splitlines() or [type(error).__name__]
-        entry = cache.Entry(kind="failed", content=f"{module}: {lines[-1]}".encode())
+        entry = cache.CacheEntry(kind="failed", content=f"{module}: {lines[-1]}".encode())
     cache.write(f"{module}.tick", entry, sources)
 
 

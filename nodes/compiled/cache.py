@@ -51,7 +51,7 @@ class _About(msgspec.Struct, frozen=True, kw_only=True):
     sources: dict[str, str]
 
 
-class Entry(msgspec.Struct, frozen=True, kw_only=True):
+class CacheEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Compiled code as it was found.
 
     Attributes
@@ -197,7 +197,7 @@ def _fresh(sources: Mapping[str, str]) -> bool:
 # -- entries ---------------------------------------------------------------------------------------------------------
 
 
-def read(name: str) -> Entry | None:
+def read(name: str) -> CacheEntry | None:
     """Find an entry, whole and of today's sources; None when there is none.
 
     Raises
@@ -230,12 +230,12 @@ def read(name: str) -> Entry | None:
     about, _, content = rest.partition(b"\n")
     try:
         known = msgspec.json.decode(about, type=_About)
-        return Entry(kind=known.kind, content=content) if _fresh(known.sources) else None
+        return CacheEntry(kind=known.kind, content=content) if _fresh(known.sources) else None
     except (msgspec.DecodeError, OSError):
         return None
 
 
-def write(name: str, entry: Entry, sources: Mapping[str, str]) -> None:
+def write(name: str, entry: CacheEntry, sources: Mapping[str, str]) -> None:
     """Put an entry in place, all of it at once; the last one to do so counts.
 
     Raises

@@ -52,7 +52,7 @@ def functions() -> dict[str, int]:
     return found
 
 
-def _addresses(entry: cache.Entry, names: Sequence[str]) -> list[int]:
+def _addresses(entry: cache.CacheEntry, names: Sequence[str]) -> list[int]:
     """Load what was compiled, and find its functions."""
     if entry.kind == "so":
         library = cache.load(entry.content)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 from messages import topics
 from nodes.base.setup import Setup
-from nodes.compiled.answering import NEVER, CompiledTicks, Node
+from nodes.compiled.answering import NEVER, AnsweringNode, CompiledTicks
 from nodes.compiled.layout import LEAVING, CouplingState
 from nodes.compiled.library import Kernel
 from nodes.coupling.law_on_axis import MAX_LEAVING, Fade, History, LawOnAxis
@@ -65,7 +65,7 @@ class SharedHistory(History):
         self._counts[self._n] = value
 
 
-class _Coupling(Node, Protocol):
+class _Coupling(AnsweringNode, Protocol):
     """What a coupling and its compiled ticks share."""
 
     setup: Setup

@@ -6,13 +6,13 @@ from typing import Protocol
 
 from messages import topics
 from nodes.base.setup import Setup
-from nodes.compiled.answering import NEVER, CompiledTicks, Node
+from nodes.compiled.answering import NEVER, AnsweringNode, CompiledTicks
 from nodes.compiled.layout import EnvironmentState
 from nodes.compiled.library import Kernel
 from nodes.environment.meet import Numbers
 
 
-class _Environment(Node, Protocol):
+class _Environment(AnsweringNode, Protocol):
     setup: Setup
     numbers: Numbers | None
 

@@ -22,7 +22,7 @@ import msgspec
 import zmq
 
 from messages.transport.endpoints import split
-from messages.transport.requests import ControlError, Line
+from messages.transport.requests import Connection, ControlError
 from nodes.base.kinds import load
 from nodes.base.setup import Setup
 from nodes.launcher.child import Child
@@ -102,7 +102,7 @@ class ByHand(Child):
         say: Callable[[str], None],
     ) -> None:
         super().__init__(setup, respawns, delay, required)
-        self._line = Line(context, setup.control)
+        self._line = Connection(context, setup.control)
         self._say = say
         self._far = split(setup.control)[0].startswith("tcp://")
         self._thread: threading.Thread | None = None

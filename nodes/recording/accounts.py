@@ -98,7 +98,7 @@ def completeness(recording: Recording) -> Completeness:
     return Completeness(not recording.recovered, recording.duration, missing, accounts(recording), overruns(recording))
 
 
-class Clock(msgspec.Struct):
+class ClockRecord(msgspec.Struct):
     """How far the clock of a node's host was from the launcher's; its stamps are corrected by that already.
 
     Attributes
@@ -113,14 +113,16 @@ class Clock(msgspec.Struct):
     error: float
 
 
-def clocks(recording: Recording) -> dict[str, Clock]:
+def clocks(recording: Recording) -> dict[str, ClockRecord]:
     """Tell how far the nodes' clocks were from the launcher's, by the recorded statuses: a manifest is written too early."""
-    found: dict[str, Clock] = {}
+    found: dict[str, ClockRecord] = {}
     for entry in recording.entries(topic for topic in recording.topics if message_type(topic) is NodeStatus):
         status = entry.message
         if isinstance(status, NodeStatus):
             before = found.get(status.node)
-            found[status.node] = Clock(status.clock_offset, max(status.clock_error, before.error if before else 0.0))
+            found[status.node] = ClockRecord(
+                status.clock_offset, max(status.clock_error, before.error if before else 0.0)
+            )
     return found
 
 

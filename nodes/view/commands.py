@@ -22,7 +22,7 @@ import zmq
 
 from messages.errors import HapticError
 from messages.topics import DEVICE_STATE, FORCE
-from messages.transport.requests import Line, call
+from messages.transport.requests import Connection, call
 from messages.transport.sockets import new_context
 from nodes.base.kinds import load
 from nodes.base.setup import Setup
@@ -78,7 +78,7 @@ class Commander:
     def __init__(self, run: RunInfo, again: bool = False) -> None:
         self._run = run
         self._context = new_context()
-        self._lines: dict[str, Line] = {}
+        self._lines: dict[str, Connection] = {}
         self._undo: list[tuple[str, dict[str, Any], dict[str, Any], float]] = []
         self._recorder: subprocess.Popen[bytes] | None = None
         self._recordings = 0
@@ -96,7 +96,7 @@ class Commander:
         """Ask one node."""
         endpoint = self._endpoint(node)
         if node not in self._lines:
-            self._lines[node] = Line(self._context, endpoint)
+            self._lines[node] = Connection(self._context, endpoint)
         try:
             return self._lines[node].call(op, TIMEOUT, **args)
         except (HapticError, ValueError, OverflowError, TypeError, zmq.ZMQError) as error:

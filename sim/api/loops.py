@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sim.scene.loop import Trace
 
 __all__ = [
-    "KMax",
+    "KMaxResult",
     "Played",
     "Poles",
     "drop",
@@ -34,7 +34,7 @@ _SHOWN = 41
 
 
 @dataclass(frozen=True, repr=False)
-class KMax(Result):
+class KMaxResult(Result):
     """How stiff a law may get on a device.
 
     Attributes
@@ -164,7 +164,7 @@ class Played(Result):
         return figure
 
 
-def k_max(law: LawLike, plant: Plant) -> KMax:
+def k_max(law: LawLike, plant: Plant) -> KMaxResult:
     """Find the largest stable stiffness of a law, everything else fixed.
 
     Parameters
@@ -176,7 +176,7 @@ def k_max(law: LawLike, plant: Plant) -> KMax:
 
     Returns
     -------
-    KMax
+    KMaxResult
         The edge; ``.plot()`` draws the way to it.
 
     Raises
@@ -196,7 +196,7 @@ def k_max(law: LawLike, plant: Plant) -> KMax:
     else:
         derivative = stability.without_spring(made(law), plant.period)
     found = stability.k_max(derivative, plant)
-    return KMax(found.k_max_n_per_m, found.h1_max_n_per_m, found.method, found.stable, plant, derivative)
+    return KMaxResult(found.k_max_n_per_m, found.h1_max_n_per_m, found.method, found.stable, plant, derivative)
 
 
 def poles(law: LawLike, plant: Plant) -> Poles:

@@ -34,7 +34,7 @@ from sim.api.values import plain
 __all__ = [
     "LaunchError",
     "Run",
-    "Summary",
+    "RunSummary",
     "connect",
     "launch",
 ]
@@ -53,7 +53,7 @@ class LaunchError(HapticError):
 
 
 @dataclass(frozen=True, repr=False)
-class Summary(Result):
+class RunSummary(Result):
     """What a launch reported at its end: the figures of ``haptic launch --json``.
 
     Attributes
@@ -124,7 +124,7 @@ class Run:
         self._folder = folder
         if folder is not None:
             weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        self._summary: Summary | None = None
+        self._summary: RunSummary | None = None
 
     def __enter__(self) -> Self:
         """Go on with it."""
@@ -225,7 +225,7 @@ class Run:
             raise LaunchError(f"bag record ended with exit code {done.returncode}: {done.stderr.strip()}")
         return read(path)
 
-    def wait(self, timeout: float | None = None) -> Summary:
+    def wait(self, timeout: float | None = None) -> RunSummary:
         """Wait for its end; an interrupted cell ends the launch.
 
         Parameters
@@ -235,7 +235,7 @@ class Run:
 
         Returns
         -------
-        Summary
+        RunSummary
             What it reported.
 
         Raises
@@ -283,7 +283,7 @@ class Run:
         return self._process
 
     @property
-    def summary(self) -> Summary:
+    def summary(self) -> RunSummary:
         """What the launch reported at its end.
 
         Raises
@@ -301,7 +301,7 @@ class Run:
                 raise LaunchError(f"{self.info.run}: exit code {process.returncode}: {_errors(self._folder)}")
             told = json.loads(lines[-1])
             keys = ("scenario", "exit_reason", "ticks", "missed", "rate_hz", "response_us", "final", "recording")
-            self._summary = Summary(**{key: told[key] for key in keys}, all=told)
+            self._summary = RunSummary(**{key: told[key] for key in keys}, all=told)
         return self._summary
 
     @property

@@ -28,7 +28,7 @@ from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.measure.launches import MeasurementError
 from sim.measure.stopwatch import Timing, interleaved
 from sim.scene.loop import Array, Scene, contact_of, motion_of
-from sim.scene.tick_loop import Laws, Records, play_compiled
+from sim.scene.tick_loop import LawTables, Records, play_compiled
 
 SOURCE = r"""
 void play(long ticks, double x, double v, const double *c, double load, double surface, double normal,
@@ -107,7 +107,7 @@ def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:
     motion, contact = motion_of(here, ticks), contact_of(here)
     none, positions = np.empty(0, dtype=np.int64), np.empty(ticks)
     taps = np.array(law.taps)
-    rendered = Laws(taps, np.array([0, len(taps)]), None, np.zeros(2, dtype=np.int64), none, none)
+    rendered = LawTables(taps, np.array([0, len(taps)]), None, np.zeros(2, dtype=np.int64), none, none)
     records = Records(positions, None, None, None, None, None)
 
     def play() -> Array:

@@ -21,7 +21,7 @@ from sim.chart.derivatives import largest_stable
 from sim.chart.points import Group, Point
 from sim.device.model import DeviceModel
 from sim.measure.stopwatch import interleaved
-from sim.scene.loop import Scene, Surface, run
+from sim.scene.loop import Scene, SceneSurface, run
 
 PERIOD, MASS, DAMPING, GAIN = 0.002, 0.1, 0.1, 3.0
 _ROUNDS, _QUICK_ROUNDS = 5, 2
@@ -82,7 +82,7 @@ def simulated(delay: float, horizon: float, dropped: bool) -> float:
     device = DeviceModel(
         mass=MASS, damping=DAMPING, position=_HEIGHT, delay=delay, gravity=_GRAVITY if dropped else None
     )
-    surface = Surface("plane") if dropped else Surface("anchor")
+    surface = SceneSurface("plane") if dropped else SceneSurface("anchor")
     scene = Scene(device=device, surface=surface, period=PERIOD, raw=False, clamp=dropped)
     tail = max(2, ticks // 5)
 

@@ -29,7 +29,7 @@ from nodes.stability.plant import Plant
 from sim.chart.points import Detail, Group, Point
 from sim.device.model import DeviceModel
 from sim.measure import launches
-from sim.scene.loop import Scene, Surface, run
+from sim.scene.loop import Scene, SceneSurface, run
 
 RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
 _QUICK_RATES = (500.0, 1000.0)
@@ -115,7 +115,7 @@ def _with_one_law() -> dict[str, Any]:
 def continuous(stiffness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Drop the device on a floor without sampling, near enough."""
     device = DeviceModel(mass=MASS, damping=DAMPING, gravity=GRAVITY, position=HEIGHT)
-    scene = Scene(device=device, surface=Surface("plane"), period=1.0 / _FINE, raw=False, clamp=True)
+    scene = Scene(device=device, surface=SceneSurface("plane"), period=1.0 / _FINE, raw=False, clamp=True)
     trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), round(_SECONDS * _FINE))
     return trace.time, trace.force
 

@@ -15,7 +15,7 @@ from sim.design.demand import Demand, Vector
 _VERIFIED = 801
 
 
-class Loop:
+class LoopCase:
     """Closed-loop polynomials at given cases (mass, delay, hand), linear in the taps."""
 
     def __init__(self, demand: Demand, cases: Vector, taps: int, pole: float = 0.0) -> None:
@@ -117,6 +117,6 @@ def quiet(demand: Demand, taps: Vector) -> bool:
     return abs(float(taps @ alternating(taps.size))) <= demand.nyquist * (1.0 + 1e-12)
 
 
-def keeps(demand: Demand, taps: Vector, loop: Loop) -> bool:
+def keeps(demand: Demand, taps: Vector, loop: LoopCase) -> bool:
     """Tell whether taps keep the demand at all cases of a loop."""
     return quiet(demand, taps) and float(loop.radii(taps).max()) <= demand.radius

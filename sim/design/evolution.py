@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from nodes.compiled.kernels.sources import kernel
-from sim.design.cases import Loop, alternating
+from sim.design.cases import LoopCase, alternating
 from sim.design.demand import Demand, Vector
 from sim.scene.compiled import compiled
 
@@ -129,7 +129,7 @@ _evolve_compiled = compiled()(_evolve)
 def evolved(
     demand: Demand,
     basis: Vector,
-    loops: Sequence[Loop],
+    loops: Sequence[LoopCase],
     free: bool,
     seed: int,
     effort: int,

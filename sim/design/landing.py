@@ -18,7 +18,7 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
-from sim.design.cases import Loop, alternating, cases_of, keeps
+from sim.design.cases import LoopCase, alternating, cases_of, keeps
 from sim.design.demand import CONVENTIONS, Demand, Vector, filtered
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
@@ -138,7 +138,7 @@ def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Vector:
 
 
 def landed(
-    demand: Demand, basis: Vector, fine: Loop, starts: list[Vector], free: bool, seed: int, effort: int
+    demand: Demand, basis: Vector, fine: LoopCase, starts: list[Vector], free: bool, seed: int, effort: int
 ) -> Vector | None:
     """Search a family for the stiffest law that keeps a demand and lands.
 
@@ -148,7 +148,7 @@ def landed(
         What to keep.
     basis : ndarray, shape (p, n + 1)
         Taps per unit of each parameter [N/m].
-    fine : Loop
+    fine : LoopCase
         The loop at all cases that a law is verified on.
     starts : list of ndarray, shape (p,)
         Members to begin with.
@@ -178,7 +178,7 @@ def landed(
 def _shrunk(
     demand: Demand,
     basis: Vector,
-    fine: Loop,
+    fine: LoopCase,
     scenes: list[Scene],
     start: Vector | None,
     free: bool,
@@ -190,7 +190,7 @@ def _shrunk(
     unit = demand.mass[0] / demand.period**2
     # Behind a filter, taps have 1/(1 − pole) times the stiffness.
     least = demand.above * (1.0 - fine.pole) / unit
-    loop = Loop(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
+    loop = LoopCase(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
     source = np.random.default_rng(seed)
 
     def score(members: Vector, beaten: Vector) -> Vector:

@@ -14,7 +14,7 @@ import numpy as np
 from nodes.laws import CompiledLaw
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
-from sim.scene.loop import Given, Scene, Surface, run
+from sim.scene.loop import Given, Scene, SceneSurface, run
 
 GIVEN_UP = 1e200
 """Deflection from which on a loop is called unstable whatever comes [m]."""
@@ -28,7 +28,7 @@ def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> 
         raise ValueError(f"delays: {len(delays)} ticks, at least 40 are needed for a first and a last quarter")
     hand = Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)]) if plant.stiffness else None
     device = DeviceModel(mass=plant.mass, damping=plant.damping, position=1.0, hand=hand)
-    scene = Scene(device=device, surface=Surface("anchor"), period=plant.period, raw=False, clamp=False)
+    scene = Scene(device=device, surface=SceneSurface("anchor"), period=plant.period, raw=False, clamp=False)
     arrivals: list[tuple[float, int]] = []
     for at, seq in sorted((k + delay, k) for k, delay in enumerate(delays)):
         # A force that a younger one has overtaken never acts.

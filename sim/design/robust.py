@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.design.cases import Loop, alternating, cases_of, keeps, quiet, verified_cases
+from sim.design.cases import LoopCase, alternating, cases_of, keeps, quiet, verified_cases
 from sim.design.demand import Demand, Robust, Vector, filtered
 from sim.design.evolution import evolved
 from sim.design.landing import landed
@@ -68,7 +68,7 @@ def stiffest(
     # Behind a filter, taps have (1 + pole) times the gain at ω_N that is allowed, and 1/(1 − pole) times the stiffness.
     asked = replace(demand, nyquist=demand.nyquist * (1.0 + pole))
     everywhere = verified_cases(demand)
-    fine = Loop(demand, everywhere, basis.shape[1], pole)
+    fine = LoopCase(demand, everywhere, basis.shape[1], pole)
     starts = [np.asarray(start, dtype=np.float64) / scale for start in known]
     search = landed if demand.lands else _climbed
     best = search(asked, basis, fine, starts, free, seed, effort)
@@ -90,7 +90,7 @@ def stiffest(
 
 
 def _climbed(
-    demand: Demand, basis: Vector, fine: Loop, starts: list[Vector], free: bool, seed: int, effort: int
+    demand: Demand, basis: Vector, fine: LoopCase, starts: list[Vector], free: bool, seed: int, effort: int
 ) -> Vector | None:
     """Climb from all starts, by linear programmes."""
     cases = cases_of(demand, _MASSES, 3)
@@ -112,7 +112,7 @@ def _climbed(
 def _settle(
     demand: Demand,
     basis: Vector,
-    fine: Loop,
+    fine: LoopCase,
     cases: Vector,
     start: Vector,
     target: float,
@@ -121,22 +121,22 @@ def _settle(
     """Climb, verify everywhere, take the worst case in and come back inside, until there is none."""
     here, everywhere = start, verified_cases(demand)
     for _ in range(12):
-        here = _climb(demand, basis, Loop(demand, cases, fine.taps, fine.pole), here, target, free)
+        here = _climb(demand, basis, LoopCase(demand, cases, fine.taps, fine.pole), here, target, free)
         radii = fine.radii(here @ basis)
         worst = int(np.argmax(radii))
         if radii[worst] <= demand.radius:
             return here if quiet(demand, here @ basis) else None
         cases = np.vstack([cases, everywhere[worst]])
-        here = _retreat(demand, basis, Loop(demand, cases, fine.taps, fine.pole), here, target, free)
+        here = _retreat(demand, basis, LoopCase(demand, cases, fine.taps, fine.pole), here, target, free)
     return None
 
 
 def _global(
-    demand: Demand, basis: Vector, fine: Loop, free: bool, seed: int, effort: int, target: float
+    demand: Demand, basis: Vector, fine: LoopCase, free: bool, seed: int, effort: int, target: float
 ) -> list[Vector]:
     """Feasible starts, the stiffest first, each with its own seed."""
     p = len(basis)
-    few, many = (Loop(demand, cases_of(demand, masses, 3), fine.taps, fine.pole) for masses in (15, 101))
+    few, many = (LoopCase(demand, cases_of(demand, masses, 3), fine.taps, fine.pole) for masses in (15, 101))
     # Over ranges of delay and hand there are thousands of cases; the climb then brings the start inside all of them.
     loops = (few, many, fine) if len(fine.fixed) <= 1000 else (few, few, many)
     spans = _SPANS if p <= 4 else _SPANS[1:] * 2
@@ -144,7 +144,7 @@ def _global(
     return sorted((one for one in tried if one is not None), key=lambda one: -float(one @ basis.sum(axis=1)))
 
 
-def _climb(demand: Demand, basis: Vector, loop: Loop, start: Vector, target: float, free: bool) -> Vector:
+def _climb(demand: Demand, basis: Vector, loop: LoopCase, start: Vector, target: float, free: bool) -> Vector:
     """Raise H(1) by linear programmes over the linearised poles, never leaving the bound."""
     from scipy.optimize import linprog
 
@@ -186,7 +186,7 @@ def _climb(demand: Demand, basis: Vector, loop: Loop, start: Vector, target: flo
     return here
 
 
-def _retreat(demand: Demand, basis: Vector, loop: Loop, start: Vector, target: float, free: bool) -> Vector:
+def _retreat(demand: Demand, basis: Vector, loop: LoopCase, start: Vector, target: float, free: bool) -> Vector:
     """Bring a law back inside after a case has joined: to where the excess is least, then back as far as allowed."""
     from scipy.optimize import minimize
 

@@ -36,7 +36,7 @@ CALM = 25
 """So many ticks in order, one after the other, are a recovery."""
 
 
-class Outcome(msgspec.Struct, kw_only=True):
+class DrillOutcome(msgspec.Struct, kw_only=True):
     """What came of one fault.
 
     Attributes
@@ -224,9 +224,9 @@ def another(rig: Rig, node: str, before: int) -> bool:
     return False
 
 
-def drill(fault: Fault, patience: float = 15.0) -> Outcome:
+def drill(fault: Fault, patience: float = 15.0) -> DrillOutcome:
     """Do one drill."""
-    outcome = Outcome(fault=fault.name, what=fault.what)
+    outcome = DrillOutcome(fault=fault.name, what=fault.what)
     content = scene()
     try:
         environment = fault.prepare()

@@ -10,7 +10,7 @@ import msgspec
 
 from nodes.cli.colour import coloured
 from nodes.cli.main import UsageError, add_json, answer
-from sim.drill.drill import HOLD, LIMIT, RATE, Outcome, drill
+from sim.drill.drill import HOLD, LIMIT, RATE, DrillOutcome, drill
 from sim.drill.faults import faults
 from sim.drill.soak import MISS_LIMIT, soak, text
 
@@ -77,7 +77,7 @@ HEADS = ("fault", "what was done", "safe after [ticks]", "ticks lost", "given ou
 """Columns of the table; the third to the fifth hold numbers."""
 
 
-def table(outcomes: list[Outcome], markdown: bool = False) -> str:
+def table(outcomes: list[DrillOutcome], markdown: bool = False) -> str:
     """Write the table of a drill."""
     rows = [HEADS, *map(_row, outcomes)]
     if markdown:
@@ -96,7 +96,7 @@ def table(outcomes: list[Outcome], markdown: bool = False) -> str:
     return "\n".join(lines)
 
 
-def _row(one: Outcome) -> tuple[str, ...]:
+def _row(one: DrillOutcome) -> tuple[str, ...]:
     if one.skipped:
         return (one.fault, one.what, "", "", "", "", "skipped")
     return (

@@ -25,8 +25,8 @@ from nodes.laws import CompiledLaw
 from nodes.laws.pd_windowed import WindowedDamper
 from sim.device.model import DeviceModel, Hand
 from sim.scene.compiled import compiled
-from sim.scene.loop import Array, Scene, Surface, contact_of, motion_of, run
-from sim.scene.tick_loop import Contact, Laws, Motion, Records, play_compiled
+from sim.scene.loop import Array, Scene, SceneSurface, contact_of, motion_of, run
+from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compiled
 
 __all__ = [
     "Criterion",
@@ -84,7 +84,7 @@ def drop_scene(device: DeviceModel, period: float, raw: bool, clamp: bool, heigh
     """
     gravity = 9.81 if device.gravity is None else device.gravity
     dropped = _changed(device, position=height, velocity=0.0, gravity=gravity)
-    return Scene(device=dropped, surface=Surface("plane"), period=period, raw=raw, clamp=clamp)
+    return Scene(device=dropped, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
 
 
 def press_scene(
@@ -112,7 +112,7 @@ def press_scene(
     """
     hand = Hand(stiffness=100.0, path=[(0.0, -depth)]) if hand is None else hand
     pressed = _changed(device, position=depth, velocity=0.0, hand=hand)
-    return Scene(device=pressed, surface=Surface("plane"), period=period, raw=raw, clamp=clamp)
+    return Scene(device=pressed, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
 
 
 def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> Scene:
@@ -133,7 +133,7 @@ def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> S
         The experiment.
     """
     swung = _changed(device, position=amplitude, velocity=0.0)
-    return Scene(device=swung, surface=Surface("anchor"), period=period, raw=True, clamp=False)
+    return Scene(device=swung, surface=SceneSurface("anchor"), period=period, raw=True, clamp=False)
 
 
 def _changed(device: DeviceModel, **fields: Any) -> DeviceModel:
@@ -191,7 +191,7 @@ def _trials(
         positions = np.empty(ticks)
         forces = np.empty(ticks)
         none = np.empty(0, dtype=np.int64)
-        laws = Laws(taps[p], np.array([0, length]), own, np.array([0, width // 2]), none, none)
+        laws = LawTables(taps[p], np.array([0, length]), own, np.array([0, width // 2]), none, none)
         play_compiled(
             ticks,
             motion,
@@ -254,7 +254,7 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     scene : Scene
         The experiment.
     laws : sequence of CompiledLaw
-        Laws to try.
+        LawTables to try.
     criterion : Criterion
         What counts as settled.
 

@@ -14,7 +14,7 @@ import numpy as np
 from nodes.driver.passivity import PassivityParameters
 from nodes.laws import CompiledLaw
 from sim.device.model import DeviceModel
-from sim.scene.loop import Scene, Surface, Trace, run
+from sim.scene.loop import Scene, SceneSurface, Trace, run
 
 SHARE = 0.25
 """Part of a run, its last, that is looked at as rest."""
@@ -83,7 +83,7 @@ def compare(
         for on in (False, True):
             scene = Scene(
                 device=device,
-                surface=Surface("plane"),
+                surface=SceneSurface("plane"),
                 period=period,
                 raw=False,
                 clamp=True,

@@ -15,7 +15,7 @@ import numpy as np
 
 from nodes.launcher.launch_spec import Model
 from nodes.stability.k_max import k_max, with_spring
-from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, Term
+from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, NeedTerm
 from sim.measure.stopwatch import interleaved
 from sim.scene.from_launch import LaunchedScene
 from sim.scene.loop import Trace
@@ -224,7 +224,7 @@ def _variants(scene: LaunchedScene) -> dict[str, Variant]:
     return found
 
 
-def _both(pair: Sequence[Term], scene: LaunchedScene) -> LaunchedScene:
+def _both(pair: Sequence[NeedTerm], scene: LaunchedScene) -> LaunchedScene:
     for term in pair:
         if term.typical is not None:
             scene = term.typical(scene)

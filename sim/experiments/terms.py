@@ -15,7 +15,7 @@ import msgspec
 from nodes.laws import CompiledLaw
 from sim.device.model import DeviceModel
 from sim.scene.from_launch import LaunchedScene
-from sim.scene.loop import Surface
+from sim.scene.loop import SceneSurface
 
 Switch = Callable[[LaunchedScene], LaunchedScene]
 
@@ -27,7 +27,7 @@ _SHORTEST = 3
 
 
 @dataclass(frozen=True)
-class Term:
+class NeedTerm:
     """One term of a model.
 
     Attributes
@@ -83,42 +83,44 @@ def _longest(scene: LaunchedScene) -> int:
     return max(len(law.taps) for law in (scene.law, *(swap.law for swap in scene.swaps)))
 
 
-TERMS: tuple[Term, ...] = (
-    Term(
+TERMS: tuple[NeedTerm, ...] = (
+    NeedTerm(
         "gravity",
         lambda scene: bool(scene.scene.device.gravity),
         _set("gravity", None),
         lambda scene: _device(scene, gravity=GRAVITY) if scene.axis == _VERTICAL else scene,
         f"{GRAVITY} m/s² on a vertical axis",
     ),
-    Term("damping", lambda scene: scene.scene.device.damping > 0.0, _set("damping", 0.0)),
-    Term("friction", _has("friction"), _set("friction", None), _set("friction", FRICTION), f"{FRICTION} N"),
-    Term(
+    NeedTerm("damping", lambda scene: scene.scene.device.damping > 0.0, _set("damping", 0.0)),
+    NeedTerm("friction", _has("friction"), _set("friction", None), _set("friction", FRICTION), f"{FRICTION} N"),
+    NeedTerm(
         "resolution", _has("resolution"), _set("resolution", None), _set("resolution", RESOLUTION), f"{RESOLUTION:g} m"
     ),
-    Term("peak_force", _has("peak_force"), _set("peak_force", None), _set("peak_force", PEAK_FORCE), f"{PEAK_FORCE} N"),
-    Term(
+    NeedTerm(
+        "peak_force", _has("peak_force"), _set("peak_force", None), _set("peak_force", PEAK_FORCE), f"{PEAK_FORCE} N"
+    ),
+    NeedTerm(
         "delay",
         lambda scene: scene.scene.device.delay > 0.0 or scene.scene.next_tick,
         _without_delay,
         lambda scene: _device(scene, delay=RESPONSE / scene.scene.period),
         f"{1e6 * RESPONSE:g} µs",
     ),
-    Term("hand", _has("hand"), _set("hand", None)),
-    Term(
+    NeedTerm("hand", _has("hand"), _set("hand", None)),
+    NeedTerm(
         "contact",
         lambda scene: scene.scene.surface.kind != "free",
-        lambda scene: _driver(surface=Surface("free"))(scene),
+        lambda scene: _driver(surface=SceneSurface("free"))(scene),
     ),
-    Term("limit", lambda scene: scene.scene.peak is not None, _driver(peak=None)),
-    Term("slew", lambda scene: scene.scene.slew is not None, _driver(slew=None)),
-    Term("workspace", lambda scene: scene.scene.workspace is not None, _driver(workspace=None)),
-    Term(
+    NeedTerm("limit", lambda scene: scene.scene.peak is not None, _driver(peak=None)),
+    NeedTerm("slew", lambda scene: scene.scene.slew is not None, _driver(slew=None)),
+    NeedTerm("workspace", lambda scene: scene.scene.workspace is not None, _driver(workspace=None)),
+    NeedTerm(
         "guard",
         lambda scene: scene.scene.passivity is not None and scene.scene.passivity.guard == "on",
         _driver(passivity=None),
     ),
-    Term("memory", lambda scene: _longest(scene) > _SHORTEST, _shortened),
+    NeedTerm("memory", lambda scene: _longest(scene) > _SHORTEST, _shortened),
 )
 """All terms; ``memory`` stands for the older half of the longest law's taps."""
 

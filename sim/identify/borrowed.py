@@ -46,7 +46,7 @@ LEASE = "borrowed"
 
 
 @dataclass
-class Loop:
+class PushedLaunch:
     """The nodes of a running launch that are needed to push its device.
 
     Attributes
@@ -147,7 +147,7 @@ class Loop:
         return int(ask(self.run, self.environment, "param.set", values={"surface": surface})["seq"])
 
 
-def carried(loop: Loop, amplitude: float, given: float | None) -> float:
+def carried(loop: PushedLaunch, amplitude: float, given: float | None) -> float:
     """Find the force that carries the device's weight [N]: what is given, else what acts on it at rest.
 
     A force above the amplitude of the push is refused: it may as well be a hand that presses, and would go on without it.
@@ -164,7 +164,7 @@ def carried(loop: Loop, amplitude: float, given: float | None) -> float:
     return weight
 
 
-def _at_rest(loop: Loop, amplitude: float) -> float:
+def _at_rest(loop: PushedLaunch, amplitude: float) -> float:
     ticks = max(10, round(REST / loop.period))
     states: list[DeviceState] = []
     for state in loop.states():
@@ -193,7 +193,7 @@ class Borrowed:
 
     Parameters
     ----------
-    loop : Loop
+    loop : PushedLaunch
         The launch.
 
     Attributes
@@ -204,7 +204,7 @@ class Borrowed:
         Why law or surface could not be put back; empty when they were.
     """
 
-    def __init__(self, loop: Loop) -> None:
+    def __init__(self, loop: PushedLaunch) -> None:
         self._loop = loop
         self.law = str(ask(loop.run, loop.coupling, "law.list")["active"])
         self._surface = ask(loop.run, loop.environment, "param.get", name="surface")
@@ -256,7 +256,7 @@ class Borrowed:
 
 
 @contextlib.contextmanager
-def borrowed(loop: Loop) -> Iterator[Borrowed]:
+def borrowed(loop: PushedLaunch) -> Iterator[Borrowed]:
     """Borrow law and surface for the length of a with block."""
     held = Borrowed(loop)
     held.take()

@@ -12,7 +12,7 @@ from nodes.cli.main import RefusedError, UsageError, add_json, answer
 from sim.identify.progress import say
 
 if TYPE_CHECKING:
-    from sim.identify.borrowed import Loop
+    from sim.identify.borrowed import PushedLaunch
     from sim.identify.identified import Identified
     from sim.identify.push import Pushed
 
@@ -125,9 +125,9 @@ def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
 def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pushed, Identified]]:
     """Push the device of a running launch at each place, and identify it there on each axis."""
     from nodes.cli.ask import chosen_run
-    from sim.identify.borrowed import Loop
+    from sim.identify.borrowed import PushedLaunch
 
-    loop = Loop(chosen_run(arguments))
+    loop = PushedLaunch(chosen_run(arguments))
     law = excitation(arguments)
     arguments.out.mkdir(parents=True, exist_ok=True)
     places = arguments.places or ([-0.02, 0.0, 0.02] if len(loop.axes) == 3 else [0.0])
@@ -144,7 +144,7 @@ def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pus
 
 
 def _pushed(
-    loop: Loop, law: dict[str, Any], out: Path, centre: list[float], tell: Any, arguments: argparse.Namespace
+    loop: PushedLaunch, law: dict[str, Any], out: Path, centre: list[float], tell: Any, arguments: argparse.Namespace
 ) -> tuple[Pushed, list[Identified]]:
     """Push and identify; in lockstep, where ticks cost no time, again and longer when the recorder lost too many of them."""
     from sim.identify.push import push
@@ -161,7 +161,7 @@ def _pushed(
     raise RefusedError(f"{out}: nothing was identified")
 
 
-def _axes(loop: Loop, pushed: Pushed, held: bool | None) -> list[Identified]:
+def _axes(loop: PushedLaunch, pushed: Pushed, held: bool | None) -> list[Identified]:
     from sim.identify.experiment import read
     from sim.identify.identify import identify
 

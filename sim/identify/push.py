@@ -16,7 +16,7 @@ from typing import Any
 from messages import topics
 from nodes.cli.ask import ask
 from nodes.cli.main import RefusedError
-from sim.identify.borrowed import RAMP, Borrowed, Loop, borrowed, carried
+from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carried
 from sim.identify.interrupts import undisturbed
 from sim.measure.launches import beside, within
 
@@ -58,7 +58,7 @@ class Pushed:
 
 
 def push(
-    loop: Loop,
+    loop: PushedLaunch,
     law: dict[str, Any],
     out: Path,
     place: Sequence[float] | None = None,
@@ -98,14 +98,14 @@ def push(
     return result
 
 
-def _centre(loop: Loop, here: Sequence[float], centre: Sequence[float]) -> None:
+def _centre(loop: PushedLaunch, here: Sequence[float], centre: Sequence[float]) -> None:
     """Bring the spring's far end there in steps of a millimetre, which the soft spring turns into a slow pull."""
     steps = max(1, round(max(abs(c - h) for c, h in zip(centre, here, strict=True)) / 1e-3))
     for n in range(1, steps + 1):
         loop.anchor([h + (c - h) * n / steps for c, h in zip(centre, here, strict=True)])
 
 
-def _watch(loop: Loop, duration: float, held: Borrowed, say: Callable[[str], None], result: Pushed) -> None:
+def _watch(loop: PushedLaunch, duration: float, held: Borrowed, say: Callable[[str], None], result: Pushed) -> None:
     """Let the excitation take over, and hear every tick until the push is over, or must be; all times are counted in ticks."""
     ticks, first = round(duration / loop.period), -1
     still_at: Sequence[float] = ()

@@ -22,7 +22,7 @@ from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.reader import Recording
 from sim.device.model import DeviceModel
 from sim.scene.from_launch import LaunchedScene, from_launch
-from sim.scene.loop import Swap
+from sim.scene.loop import PlannedSwap
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
     played = from_launch(launch)
     receipts = [one for one in recording.messages(RECEIPT) if one.action in ("switch", "set")]
     if receipts:
-        swaps = tuple(Swap(one.seq, _law_of(one.after, played.scene.period), one.ramp) for one in receipts)
+        swaps = tuple(PlannedSwap(one.seq, _law_of(one.after, played.scene.period), one.ramp) for one in receipts)
         played = replace(played, swaps=swaps)
     axis = played.axis
     answers = np.array([state.force_seq for state in states], dtype=np.int64)

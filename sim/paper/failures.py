@@ -41,7 +41,7 @@ HORIZON = 400_000
 
 
 @dataclass(frozen=True)
-class Edge:
+class FailureEdge:
     """A stability boundary, seen from both sides.
 
     Attributes
@@ -69,7 +69,7 @@ class Edge:
         return self.inside < 1.0 < self.outside and self.settled_inside and not self.settled_outside
 
 
-def edges() -> Iterator[Edge]:
+def edges() -> Iterator[FailureEdge]:
     """Look at every boundary from both sides."""
     spring = CompiledLaw((0.0,))
     recursive = without_spring(
@@ -97,7 +97,7 @@ def edges() -> Iterator[Edge]:
         laws = [with_spring(derivative, limit * share) for share in (1.0 - MARGIN, 1.0 + MARGIN)]
         inside, outside = (pole_radius(law, device) for law in laws)
         settled = settles(free_scene(model(device), PERIOD), laws, Criterion(HORIZON))
-        yield Edge(
+        yield FailureEdge(
             f"{name}, m {device.mass:g} kg, d {device.delay:g} ticks", limit, inside, outside, settled[0], settled[1]
         )
 

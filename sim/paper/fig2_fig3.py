@@ -37,7 +37,7 @@ def term_curve(theta: Vector, order: float) -> Vector:
 
 
 @dataclass(frozen=True)
-class Term:
+class TermCurve:
     """Figure 2, one curve.
 
     Attributes
@@ -58,13 +58,13 @@ class Term:
     zero: float
 
 
-def figure_2(taps: int, points: int = 400) -> tuple[Vector, list[Term], list[Term]]:
+def figure_2(taps: int, points: int = 400) -> tuple[Vector, list[TermCurve], list[TermCurve]]:
     """Compute f(ω) of single terms."""
     theta = np.pi * np.arange(1, points + 1) / points
 
-    def term(order: float) -> Term:
+    def term(order: float) -> TermCurve:
         curve = one_term(theta, order, taps)
-        return Term(order, curve, term_curve(theta, order), _last_zero(theta, curve))
+        return TermCurve(order, curve, term_curve(theta, order), _last_zero(theta, curve))
 
     return theta, [term(order) for order in LOW_ORDERS], [term(order) for order in HIGH_ORDERS]
 

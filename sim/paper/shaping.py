@@ -18,7 +18,7 @@ Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Shape:
+class Shaping:
     """Gains and orders of a multi-term law and the f they give, all normalised (T = 2), the spring taken as H(1).
 
     Attributes
@@ -44,7 +44,7 @@ def least_squares(orders: Vector, targets: Targets, taps: int) -> Vector:
     return np.asarray(gains, dtype=np.float64)
 
 
-def minimax(orders: Vector, band: tuple[float, float], nyquist: float, taps: int, points: int = 61) -> Shape | None:
+def minimax(orders: Vector, band: tuple[float, float], nyquist: float, taps: int, points: int = 61) -> Shaping | None:
     """Gains with the least ripple about f = −1 over a band, f(ω_N) bounded: a linear programme."""
     from scipy.optimize import linprog
 
@@ -64,11 +64,11 @@ def minimax(orders: Vector, band: tuple[float, float], nyquist: float, taps: int
     return measured(gains, orders, band, taps)
 
 
-def measured(gains: Vector, orders: Vector, band: tuple[float, float], taps: int) -> Shape:
+def measured(gains: Vector, orders: Vector, band: tuple[float, float], taps: int) -> Shaping:
     """Measure the f of a multi-term law."""
     fine = np.pi * np.linspace(band[0], band[1], 601)
     ripple = float(np.abs(damping_curve(fine, gains, orders, taps, False) + 1.0).max())
-    return Shape(gains, orders, ripple, float(damping_curve(np.array([np.pi]), gains, orders, taps, False)[0]))
+    return Shaping(gains, orders, ripple, float(damping_curve(np.array([np.pi]), gains, orders, taps, False)[0]))
 
 
 def free_taps(taps: int, band: tuple[float, float], nyquist: float, points: int = 61) -> tuple[Vector, float]:
@@ -91,7 +91,9 @@ def free_taps(taps: int, band: tuple[float, float], nyquist: float, points: int 
     return np.asarray(np.diff(tails) * -1.0, dtype=np.float64), float(solution.x[-1])
 
 
-def best_orders(terms: int, band: tuple[float, float], nyquist: float, taps: int, grid: int = 14) -> tuple[Shape, int]:
+def best_orders(
+    terms: int, band: tuple[float, float], nyquist: float, taps: int, grid: int = 14
+) -> tuple[Shaping, int]:
     """Search the orders globally, the gains by linear programme: every combination on a grid, then the best polished."""
     from scipy.optimize import minimize
 

@@ -82,7 +82,7 @@ class Swing:
 
 
 @dataclass(frozen=True)
-class Ringing:
+class Decay:
     """One decaying swing: ωT and decay per tick with their standard deviations, and the residual over the swing's size."""
 
     theta: float
@@ -92,7 +92,7 @@ class Ringing:
     residual: float
 
 
-def ringing(position: Vector) -> Ringing:
+def ringing(position: Vector) -> Decay:
     """Fit one decaying swing about a slowly moving rest."""
     from scipy.optimize import least_squares
 
@@ -115,7 +115,7 @@ def ringing(position: Vector) -> Ringing:
     covariance = np.linalg.pinv(slopes.T @ slopes) * spread / max(len(x) - 6, 1)
     decay_off, theta_off = np.sqrt(np.diag(covariance)).tolist()
     decay, theta = found.x.tolist()
-    return Ringing(abs(theta), decay, theta_off, decay_off, math.sqrt(spread / len(x)))
+    return Decay(abs(theta), decay, theta_off, decay_off, math.sqrt(spread / len(x)))
 
 
 def _start(x: Vector) -> tuple[float, float]:
@@ -143,11 +143,11 @@ def recorded_swing(path: Path, damping: float | None = None) -> Swing:
     return _told(law, compiled, Plant(loop.period, 1.0, 0.0, loop.median), fits, known, ticks)
 
 
-def windows(inside: Vector) -> tuple[list[Ringing], int]:
+def windows(inside: Vector) -> tuple[list[Decay], int]:
     """Fit parts of a contact, the longest first; and how many ticks of it move."""
     moving = np.flatnonzero(np.abs(inside - inside[-len(inside) // 8 :].mean()) > 1e-9)
     end = int(moving[-1]) + 1 if moving.size else len(inside)
-    fits: list[Ringing] = []
+    fits: list[Decay] = []
     for begin, stop in _WINDOWS:
         first = min(int(begin * end), max(end - _SHORTEST, 0))
         window = inside[first : max(int(stop * end), min(first + _SHORTEST, end))]
@@ -161,9 +161,7 @@ def windows(inside: Vector) -> tuple[list[Ringing], int]:
     return fits, end
 
 
-def _told(
-    law: Law, compiled: CompiledLaw, loop: Plant, fits: list[Ringing], damping: float | None, ticks: int
-) -> Swing:
+def _told(law: Law, compiled: CompiledLaw, loop: Plant, fits: list[Decay], damping: float | None, ticks: int) -> Swing:
     derivative = without_spring(law, loop.period)
     plants = []
     for fit in (fit for fit in fits if fit.residual <= _RESIDUAL):

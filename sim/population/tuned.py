@@ -18,7 +18,7 @@ from sim.identify.identify import identify
 from sim.population.outside import KINDS, Outside, draw_outside, excite_outside, knock_outside
 from sim.population.virtual import draw, excite
 from sim.tune.design import Wanted, design
-from sim.tune.knock import LONGEST, Verdict, climb, factor_of, judge, knocked, scaled, worst
+from sim.tune.knock import LONGEST, KnockVerdict, climb, factor_of, judge, knocked, scaled, worst
 from sim.tune.outcome import verified
 from sim.tune.predict import predict
 
@@ -71,12 +71,12 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
     return row
 
 
-def knocks(device: Outside, law: CompiledLaw, knock: float, period: float) -> Callable[[int], Verdict]:
+def knocks(device: Outside, law: CompiledLaw, knock: float, period: float) -> Callable[[int], KnockVerdict]:
     """Make knocks on the true device."""
     if device.kind == "rigid":
         return knocked(law, device.rigid, period, knock, PEAK, None)
 
-    def once(step: int) -> Verdict:
+    def once(step: int) -> KnockVerdict:
         factor = factor_of(step)
         taps = np.array(scaled(law, factor).taps)
         # Two knocks, as on a real device, begin wherever in a step of the encoder it is.

@@ -11,7 +11,7 @@ import numpy as np
 from nodes.laws.excitation import Excitation
 from sim.device.model import DeviceModel, Hand, quantise
 from sim.identify.experiment import Experiment, lockstep
-from sim.scene.loop import Scene, Surface, run
+from sim.scene.loop import Scene, SceneSurface, run
 
 PUSH = Excitation()
 """How they are pushed: as a launch pushes by default."""
@@ -19,7 +19,7 @@ PUSH = Excitation()
 
 def excite(model: DeviceModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:
     """Push a virtual device and note what its encoder reads."""
-    anchor = Surface("anchor", quantise(model.position, model.resolution))
+    anchor = SceneSurface("anchor", quantise(model.position, model.resolution))
     scene = Scene(device=model, surface=anchor, period=period, raw=False, clamp=False, peak=peak)
     law = msgspec.structs.replace(PUSH, seed=seed, duration=min(seconds, 600.0)).compile(period)
     trace = run(scene, law, round(seconds / period))

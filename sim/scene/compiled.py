@@ -159,7 +159,7 @@ class _Kept:
         if self._sources is None or result.lifted or result.library.has_dynamic_globals:
             return
         try:
-            entry = cache.Entry(kind="numba", content=_dumps(result._reduce()))
+            entry = cache.CacheEntry(kind="numba", content=_dumps(result._reduce()))
             cache.write(self._name(types, result.codegen), entry, self._sources)
         except cache.CacheRefusedError as error:
             self._refused(error)

@@ -23,7 +23,7 @@ from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
 from nodes.stability.plant import Plant
 from sim.device.driver import NO_END, SimDriverParameters
-from sim.scene.loop import Given, Scene, Surface, Swap, Trace, run
+from sim.scene.loop import Given, PlannedSwap, Scene, SceneSurface, Trace, run
 
 __all__ = [
     "LaunchedScene",
@@ -41,7 +41,7 @@ class LaunchedScene:
         Device, surface, period and conventions.
     law : CompiledLaw
         Law of tick 0.
-    swaps : tuple of Swap
+    swaps : tuple of PlannedSwap
         Scheduled swaps.
     ticks : int
         Ticks of the run.
@@ -53,7 +53,7 @@ class LaunchedScene:
 
     scene: Scene
     law: CompiledLaw
-    swaps: tuple[Swap, ...]
+    swaps: tuple[PlannedSwap, ...]
     ticks: int
     memory: int
     axis: int
@@ -117,14 +117,14 @@ def _parameters(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
     return name, convert(spec.parameters, target, name)
 
 
-def _surface(data: dict[str, Any], where: str, axis: Axis) -> Surface:
+def _surface(data: dict[str, Any], where: str, axis: Axis) -> SceneSurface:
     surface = parse_surface(data, where)
     reduced = surface.on_axis(axis)
     if reduced is None:
         raise ParameterError(
             f"{where}.kind: {surface.kind!r} has no form on one axis (on_axis), so one process cannot play it; launch it"
         )
-    return Surface(reduced.shape, reduced.position, reduced.side)
+    return SceneSurface(reduced.shape, reduced.position, reduced.side)
 
 
 def from_launch(launch: Launch) -> LaunchedScene:
@@ -184,7 +184,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
             safety=safety,
         ),
         law=law(coupling.law),
-        swaps=tuple(Swap(round(swap.at / period), law(swap.law), swap.ramp) for swap in swaps),
+        swaps=tuple(PlannedSwap(round(swap.at / period), law(swap.law), swap.ramp) for swap in swaps),
         ticks=launch.run.ticks or round(10.0 / period),
         memory=coupling.memory,
         axis=AXIS_INDEX[axis],

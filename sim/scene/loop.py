@@ -29,7 +29,7 @@ from sim.scene.tick_loop import (
     Arrivals,
     Contact,
     Guard,
-    Laws,
+    LawTables,
     Motion,
     Records,
     play,
@@ -39,9 +39,9 @@ from sim.scene.tick_loop import (
 __all__ = [
     "Array",
     "Given",
+    "PlannedSwap",
     "Scene",
-    "Surface",
-    "Swap",
+    "SceneSurface",
     "Trace",
     "contact_of",
     "motion_of",
@@ -52,7 +52,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Surface:
+class SceneSurface:
     """What the device may touch, on its axis.
 
     Attributes
@@ -91,7 +91,7 @@ class Scene:
     ----------
     device : DeviceModel
         The virtual device.
-    surface : Surface
+    surface : SceneSurface
         What it touches.
     period : float
         Sampling period T [s].
@@ -115,7 +115,7 @@ class Scene:
     """
 
     device: DeviceModel
-    surface: Surface
+    surface: SceneSurface
     period: float
     raw: bool
     clamp: bool
@@ -141,7 +141,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Swap:
+class PlannedSwap:
     """Change of the law between two ticks.
 
     Attributes
@@ -226,7 +226,7 @@ def run(
     scene: Scene,
     law: CompiledLaw,
     ticks: int,
-    swaps: Sequence[Swap] = (),
+    swaps: Sequence[PlannedSwap] = (),
     memory: int = 0,
     interpreted: bool = False,
     given: Given | None = None,
@@ -241,7 +241,7 @@ def run(
         Law of tick 0, compiled for the scene's period.
     ticks : int
         How many ticks, at least 1.
-    swaps : sequence of Swap, optional
+    swaps : sequence of PlannedSwap, optional
         Later laws, in the order of their ticks.
     memory : int, optional
         How many deflections the ring remembers; it is made long enough for all laws anyway. It only matters to
@@ -280,7 +280,7 @@ def run(
     return _played(scene, law, ticks, swaps, memory, interpreted or rules is not None, given, rules)[0]
 
 
-def _check(law: CompiledLaw, ticks: int, swaps: Sequence[Swap]) -> None:
+def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
     if ticks < 1:
         raise ValueError(f"ticks is {ticks}, expected at least 1")
     for i, swap in enumerate(swaps):
@@ -312,7 +312,7 @@ def _played(
     scene: Scene,
     law: CompiledLaw,
     ticks: int,
-    swaps: Sequence[Swap],
+    swaps: Sequence[PlannedSwap],
     memory: int,
     interpreted: bool,
     given: Given,
@@ -357,7 +357,7 @@ def _played(
         ticks,
         motion if interpreted or motion.loads is None else motion._replace(loads=numbers(motion.loads)),
         contact_of(scene),
-        Laws(
+        LawTables(
             numbers([tap for candidate in laws for tap in candidate.taps]),
             numbers(taps_from, np.int64),
             numbers([c for candidate in laws for s in candidate.sections for c in s]) if recursive else None,

@@ -98,7 +98,7 @@ class Contact(NamedTuple):
     slew: float | None
 
 
-class Laws(NamedTuple):
+class LawTables(NamedTuple):
     """All laws of a run, one after the other, and the ticks at which they follow."""
 
     taps: Numbers
@@ -247,7 +247,7 @@ def play(
     ticks: int,
     motion: Motion,
     contact: Contact,
-    laws: Laws,
+    laws: LawTables,
     states: Numbers,
     history: Numbers,
     commands: Numbers,

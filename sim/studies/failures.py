@@ -14,7 +14,7 @@ from sim.studies import arguments as shared
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sim.paper.failures import Edge
+    from sim.paper.failures import FailureEdge
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 @styled
-def _draw(edges: list[Edge], bias: dict[int, tuple[float, float]]) -> Figure:
+def _draw(edges: list[FailureEdge], bias: dict[int, tuple[float, float]]) -> Figure:
     from matplotlib.figure import Figure
 
     from sim.axes import legend_below

@@ -18,7 +18,7 @@ from nodes.recording.figure_style import COLOURS, OMEGA, save_figure, styled
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.paper.descent import Descent, Targets, cost, damping_curve, paper_targets, survey
-from sim.paper.shaping import Shape, best_orders, free_taps, measured
+from sim.paper.shaping import Shaping, best_orders, free_taps, measured
 from sim.results import fresh
 from sim.studies import arguments as shared
 
@@ -86,11 +86,11 @@ def _paper_terms() -> tuple[np.ndarray[Any, np.dtype[np.float64]], np.ndarray[An
     return np.array([term["gain"] for term in terms]), np.array([term["order"] for term in terms])
 
 
-def _paper(band: tuple[float, float]) -> Shape:
+def _paper(band: tuple[float, float]) -> Shaping:
     return measured(*_paper_terms(), band, 4)
 
 
-def _row(name: str, bound: float | None, shape: Shape, arguments: argparse.Namespace) -> dict[str, Any]:
+def _row(name: str, bound: float | None, shape: Shaping, arguments: argparse.Namespace) -> dict[str, Any]:
     law = MultiTerm(
         stiffness=1.0,
         damping=arguments.gain,

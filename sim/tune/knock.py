@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from nodes.laws import CompiledLaw
 from nodes.laws.knock import Knock
 from sim.device.model import DeviceModel
-from sim.scene.loop import Scene, Surface, run
+from sim.scene.loop import Scene, SceneSurface, run
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ FAR = 3.0
 
 
 @dataclass(frozen=True)
-class Verdict:
+class KnockVerdict:
     """What came of one knock.
 
     Attributes
@@ -76,18 +76,18 @@ class Verdict:
 
 
 @dataclass
-class Edge:
+class KnockedEdge:
     """The steps towards the edge.
 
     Attributes
     ----------
-    steps : list of Verdict
+    steps : list of KnockVerdict
         In the order of the stiffness.
     ended : str
         Why no more were tried.
     """
 
-    steps: list[Verdict] = field(default_factory=list)
+    steps: list[KnockVerdict] = field(default_factory=list)
     ended: str = ""
 
     @property
@@ -101,7 +101,7 @@ class Edge:
         below = [step.factor for step in self.steps if self.factor is None or step.factor < self.factor]
         return max(below, default=None)
 
-    def add(self, verdict: Verdict) -> None:
+    def add(self, verdict: KnockVerdict) -> None:
         """Take a verdict in, in the order of the stiffness."""
         self.steps = sorted([*self.steps, verdict], key=lambda step: step.factor)
 
@@ -130,12 +130,14 @@ def factor_of(step: int) -> float:
     return STEP**step
 
 
-def judge(position: Array, knock: float, factor: float) -> Verdict | None:
+def judge(position: Array, knock: float, factor: float) -> KnockVerdict | None:
     """Judge the positions since a knock [m]; None when they are too few to tell."""
     with np.errstate(invalid="ignore", over="ignore"):
         away = np.abs(knock - (position - position[:1])) / abs(knock)
         if position.size and not bool(np.all(away <= FAR)):
-            return Verdict(factor, float(np.max(np.nan_to_num(away, nan=np.inf))), False, f"went {FAR:g} knocks far")
+            return KnockVerdict(
+                factor, float(np.max(np.nan_to_num(away, nan=np.inf))), False, f"went {FAR:g} knocks far"
+            )
         for ticks in (WINDOW, 2 * WINDOW, LONGEST):
             if position.size < ticks:
                 return None
@@ -145,16 +147,16 @@ def judge(position: Array, knock: float, factor: float) -> Verdict | None:
             )
             left = last / abs(knock)
             if left < LEFT or last > GROWING * middle:
-                return Verdict(factor, left, left < LEFT)
-    return Verdict(factor, left, last < DYING * middle)
+                return KnockVerdict(factor, left, left < LEFT)
+    return KnockVerdict(factor, left, last < DYING * middle)
 
 
-def climb(plan: Plan, knock: Callable[[int], Verdict], steps: Edge | None = None) -> Edge:
+def climb(plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge | None = None) -> KnockedEdge:
     """Go up in steps until one does not come to rest, and find between which two that is.
 
     `steps` takes the verdicts as they come, for who interrupts the climb.
     """
-    edge = Edge() if steps is None else steps
+    edge = KnockedEdge() if steps is None else steps
 
     def rests(step: int) -> bool:
         edge.add(knock(step))
@@ -198,7 +200,7 @@ def scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
 
 def knocked(
     law: CompiledLaw, model: DeviceModel, period: float, knock: float, peak: float | None, slew: float | None
-) -> Callable[[int], Verdict]:
+) -> Callable[[int], KnockVerdict]:
     """Make knocks on a model."""
     import msgspec
 
@@ -206,12 +208,12 @@ def knocked(
         place = start * (model.resolution or 0.0) - knock
         device = msgspec.structs.replace(model, position=place, velocity=0.0, gravity=None)
         return Scene(
-            device=device, surface=Surface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew
+            device=device, surface=SceneSurface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew
         )
 
     scenes = [begun(start) for start in (STARTS if model.resolution else STARTS[:1])]
 
-    def once(step: int) -> Verdict:
+    def once(step: int) -> KnockVerdict:
         factor = factor_of(step)
         tried = scaled(law, factor)
         return worst(judge(run(scene, tried, LONGEST).measured, knock, factor) for scene in scenes)
@@ -219,9 +221,9 @@ def knocked(
     return once
 
 
-def worst(verdicts: Iterable[Verdict | None]) -> Verdict:
+def worst(verdicts: Iterable[KnockVerdict | None]) -> KnockVerdict:
     """Take the first knock that does not come to rest, or the last one that does."""
-    last: Verdict | None = None
+    last: KnockVerdict | None = None
     for last in verdicts:
         if last is not None and not last.rests:
             break
@@ -229,10 +231,10 @@ def worst(verdicts: Iterable[Verdict | None]) -> Verdict:
     return last
 
 
-def planned(knock: Callable[[int], Verdict], linear: float) -> tuple[Plan, Edge]:
+def planned(knock: Callable[[int], KnockVerdict], linear: float) -> tuple[Plan, KnockedEdge]:
     """Knock on a model at every step about the edge that its poles have, and plan the climb on the device by it."""
     top = math.floor(math.log(linear) / math.log(STEP)) + BEYOND
-    edge = Edge()
+    edge = KnockedEdge()
     for step in range(LOWEST, top + 1):
         edge.add(knock(step))
         # Far below a law a light damper may take longer than any window: the climb begins where the model rests.

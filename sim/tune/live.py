@@ -15,9 +15,9 @@ import numpy as np
 
 from nodes.cli.ask import ask
 from nodes.cli.main import RefusedError
-from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, Borrowed, Loop
+from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, Borrowed, PushedLaunch
 from sim.identify.interrupts import undisturbed
-from sim.tune.knock import LONGEST, WINDOW, Array, Edge, Plan, Verdict, climb, factor_of, judge, law_of
+from sim.tune.knock import LONGEST, WINDOW, Array, KnockedEdge, KnockVerdict, Plan, climb, factor_of, judge, law_of
 
 AGAIN = 10
 """How often one stiffness is tried when the machine stalls."""
@@ -38,7 +38,7 @@ class Trials:
 
     Parameters
     ----------
-    loop : Loop
+    loop : PushedLaunch
         The launch; its limits are known.
     held : Borrowed
         Its law and surface.
@@ -56,7 +56,7 @@ class Trials:
 
     def __init__(
         self,
-        loop: Loop,
+        loop: PushedLaunch,
         held: Borrowed,
         taps: Sequence[float],
         knock: float,
@@ -72,7 +72,7 @@ class Trials:
         self._guarded = not (self._own and self._own["guard"] == "on")
         self._allowance = {"allowance": 4.0 * (loop.peak if loop.peak is not None else 20.0) * knock}
 
-    def climb(self, plan: Plan, steps: Edge) -> Edge:
+    def climb(self, plan: Plan, steps: KnockedEdge) -> KnockedEdge:
         """Try the law from far below up to its edge; `steps` takes the verdicts as they come."""
         loop = self._loop
         self._near = plan.near
@@ -84,7 +84,7 @@ class Trials:
                 with undisturbed():
                     self._put_back_guard(loop)
 
-    def _put_back_guard(self, loop: Loop) -> None:
+    def _put_back_guard(self, loop: PushedLaunch) -> None:
         try:
             ask(loop.run, loop.driver, "param.set", values={"passivity": self._own})
         except RefusedError as error:
@@ -98,7 +98,7 @@ class Trials:
             loop.anchor([float(x) for x in loop.progress()["position_m"]])
             loop.wait(SOFT_RAMP)
 
-    def _verdict(self, step: int) -> Verdict:
+    def _verdict(self, step: int) -> KnockVerdict:
         """Knock until one verdict was not disturbed; one that does not rest is confirmed by another."""
         factor, doubted, disturbed, rested = factor_of(step), False, "", 0
         for _ in range(AGAIN):
@@ -117,7 +117,7 @@ class Trials:
             self._say(f"{factor:.3f} times the law: again, {disturbed or 'to be sure'}")
         raise StalledError(f"at {factor:.3f} times the law the machine stalled {AGAIN} times in a row: {disturbed}")
 
-    def _try(self, factor: float) -> tuple[Verdict, str]:
+    def _try(self, factor: float) -> tuple[KnockVerdict, str]:
         """Knock once, and tell what disturbed it."""
         loop = self._loop
         self._held.check()
@@ -130,10 +130,10 @@ class Trials:
         position, why, disturbed = self._window(factor)
         verdict = judge(position, self._sign * self._knock, factor)
         if disturbed and verdict is None:
-            verdict = Verdict(factor, 0.0, False, disturbed)
+            verdict = KnockVerdict(factor, 0.0, False, disturbed)
         if why or verdict is None:
             left = float(np.ptp(position[-len(position) // 3 :])) / self._knock if len(position) else 0.0
-            verdict = Verdict(factor, left, False, why)
+            verdict = KnockVerdict(factor, left, False, why)
         left = ask(loop.run, loop.coupling, "law.switch", law=SOFT_LAW, ramp=0)["from"]
         if why.startswith(STOPPED):
             self._start_again(why)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from sim.tune.knock import STEP, Edge
+from sim.tune.knock import STEP, KnockedEdge
 
 AGREES = 0.1
 """An edge so far from the predicted one is another device's: then the model tells nothing of this one's poles either."""
@@ -14,7 +14,7 @@ MARGIN = 1.05
 """A law holds when it rests up to so many times itself: what dry friction lends a small knock, a large one lacks."""
 
 
-def verified(predicted: Mapping[str, Any], edge: Edge) -> dict[str, Any]:
+def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     """Judge a law by the knocks on its device.
 
     Knocks see the edge a little early where a motion dies slowly, and late where friction is strong. How much is known from the

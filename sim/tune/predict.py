@@ -16,7 +16,7 @@ from sim.design.families import latest_delay
 from sim.design.landing import drops
 from sim.identify.identified import Identified
 from sim.tune.design import model
-from sim.tune.knock import Edge, Plan, knocked, planned, scaled
+from sim.tune.knock import KnockedEdge, Plan, knocked, planned, scaled
 
 __all__ = [
     "knock_size",
@@ -100,7 +100,7 @@ def linear_edge(law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | 
 
 def predict(
     law: CompiledLaw, asked: Demand, found: Identified, peak: float | None, slew: float | None
-) -> tuple[dict[str, Any], Edge, Plan]:
+) -> tuple[dict[str, Any], KnockedEdge, Plan]:
     """Tell what a law will do on the identified device.
 
     Parameters

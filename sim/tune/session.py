@@ -16,7 +16,7 @@ from nodes.cli.ask import ask
 from nodes.cli.main import RefusedError
 
 if TYPE_CHECKING:
-    from sim.identify.borrowed import Loop
+    from sim.identify.borrowed import PushedLaunch
     from sim.identify.identified import Identified
 
 STEPS = ("identify", "design", "predict", "verify", "apply")
@@ -103,7 +103,7 @@ class Tuning:
     def __init__(
         self,
         options: Options,
-        running: Callable[[], Loop],
+        running: Callable[[], PushedLaunch],
         identified: Callable[[], tuple[Path, str, Identified]],
         say: Callable[[str], None],
         fresh: bool,
@@ -116,9 +116,9 @@ class Tuning:
             self.told = json.loads(self._file.read_text(encoding="utf-8"))
             for key in ("interrupted", "refused", "headline", "not_put_back"):
                 self.told.pop(key, None)
-        self._loop: Loop | None = None
+        self._loop: PushedLaunch | None = None
 
-    def _running(self) -> Loop:
+    def _running(self) -> PushedLaunch:
         if self._loop is None:
             self._loop = self._find()
             self._loop.read_limits()
@@ -233,7 +233,7 @@ class Tuning:
 
     def _verify(self) -> None:
         from sim.identify.borrowed import borrowed, carried
-        from sim.tune.knock import Edge, Plan
+        from sim.tune.knock import KnockedEdge, Plan
         from sim.tune.live import Trials
         from sim.tune.outcome import verified
 
@@ -242,7 +242,7 @@ class Tuning:
         plan = Plan(**self._need("predicted_steps")["plan"])
         loop.ready()
         load = carried(loop, self._options.amplitude, self._options.load)
-        edge = Edge()
+        edge = KnockedEdge()
         with borrowed(loop) as held:
             try:
                 taps, knock = designed["taps_n_per_m"], predicted["knock_m"]

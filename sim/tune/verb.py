@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--taps 1 to 12, --spread at least 1, --radius above 0 and at most 1")
     excitation(arguments)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    from sim.identify.borrowed import Loop
+    from sim.identify.borrowed import PushedLaunch
     from sim.identify.interrupts import interrupted_once, undisturbed
     from sim.measure.launches import MeasurementError, launched
 
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
         command=shlex.join(["haptic", *sys.argv[1:]]),
     )
     steps = [name for name in STEPS if name in arguments.steps]
-    tuning = Tuning(options, lambda: Loop(chosen_run(arguments)), identified, say, "identify" in steps)
+    tuning = Tuning(options, lambda: PushedLaunch(chosen_run(arguments)), identified, say, "identify" in steps)
     live = {"identify", "apply", "verify"} & set(steps)
     code, now = 0, ""
     with interrupted_once() as signalled, contextlib.ExitStack() as held:

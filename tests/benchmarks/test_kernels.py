@@ -15,7 +15,7 @@ from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, advance, coefficients
-from sim.scene.loop import Scene, Surface, run
+from sim.scene.loop import Scene, SceneSurface, run
 
 T = 0.002
 
@@ -66,7 +66,7 @@ def test_exact_map(benchmark: BenchmarkFixture) -> None:
 def test_ten_thousand_ticks_compiled(benchmark: BenchmarkFixture) -> None:
     scene = Scene(
         device=DeviceModel(mass=0.1, damping=1.0, gravity=9.81, position=0.01),
-        surface=Surface("plane"),
+        surface=SceneSurface("plane"),
         period=T,
         raw=False,
         clamp=True,

@@ -13,10 +13,10 @@ from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel, Hand
 from sim.device.state import VirtualDevice
-from sim.scene.loop import Scene, Surface, Swap, Trace, run
+from sim.scene.loop import PlannedSwap, Scene, SceneSurface, Trace, run
 
 PERIOD = 0.002
-FLOOR = Surface("plane")
+FLOOR = SceneSurface("plane")
 DROPPED = DeviceModel(mass=0.1, damping=1.0, gravity=9.81, position=0.01)
 DROP = Scene(device=DROPPED, surface=FLOOR, period=PERIOD, raw=False, clamp=True)
 LAW = PD(stiffness=400.0, damping=1.0).compile(PERIOD)
@@ -41,9 +41,9 @@ def same_bits(one: Trace, other: Trace) -> bool:
 SCENES = {
     "drop": scene(),
     "raw": scene(raw=True, clamp=False),
-    "ceiling": scene(surface=Surface("plane", 0.02, -1.0), gravity=-9.81),
-    "free": scene(surface=Surface("free")),
-    "anchor": scene(surface=Surface("anchor", 0.001), gravity=None),
+    "ceiling": scene(surface=SceneSurface("plane", 0.02, -1.0), gravity=-9.81),
+    "free": scene(surface=SceneSurface("free")),
+    "anchor": scene(surface=SceneSurface("anchor", 0.001), gravity=None),
     "next_tick": scene(next_tick=True),
     "fraction": scene(delay=0.37),
     "long_delay": scene(delay=3.25),
@@ -60,7 +60,7 @@ SCENES = {
 
 @pytest.mark.parametrize("name", SCENES)
 def test_compiled_bits_are_interpreted_bits(name: str) -> None:
-    swaps = (Swap(150, PD(stiffness=900.0, damping=2.0).compile(PERIOD)), Swap(300, LAW, ramp=25))
+    swaps = (PlannedSwap(150, PD(stiffness=900.0, damping=2.0).compile(PERIOD)), PlannedSwap(300, LAW, ramp=25))
     fast = run(SCENES[name], LAW, 500, swaps)
     assert same_bits(fast, run(SCENES[name], LAW, 500, swaps, interpreted=True))
     assert np.isfinite(fast.position).all()
@@ -69,14 +69,14 @@ def test_compiled_bits_are_interpreted_bits(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["drop", "everything"])
 def test_compiled_bits_with_recursive_laws(name: str) -> None:
-    swaps = (Swap(60, RECURSIVE), Swap(100, LAW, ramp=10), Swap(105, RECURSIVE, ramp=40))
+    swaps = (PlannedSwap(60, RECURSIVE), PlannedSwap(100, LAW, ramp=10), PlannedSwap(105, RECURSIVE, ramp=40))
     fast = run(SCENES[name], LAW, 400, swaps, memory=64)
     assert same_bits(fast, run(SCENES[name], LAW, 400, swaps, memory=64, interpreted=True))
 
 
 def test_compiled_bits_of_a_diverging_run() -> None:
     wild = CompiledLaw((1e6, -9.9e5))
-    here = scene(resolution=2.3e-5, surface=Surface("anchor"))
+    here = scene(resolution=2.3e-5, surface=SceneSurface("anchor"))
     fast = run(here, wild, 100)
     assert same_bits(fast, run(here, wild, 100, interpreted=True))
     assert np.max(np.abs(fast.position)) > 1e50
@@ -163,7 +163,7 @@ def test_delay_shifts_what_the_device_feels() -> None:
     # A constant force from tick 0 (a spring without damping, anchored far away, so that x hardly matters): 1 N on 0.1 kg.
     far = CompiledLaw((1e-6,))
     for delay in (0.0, 0.5, 2.0, 2.75):
-        here = scene(surface=Surface("anchor", 1e6), damping=0.0, gravity=None, position=0.0, delay=delay)
+        here = scene(surface=SceneSurface("anchor", 1e6), damping=0.0, gravity=None, position=0.0, delay=delay)
         trace = run(here, far, 10)
         # 1e-6 N/m over 2 cm changes the force by 2e-8.
         assert trace.final[0] == pytest.approx(0.5 * 10.0 * ((10 - delay) * PERIOD) ** 2, rel=1e-7)
@@ -171,7 +171,7 @@ def test_delay_shifts_what_the_device_feels() -> None:
 
 def test_swap_is_one_tick_and_keeps_the_history() -> None:
     stiff = PD(stiffness=900.0, damping=2.0).compile(PERIOD)
-    trace = run(DROP, LAW, 200, (Swap(40, stiff),))
+    trace = run(DROP, LAW, 200, (PlannedSwap(40, stiff),))
     before = run(DROP, LAW, 200)
     assert trace.force[:40].tobytes() == before.force[:40].tobytes()
     x = trace.deflection
@@ -182,7 +182,7 @@ def test_swap_is_one_tick_and_keeps_the_history() -> None:
 def test_cross_fade_mixes_both_laws_over_the_same_history() -> None:
     stiff = PD(stiffness=900.0, damping=2.0).compile(PERIOD)
     still = scene(clamp=False)
-    trace = run(still, LAW, 200, (Swap(60, stiff, ramp=4),))
+    trace = run(still, LAW, 200, (PlannedSwap(60, stiff, ramp=4),))
     x = trace.deflection
     for k in range(59, 66):
         share = min(max((k - 59) / 4.0, 0.0), 1.0)
@@ -194,13 +194,13 @@ def test_cross_fade_mixes_both_laws_over_the_same_history() -> None:
 def test_recursive_law_swaps_in_as_if_it_had_been_there() -> None:
     # Over a ring that reaches back to before tick 0 the replay is complete: the force equals that of a law that ran all
     # along over the same deflections. An open loop shows it: no force reaches the device in time.
-    open_loop = scene(surface=Surface("anchor", 0.0), gravity=None, velocity=0.5, delay=1000.0)
+    open_loop = scene(surface=SceneSurface("anchor", 0.0), gravity=None, velocity=0.5, delay=1000.0)
     always = run(open_loop, RECURSIVE, 100)
-    swapped = run(open_loop, LAW, 100, (Swap(50, RECURSIVE),), memory=64)
+    swapped = run(open_loop, LAW, 100, (PlannedSwap(50, RECURSIVE),), memory=64)
     assert swapped.deflection.tobytes() == always.deflection.tobytes()
     # 64 ticks of memory cover tick 0 to 49, and zeros before: the very same sums.
     assert swapped.force[50:].tobytes() == always.force[50:].tobytes()
-    short = run(open_loop, LAW, 100, (Swap(50, RECURSIVE),), memory=16)
+    short = run(open_loop, LAW, 100, (PlannedSwap(50, RECURSIVE),), memory=16)
     # With 16 ticks the slower pole, 0.9, has forgotten all but 0.9^16 ≈ 19 % of what came before.
     missing = abs(short.force[50] - always.force[50])
     assert 0.0 < missing < 0.19 * abs(always.force[50])
@@ -210,12 +210,12 @@ def test_wrong_input_is_refused() -> None:
     with pytest.raises(ValueError, match="ticks is 0"):
         run(DROP, LAW, 0)
     with pytest.raises(ValueError, match=r"swaps\[1\].tick is 3, expected at least 5"):
-        run(DROP, LAW, 10, (Swap(5, LAW), Swap(3, LAW)))
+        run(DROP, LAW, 10, (PlannedSwap(5, LAW), PlannedSwap(3, LAW)))
     with pytest.raises(ValueError, match=r"swaps\[0\].ramp is -1"):
-        run(DROP, LAW, 10, (Swap(5, LAW, ramp=-1),))
+        run(DROP, LAW, 10, (PlannedSwap(5, LAW, ramp=-1),))
     with pytest.raises(ValueError, match="law 0 of the run"):
         run(DROP, CompiledLaw((math.nan,)), 10)
     with pytest.raises(ValueError, match=r"surface\.normal is 0\.5"):
-        Surface("plane", 0.0, 0.5)
+        SceneSurface("plane", 0.0, 0.5)
     with pytest.raises(ValueError, match="period is 0"):
         dataclasses.replace(DROP, period=0.0)

@@ -15,7 +15,7 @@ from sim import results
 from sim.axes import legend_below, name_points, plain_log
 from sim.chart.page import draw
 from sim.chart.points import Group, Point, with_front
-from sim.drill.drill import Outcome
+from sim.drill.drill import DrillOutcome
 from sim.drill.verb import table
 from sim.results import EARLIER, fresh
 from tests.support.overlap import drawn_texts, overlaps
@@ -97,11 +97,11 @@ def test_logarithmic_axes_are_labelled_with_plain_numbers(low: float, high: floa
 
 def test_drill_prints_columns_and_markdown_where_asked() -> None:
     outcomes = [
-        Outcome(
+        DrillOutcome(
             fault="kill coupling", what="SIGKILL, respawned", safe_ticks=19, lost_ticks=3, window_ticks=180, passed=True
         ),
-        Outcome(fault="flood", what="300 old forces", safe_ticks=40, reasons=["40 ticks, limit 27"]),
-        Outcome(fault="full disk", what="no room under the logger", skipped="not root"),
+        DrillOutcome(fault="flood", what="300 old forces", safe_ticks=40, reasons=["40 ticks, limit 27"]),
+        DrillOutcome(fault="full disk", what="no room under the logger", skipped="not root"),
     ]
     lines = table(outcomes).splitlines()
     assert not any("|" in line for line in lines)

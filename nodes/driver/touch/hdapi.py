@@ -83,7 +83,7 @@ def servo_library() -> Any:
     except cache.CacheRefusedError:
         found = None
     if found is None:
-        found = cache.Entry(kind="so", content=_compiled_servo(source))
+        found = cache.CacheEntry(kind="so", content=_compiled_servo(source))
         # Where nothing can be kept it is compiled at each start.
         with contextlib.suppress(cache.CacheRefusedError):
             cache.write(name, found, sources)

@@ -19,7 +19,7 @@ import zmq
 from messages.transport import keys
 from messages.transport.endpoints import connect, split
 from messages.transport.links import Links
-from messages.transport.requests import Line, Request, call
+from messages.transport.requests import Connection, Request, call
 from messages.transport.sockets import new_context
 from nodes.base import control_thread
 from nodes.base.control_thread import ControlServer
@@ -94,7 +94,7 @@ def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> No
     with private_runtime_dir() as folder:
         control = server(context, folder)
         control.start()
-        line = Line(context, f"ipc://{folder}/n.ctl")
+        line = Connection(context, f"ipc://{folder}/n.ctl")
         begun = time.monotonic()
         count = 0
         while time.monotonic() < begun + 1.0:
@@ -110,7 +110,7 @@ def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> No
 def test_exhausted_descriptors_cost_no_control(tmp_path: Path) -> None:
     """Whatever took them: a file that cannot be opened ends neither thread nor loop, and control works when they are back."""
     with running(tmp_path, "wall_press", "duration:=0") as launch:
-        line = Line(launch.context, launch.run.nodes["coupling"].control)
+        line = Connection(launch.context, launch.run.nodes["coupling"].control)
         pid = int(line.call("status")["pid"])
         number = len(os.listdir(f"/proc/{pid}/fd"))
         before = resource.prlimit(pid, resource.RLIMIT_NOFILE)

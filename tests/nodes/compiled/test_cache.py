@@ -21,7 +21,7 @@ from nodes.compiled.library import obtain
 
 TINY = "tests.support.tiny_kernel"
 SOURCES = {"nodes/kernels.py": cache.digest_of(cache.ROOT / "nodes" / "kernels.py")}
-ENTRY = cache.Entry(kind="o", content=b"machine code")
+ENTRY = cache.CacheEntry(kind="o", content=b"machine code")
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file to another user")
 
 
@@ -206,7 +206,7 @@ def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: P
     assert scene(tmp_path).stdout == "5.0\n"
     healed = cache.read(entry.name)
     assert healed is not None
-    cache.write(entry.name, cache.Entry(kind="numba", content=pickle.dumps(Evil())), SOURCES)
+    cache.write(entry.name, cache.CacheEntry(kind="numba", content=pickle.dumps(Evil())), SOURCES)
     entry.chmod(0o666)
     done = scene(tmp_path)
     assert done.stdout == "5.0\n"

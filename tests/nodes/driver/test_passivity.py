@@ -32,7 +32,7 @@ from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from sim.device.model import DeviceModel
 from sim.scene.from_launch import from_launch
-from sim.scene.loop import Scene, Surface, Trace, run
+from sim.scene.loop import Scene, SceneSurface, Trace, run
 from tests.support.launching import haptic, launch_json, running, wait_for
 from tests.support.safety import state_of
 
@@ -198,7 +198,13 @@ def scene(
 ) -> Scene:
     device = DeviceModel(mass=mass, damping=1.0, gravity=9.81, position=0.01, resolution=resolution, delay=latency)
     return Scene(
-        device=device, surface=Surface("plane"), period=T, raw=False, clamp=True, next_tick=next_tick, passivity=guard
+        device=device,
+        surface=SceneSurface("plane"),
+        period=T,
+        raw=False,
+        clamp=True,
+        next_tick=next_tick,
+        passivity=guard,
     )
 
 
@@ -312,7 +318,7 @@ def test_guarded_runs_compiled_and_interpreted_give_the_same_bits() -> None:
 def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
     # A mass on a two-sided coupling: a second of damping gives credit; then the law is swapped for one that pumps.
     from nodes.laws import CompiledLaw
-    from sim.scene.loop import Swap
+    from sim.scene.loop import PlannedSwap
 
     # It starts with a velocity, not deflected: before tick 0 nothing is in store.
     device = DeviceModel(mass=0.1, damping=0.0, velocity=1.0)
@@ -324,8 +330,8 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
         "plain": PassivityParameters(),
         "spring": PassivityParameters(stiffness=500.0),
     }.items():
-        place = Scene(device=device, surface=Surface("anchor"), period=T, raw=False, clamp=False, passivity=guard)
-        trace = run(place, calm, 1500, [Swap(250, pump)])
+        place = Scene(device=device, surface=SceneSurface("anchor"), period=T, raw=False, clamp=False, passivity=guard)
+        trace = run(place, calm, 1500, [PlannedSwap(250, pump)])
         worst[name] = float(np.abs(trace.position[250:]).max())
     assert worst["none"] > 1e3
     # The plain observer hands the 50 mJ of the first half second back, which is 14 mm of this spring and a little more;

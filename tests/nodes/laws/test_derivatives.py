@@ -22,7 +22,7 @@ from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import apply, largest_pole, lengths_taken
 from sim.device.model import DeviceModel
-from sim.scene.loop import Scene, Surface, run
+from sim.scene.loop import Scene, SceneSurface, run
 from tests.support.realisations import BDF, EPS, KINDS, LENGTH, RECURSIVE, T, at, loop, size, ticks
 
 CASES = [
@@ -241,7 +241,7 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
     # kernels and the state matrix agree about the law.
     assert pole_radius(compiled, Plant(T, 0.1, 3.0)) < 1.0
     device = DeviceModel(mass=0.1, damping=3.0, position=0.005)
-    scene = Scene(device=device, surface=Surface("anchor"), period=T, raw=False, clamp=False)
+    scene = Scene(device=device, surface=SceneSurface("anchor"), period=T, raw=False, clamp=False)
     trace = run(scene, compiled, 600, interpreted=True)
     state = state_matrix(compiled, Plant(T, 0.1, 3.0))
     x = np.zeros(len(state))

@@ -13,7 +13,7 @@ from nodes.stability.plant import Plant
 from nodes.stability.rest import absolute_sum, rest, stiffest_at_rest
 from sim.device.model import DeviceModel, quantise
 from sim.experiments.drop import drop_scene
-from sim.scene.loop import Scene, Surface, run
+from sim.scene.loop import Scene, SceneSurface, run
 
 T, STEP = 0.002, 2.3e-5
 
@@ -83,7 +83,7 @@ def swings_on(law: CompiledLaw, plant: Plant, friction: float) -> bool:
             position=position,
             velocity=velocity,
         )
-        anchor = Surface("anchor", position=float(random.uniform(-STEP, STEP)))
+        anchor = SceneSurface("anchor", position=float(random.uniform(-STEP, STEP)))
         trace = run(Scene(device=body, surface=anchor, period=T, raw=False, clamp=False), law, 4000)
         if float(np.ptp(trace.position[-600:])) > 0.0:
             return True

@@ -31,7 +31,7 @@ from sim.design.demand import Demand
 from sim.design.families import best_pd
 from sim.device.model import DeviceModel
 from sim.measure.stopwatch import Progress, Timing, interleaved, machine
-from sim.scene.loop import Scene, Surface, run
+from sim.scene.loop import Scene, SceneSurface, run
 
 few = st.integers(0, 4).map(float)
 
@@ -215,7 +215,9 @@ def test_forces_of_the_processes_are_those_of_one_process() -> None:
     rate, stiffness = 500.0, 400.0
     found = launch(rate, "next_tick", stiffness, "lockstep")
     device = DeviceModel(mass=0.1, damping=1.0, gravity=9.81, position=0.01)
-    scene = Scene(device=device, surface=Surface("plane"), period=1.0 / rate, raw=False, clamp=True, next_tick=True)
+    scene = Scene(
+        device=device, surface=SceneSurface("plane"), period=1.0 / rate, raw=False, clamp=True, next_tick=True
+    )
     trace = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), len(found.force))
     # Lockstep through four processes: the same bits, and exactly one tick late.
     assert found.force.tolist() == trace.force.tolist()

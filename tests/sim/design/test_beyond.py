@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
-from sim.design.cases import Loop, cases_of
+from sim.design.cases import LoopCase, cases_of
 from sim.design.demand import Demand
 from sim.design.families import certificate, designed
 
@@ -42,8 +42,8 @@ def test_cases_are_judged_by_the_worst_that_a_device_may_be() -> None:
     asked = replace(RIGID, beyond=((0.002, 0.0, np.inf, 0.0), *JOINT))
     cases = cases_of(asked, 3, 3)
     taps = np.array([300.0, -150.0])
-    radii = Loop(asked, cases, 2).radii(taps)
+    radii = LoopCase(asked, cases, 2).radii(taps)
     assert radii.shape == (len(cases),)
-    each = [Loop(replace(asked, beyond=(one,)), cases, 2).radii(taps) for one in asked.beyond]
+    each = [LoopCase(replace(asked, beyond=(one,)), cases, 2).radii(taps) for one in asked.beyond]
     # Roots of a polynomial with two close to 1: the square root of the machine epsilon.
     assert radii == pytest.approx(np.max(each, axis=0), abs=1e-7)

@@ -26,7 +26,7 @@ from nodes.recording.writer import RecordWriter
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.plant import Plant
-from sim.design.cases import Loop, cases_of
+from sim.design.cases import LoopCase, cases_of
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.evolution import _within, evolved
 from sim.design.families import (
@@ -386,7 +386,7 @@ def test_more_taps_are_never_worse() -> None:
 def test_seven_taps_reach_what_another_search_found() -> None:
     """6815 N/m, by a climb of other code from the padded law of six taps: the search is as good without a start."""
     wanted, unit = demand(1.0), 0.05 / T**2
-    loops = [Loop(wanted, cases_of(wanted, masses, 3), 7) for masses in (15, 101, 801)]
+    loops = [LoopCase(wanted, cases_of(wanted, masses, 3), 7) for masses in (15, 101, 801)]
     found = evolved(wanted, unit * np.eye(7), loops, True, 1, 1, 10.0, wanted.radius - 1e-9)
     assert found is not None
     law = CompiledLaw(tuple((unit * found).tolist()))

@@ -26,9 +26,9 @@ from sim.tune.knock import (
     NEAR,
     STEP,
     WINDOW,
-    Edge,
+    KnockedEdge,
+    KnockVerdict,
     Plan,
-    Verdict,
     climb,
     factor_of,
     judge,
@@ -80,12 +80,12 @@ def test_far_and_not_finite_do_not_rest() -> None:
     assert judge(away[:10], KNOCK, 1.0) is None
 
 
-def device(edge: int, tried: list[int]) -> Callable[[int], Verdict]:
+def device(edge: int, tried: list[int]) -> Callable[[int], KnockVerdict]:
     """Make a device that rests below a step, and notes what it was asked."""
 
-    def knock(step: int) -> Verdict:
+    def knock(step: int) -> KnockVerdict:
         tried.append(step)
-        return Verdict(factor_of(step), 0.1 if step < edge else 2.0, step < edge)
+        return KnockVerdict(factor_of(step), 0.1 if step < edge else 2.0, step < edge)
 
     return knock
 
@@ -114,7 +114,7 @@ def predicted(edge: float, linear: float) -> dict[str, float]:
     return {"h1_n_per_m": 1000.0, "edge_factor": edge, "edge_linear_factor": linear}
 
 
-def climbed(edge: int) -> Edge:
+def climbed(edge: int) -> KnockedEdge:
     return climb(Plan(LOWEST, 8, 24), device(edge, []))
 
 
