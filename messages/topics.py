@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from messages.types import DeviceState, Event, Force, Message, NodeStatus, Proxy, Receipt
+from messages.types import DeviceState, Event, Force, Handle, Message, NodeStatus, Proxy, Receipt
 
 __all__ = [
     "DEVICE_STATE",
     "FIXED",
     "FORCE",
+    "HANDLE",
     "LOOP",
     "PROXY",
     "RECEIPT",
@@ -21,12 +22,13 @@ __all__ = [
 DEVICE_STATE = "/device/state"
 PROXY = "/environment/proxy"
 FORCE = "/coupling/force"
+HANDLE = "/device/handle"
 RECEIPT = "/coupling/receipt"
 
 LOOP: dict[str, type[Message]] = {DEVICE_STATE: DeviceState, PROXY: Proxy, FORCE: Force}
 """One message per tick on each of these."""
 
-FIXED: dict[str, type[Message]] = {**LOOP, RECEIPT: Receipt}
+FIXED: dict[str, type[Message]] = {**LOOP, RECEIPT: Receipt, HANDLE: Handle}
 
 
 def status(node: str) -> str:

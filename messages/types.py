@@ -22,6 +22,7 @@ __all__ = [
     "DeviceState",
     "Event",
     "Force",
+    "Handle",
     "Message",
     "Name",
     "NodeStatus",
@@ -109,6 +110,27 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     delay: Real = 0.0
     guard: Real = 0.0
     target: Vector = ZERO
+
+
+class Handle(Message, frozen=True, kw_only=True, gc=False):
+    """``/device/handle``: what a device gives beside its position, when it changes and once a second.
+
+    Attributes
+    ----------
+    orientation : tuple of float, shape (4,)
+        Of the handle in the scene's axes, a quaternion x, y, z, w; (0, 0, 0, 1) for a device without one.
+    gripper : float
+        How far the gripper is open [m]; 0 without one.
+    buttons : int
+        One bit each, the first one lowest.
+    velocity : tuple of float, shape (3,)
+        As the vendor's library computes it, in the scene's axes [m/s]; for comparison only.
+    """
+
+    orientation: tuple[Real, Real, Real, Real] = (0.0, 0.0, 0.0, 1.0)
+    gripper: Real = 0.0
+    buttons: Count = 0
+    velocity: Vector = ZERO
 
 
 class Proxy(Message, frozen=True, kw_only=True, gc=False):

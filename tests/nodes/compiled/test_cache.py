@@ -215,16 +215,19 @@ def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: P
     assert not (tmp_path / "evil").exists()
 
 
-def test_the_servo_loop_of_the_touch_is_not_taken_from_others(place: Path) -> None:
-    from nodes.driver.touch.hdapi import Servo, servo_library
+def test_the_servo_loop_of_a_device_is_not_taken_from_others(place: Path) -> None:
+    from nodes.driver.hardware.compile import servo_library
+    from nodes.driver.touch.driver import TouchDevice
+    from nodes.driver.touch.hdapi import Servo
 
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
-    assert servo_library().servo_size() == ctypes.sizeof(Servo)
-    (place / "servo.so").write_bytes((place / "servo.so").read_bytes()[:1000])
-    assert servo_library().servo_size() == ctypes.sizeof(Servo)
-    (place / "servo.so").chmod(0o666)
-    assert servo_library().servo_size() == ctypes.sizeof(Servo)
+    kept = place / "touch-servo.so"
+    assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(Servo)
+    kept.write_bytes(kept.read_bytes()[:1000])
+    assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(Servo)
+    kept.chmod(0o666)
+    assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(Servo)
 
 
 # -- what may go wrong while compiling -------------------------------------------------------------------------------

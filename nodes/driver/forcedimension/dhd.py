@@ -1,0 +1,152 @@
+"""DHD (Force Dimension SDK) as its driver needs it: functions, constants, words; a static library is linked once.
+
+Checked against the header and the library of SDK 3.17.5 (dhdc.h, libdrd.a for Linux).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import tempfile
+from ctypes import POINTER, c_bool, c_char, c_char_p, c_double, c_int, c_size_t, c_ubyte, c_uint, c_ushort, c_void_p
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from nodes.driver.hardware.compile import compiler, shared_library
+from nodes.driver.hardware.libraries import Functions, declared, find, load
+from nodes.driver.hardware.mailbox import Mailbox
+
+FOLDERS: Final = ("/usr/lib", "/usr/lib64", "/usr/lib/x86_64-linux-gnu", "/usr/local/lib", "/opt/force-dimension/lib")
+REMEDY: Final = (
+    "install the Force Dimension SDK and give the path of its libdhd.so or, where it has only static libraries, of "
+    "lib/release/lin-x86_64-gcc/libdhd.a (or libdrd.a) as force_dimension.library"
+)
+WHAT: Final = "Force Dimension's library (libdhd, libdrd)"
+
+ERRORS: Final = (
+    *("no error", "error", "communication error", "device controller busy", "no driver found", "no device found"),
+    *("operation not available", "operation timed out", "geometry error", "expert mode disabled", "not implemented"),
+    *("out of memory", "device not ready", "file not found", "configuration error", "invalid index", "deprecated"),
+    *("null argument", "redundant encoder integrity test failed", "feature is not enabled", "device is in use"),
+    *("invalid value", "robotic regulation is not running"),
+)
+"""By number, as dhdc.h numbers them."""
+
+CONDITIONS: Final = {
+    1: "the device's FORCE button is off: press it",
+    2: "the handle moved faster than the device allows and it braked: let it rest, then press its FORCE button",
+    3: "its watchdog cut the forces, because none came in time: press its FORCE button",
+    4: "forces are not enabled",
+    5: "the USB connection was cut",
+    6: "nobody holds its dead-man's switch",
+}
+"""Why forces are off, as the device's own status says (DHD_FORCE_OFF_*)."""
+
+STATUS: Final = 17
+RESET: Final = 3
+"""In the status: whether the device must be calibrated."""
+
+WATCHDOG_UNIT: Final = 125e-6
+"""Unit of the firmware's watchdog [s]; at most 255 of them."""
+
+_ID: Final = c_char
+_D: Final = POINTER(c_double)
+
+FUNCTIONS: Final[Functions] = {
+    "dhdErrorGetLast": (c_int, []),
+    "dhdGetSDKVersionStr": (c_char_p, []),
+    "dhdGetDeviceCount": (c_int, []),
+    "dhdOpenID": (c_int, [_ID]),
+    "dhdClose": (c_int, [_ID]),
+    "dhdStop": (c_int, [_ID]),
+    "dhdGetSerialNumber": (c_int, [POINTER(c_ushort), _ID]),
+    "dhdGetSystemName": (c_char_p, [_ID]),
+    "dhdGetVersionStr": (c_int, [c_char_p, c_size_t, _ID]),
+    "dhdGetStatus": (c_int, [POINTER(c_int), _ID]),
+    "dhdEnableForce": (c_int, [c_ubyte, _ID]),
+    "dhdSetGravityCompensation": (c_int, [c_int, _ID]),
+    "dhdSetEffectorMass": (c_int, [c_double, _ID]),
+    "dhdSetBaseAngleXDeg": (c_int, [c_double, _ID]),
+    "dhdSetBaseAngleZDeg": (c_int, [c_double, _ID]),
+    "dhdGetMaxForce": (c_double, [_ID]),
+    "dhdEnableExpertMode": (c_int, []),
+    "dhdSetWatchdog": (c_int, [c_ubyte, _ID]),
+    "dhdGetPosition": (c_int, [_D, _D, _D, _ID]),
+    "dhdGetLinearVelocity": (c_int, [_D, _D, _D, _ID]),
+    "dhdGetOrientationFrame": (c_int, [c_void_p, _ID]),
+    "dhdGetGripperGap": (c_int, [_D, _ID]),
+    "dhdHasWrist": (c_bool, [_ID]),
+    "dhdHasGripper": (c_bool, [_ID]),
+    "dhdGetButtonMask": (c_uint, [_ID]),
+    "dhdSetForce": (c_int, [c_double, c_double, c_double, _ID]),
+    "dhdGetJointAngles": (c_int, [_D, _ID]),
+    "dhdJointAnglesToInertiaMatrix": (c_int, [_D, _D, _ID]),
+}
+"""All that is used of it."""
+
+
+class Servo(ctypes.Structure):
+    """What driver and servo loop share, as in nodes/driver/forcedimension/servo.c."""
+
+    _fields_: ClassVar[list[tuple[str, Any]]] = [
+        ("box", Mailbox),
+        *(
+            (name, c_void_p)
+            for name in (
+                *("get_position", "get_velocity", "get_orientation", "get_gripper", "get_buttons", "get_status"),
+                *("set_force", "last_error"),
+            )
+        ),
+        ("period", c_double),
+        *((name, c_int) for name in ("device", "running", "saturated")),
+        ("thread", ctypes.c_ulong),
+    ]
+
+
+def error_text(code: int) -> str:
+    """Put an error in words."""
+    return f"{ERRORS[code] if 0 <= code < len(ERRORS) else 'error'} ({code})"
+
+
+def identity(device: int) -> bytes:
+    """Give the number of a device as DHD takes it: a char."""
+    return bytes([device & 0xFF])
+
+
+def load_library(name: str) -> Any:
+    """Load the vendor's library and declare what is used of it; a static one is linked first, once."""
+    if name.endswith(".a"):
+        path = Path(name).absolute()
+        if not path.exists():
+            raise OSError(f"{name} cannot be loaded: no such file; {REMEDY}; without a device, use kind sim_driver")
+        return declared(_linked(path), name, WHAT, FUNCTIONS)
+    return load(name, FOLDERS, REMEDY, WHAT, FUNCTIONS)
+
+
+def _linked(archive: Path) -> Any:
+    """Link a static library into a shared one."""
+    usb = find("libusb-1.0.so.0", ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu")).library
+    if usb is not None:
+        # The archive leaves its functions open.
+        ctypes.CDLL(usb, mode=ctypes.RTLD_GLOBAL)
+    with tempfile.TemporaryDirectory(prefix="haptic-dhd-") as folder:
+        stubs = Path(folder) / "stubs.c"
+        stubs.write_text(_stubs(archive), encoding="ascii")
+        whole: list[str | Path] = ["-Wl,--whole-archive", archive, "-Wl,--no-whole-archive", stubs]
+        options = [*whole, "-lstdc++", "-lpthread", "-lm"]
+        return shared_library(f"linked-{archive.stem}.so", [archive], options, f"a library of {archive}")
+
+
+def _stubs(archive: Path) -> str:
+    """Write what the vendor's archive uses of a logger that it does not hold: functions that do nothing."""
+    names: dict[str, set[str]] = {"U": set(), "T": set()}
+    done = subprocess.run(["nm", archive], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise OSError(f"nm cannot read {archive}: {done.stderr[-300:]}; is it a static library of {compiler()}?")
+    for line in done.stdout.splitlines():
+        *_, kind, name = line.split() if len(line.split()) >= 2 else ("", "", "")
+        if kind in ("U", "T", "D", "B", "R", "W"):
+            names["U" if kind == "U" else "T"].add(name)
+    missing = sorted(name for name in names["U"] - names["T"] if "forcedimension6logger" in name)
+    # Weak, and enough for a number as for a function without a result.
+    return "".join(f"__attribute__((weak)) long {name}(void) {{ return 0; }}\n" for name in missing) or "int unused;\n"

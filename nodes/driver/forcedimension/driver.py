@@ -1,0 +1,302 @@
+"""Force Dimension devices as a driver node, through the vendor's DHD and a servo loop in C (servo.c).
+
+Checked against the header and the static library of SDK 3.17.5 without a device, and against a stand-in (sim/stand_ins); not
+yet on hardware. Positions are in metres; the axes of a device on a table are +x to the operator, +y right, +z up.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import time
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+
+from messages.types import Vector
+from nodes.driver.device import DeviceLimits, Workspace
+from nodes.driver.forcedimension.dhd import (
+    CONDITIONS,
+    FOLDERS,
+    RESET,
+    STATUS,
+    WATCHDOG_UNIT,
+    Servo,
+    error_text,
+    identity,
+    load_library,
+)
+from nodes.driver.hardware.driver import HardwareDriver
+from nodes.driver.hardware.libraries import Found, find
+from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice, ServoParameters
+from nodes.parameters.paths import LocalPath
+
+SILENCE = 0.1
+"""Longest watchdog that a launch file may ask for on these devices [s]."""
+
+
+class ForceDimensionParameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the device.
+
+    Attributes
+    ----------
+    serial : int or None
+        Its serial number; None for the first one that is found.
+    library : str
+        DHD's library: a name that the dynamic linker finds, or a path; a static one (``.a``) is linked once.
+    watchdog : float
+        After so long without a force command the firmware itself cuts the forces and brakes [s]: what holds when the whole
+        process is gone. 0 for a device without one, which must then be allowed by ``safety.without: [hold]``.
+    peak_force : float
+        What the model bears along each axis [N]: the device does not tell it. An omega.3 bears 12, a delta.3 and a sigma.7 20,
+        a Falcon 8.
+    continuous_force : float or None
+        What it bears for long [N]; None for as much.
+    workspace : tuple of tuple of float, shape (3, 2)
+        Of the model, along its own axes [m]; a device outside of it gets no force.
+    gravity_compensation : bool
+        Whether the library carries the device's own weight; beside the forces of the scene.
+    tool_mass : float or None
+        Mass of what is mounted on it, for that [kg]; None for the one that the device knows.
+    base_angles : tuple of float, shape (2,)
+        How its base stands, about x and z of its own, for that [degrees].
+    ready_time : float
+        Longest wait for a device that must be moved to calibrate itself [s].
+    """
+
+    serial: int | None = None
+    library: LocalPath = "libdhd.so"
+    deadline: Annotated[float, msgspec.Meta(ge=0.005, le=0.1)] = 0.03
+    watchdog: Annotated[float, msgspec.Meta(ge=0.0, le=0.0319)] = 0.03
+    peak_force: Annotated[float, msgspec.Meta(gt=0.0)] = 8.0
+    continuous_force: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+    workspace: Workspace = ((-0.2, 0.2), (-0.2, 0.2), (-0.2, 0.2))
+    gravity_compensation: bool = True
+    tool_mass: Annotated[float, msgspec.Meta(ge=0.0)] | None = None
+    base_angles: tuple[float, float] = (0.0, 0.0)
+    ready_time: Annotated[float, msgspec.Meta(ge=0.0, le=120.0)] = 20.0
+
+
+class ForceDimensionDriverParameters(HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the driver node.
+
+    Attributes
+    ----------
+    force_dimension : ForceDimensionParameters
+        The device.
+    """
+
+    force_dimension: ForceDimensionParameters = ForceDimensionParameters()
+
+
+class ForceDimensionDevice(MailboxDevice):
+    """One device. `connect` takes hold of it with forces off; `open` waits for its calibration and lets forces through."""
+
+    TITLE: ClassVar[str] = "Force Dimension"
+    AXES: ClassVar[tuple[str, ...]] = ("-x", "-y", "+z")
+    SERVO: ClassVar[Path] = Path(__file__).with_name("servo.c")
+    Shared: ClassVar[type[Any]] = Servo
+
+    def __init__(self, parameters: ForceDimensionDriverParameters) -> None:
+        super().__init__(parameters)
+        self._wants = parameters.force_dimension
+        self._id: bytes | None = None
+
+    # -- finding it --------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def find(cls, parameters: Any) -> Found:
+        """Look for the vendor's library."""
+        return find(parameters.force_dimension.library, FOLDERS)
+
+    def connect(self) -> None:
+        """Load the vendor's library, take hold of the device that is meant, and read what it is; no force yet."""
+        self._dhd: Any = load_library(self._wants.library)
+        count = self._dhd.dhdGetDeviceCount()
+        if count <= 0:
+            raise OSError(
+                f"Force Dimension: no device found (of {self._sdk()}): is it plugged in and switched on? Without a rule of "
+                "udev for vendor 1451 (a Falcon: 0403:cb48) only root sees it"
+            )
+        seen: list[str] = []
+        refused = ""
+        for number in range(count):
+            if self._dhd.dhdOpenID(identity(number)) < 0:
+                refused = self._last()
+                seen.append(f"number {number}: {refused}")
+                continue
+            self._id = identity(number)
+            try:
+                serial = self._serial()
+                if self._wants.serial in (None, serial):
+                    self._connected(serial)
+                    return
+                seen.append(f"serial number {serial}")
+            except OSError:
+                self.close()
+                raise
+            self.close()
+        if self._wants.serial is None:
+            raise OSError(f"Force Dimension: the device cannot be opened: {refused}; does another program have it?")
+        raise OSError(
+            f"Force Dimension: no device with serial number {self._wants.serial}; there are: {', '.join(seen)}"
+        )
+
+    def _connected(self, serial: int) -> None:
+        wants, dhd = self._wants, self._dhd
+        self._call("dhdEnableForce", 0)
+        version = ctypes.create_string_buffer(64)
+        has_version = dhd.dhdGetVersionStr(version, 64, self._id) >= 0
+        name = dhd.dhdGetSystemName(self._id)
+        self.facts = {
+            "model": name.decode(errors="replace") if name else "unknown",
+            "serial": str(serial),
+            "firmware": version.value.decode(errors="replace") if has_version else "unknown",
+            "sdk": self._sdk(),
+            # A limit that was set in the library, and no property of the device; −1: none, or no answer.
+            "force_limit_n": float(dhd.dhdGetMaxForce(self._id)),
+        }
+        has_watchdog = False
+        if wants.watchdog > 0.0:
+            units = min(255, int(wants.watchdog / WATCHDOG_UNIT))
+            has_watchdog = dhd.dhdEnableExpertMode() >= 0 and dhd.dhdSetWatchdog(units, self._id) >= 0
+        self.facts["watchdog"] = f"{wants.watchdog:g} s" if has_watchdog else f"none ({self._last()})"
+        peak = wants.peak_force
+        if 0.0 < self.facts["force_limit_n"] < peak:
+            peak = self.facts["force_limit_n"]
+        limits = DeviceLimits(
+            peak_force=peak,
+            continuous_force=min(peak, wants.continuous_force or peak),
+            silence=SILENCE,
+            # The thread's own deadline, while the process lives; the firmware's, when it does not.
+            hold=max(wants.deadline, wants.watchdog) if has_watchdog else math.inf,
+            opening=wants.ready_time + 10.0,
+            workspace=wants.workspace,
+        )
+        self.prepare(limits, wants.deadline)
+
+    def _serial(self) -> int:
+        number = ctypes.c_ushort()
+        self._call("dhdGetSerialNumber", ctypes.byref(number))
+        return int(number.value)
+
+    def _sdk(self) -> str:
+        text = self._dhd.dhdGetSDKVersionStr()
+        return f"SDK {text.decode(errors='replace')}" if text else "an SDK without a version"
+
+    def _last(self) -> str:
+        return error_text(self._dhd.dhdErrorGetLast())
+
+    def _call(self, name: str, *arguments: Any) -> int:
+        """Call DHD; only what is negative is an error."""
+        result: int = getattr(self._dhd, name)(*arguments, self._id)
+        if result < 0:
+            raise OSError(f"Force Dimension: {name}: {self._last()}")
+        return result
+
+    # -- the way in and out ------------------------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Wait for the calibration, start the servo loop, then let forces through, at zero."""
+        wants, dhd = self._wants, self._dhd
+        assert self._id is not None  # noqa: S101  # it is connected
+        self._await_ready()
+        self._call("dhdSetBaseAngleXDeg", wants.base_angles[0])
+        self._call("dhdSetBaseAngleZDeg", wants.base_angles[1])
+        if wants.tool_mass is not None:
+            self._call("dhdSetEffectorMass", wants.tool_mass)
+        self._call("dhdSetGravityCompensation", int(wants.gravity_compensation))
+        servo = self._shared
+        has_wrist, has_gripper = dhd.dhdHasWrist(self._id), dhd.dhdHasGripper(self._id)
+        self.facts |= {"wrist": has_wrist, "gripper": has_gripper}
+        for field, name, there in (
+            ("get_position", "dhdGetPosition", True),
+            ("get_velocity", "dhdGetLinearVelocity", True),
+            ("get_orientation", "dhdGetOrientationFrame", has_wrist),
+            ("get_gripper", "dhdGetGripperGap", has_gripper),
+            ("get_buttons", "dhdGetButtonMask", True),
+            ("get_status", "dhdGetStatus", True),
+            ("set_force", "dhdSetForce", True),
+            ("last_error", "dhdErrorGetLast", True),
+        ):
+            if there:
+                setattr(servo, field, ctypes.cast(getattr(dhd, name), ctypes.c_void_p).value)
+        servo.device, servo.period = self._id[0], 1.0 / wants.servo_rate
+        if error := self._code.servo_start(ctypes.byref(servo)):
+            raise OSError(error, "Force Dimension: the servo loop cannot be started")
+        self.await_samples()
+        self.write_force((0.0, 0.0, 0.0), 0, 0.0)
+        self._call("dhdEnableForce", 1)
+
+    def _await_ready(self) -> None:
+        until = time.monotonic() + self._wants.ready_time
+        status = (ctypes.c_int * STATUS)()
+        while True:
+            self._call("dhdGetStatus", status)
+            if not status[RESET]:
+                return
+            if time.monotonic() > until:
+                raise OSError(
+                    f"Force Dimension: not calibrated within {self._wants.ready_time:g} s: move the handle through its whole "
+                    "range once, or into its cradle, and launch again"
+                )
+            time.sleep(0.02)
+
+    def close(self) -> None:
+        """End the servo loop, set forces off and give the device back; also after a failure half-way."""
+        if self._id is None:
+            return
+        ended = self._shared is None or self._code.servo_end(ctypes.byref(self._shared)) == 0
+        if ended:
+            # Forces off first; a device that is gone refuses both, and that is no news at the end.
+            self._dhd.dhdStop(self._id)
+            self._dhd.dhdClose(self._id)
+            self._id = None
+            return
+        raise OSError("Force Dimension: a call of the device does not return; its watchdog cuts the forces")
+
+    # -- words -------------------------------------------------------------------------------------------------------
+
+    def error_text(self, code: int) -> str:
+        """Put an error of DHD in words."""
+        return error_text(code)
+
+    def condition(self) -> str:
+        """Say why the device gives no force."""
+        cause = int(self._box.condition)
+        return CONDITIONS.get(cause, f"the device says that forces are off (cause {cause})") if cause else ""
+
+    def inertia(self) -> tuple[Vector, Vector, Vector] | None:
+        """Tell the inertia that forces of the scene move where the device stands [kg]."""
+        if self._id is None:
+            return None
+        joints, matrix = (ctypes.c_double * 8)(), (ctypes.c_double * 36)()
+        if (
+            self._dhd.dhdGetJointAngles(joints, self._id) < 0
+            or self._dhd.dhdJointAnglesToInertiaMatrix(joints, matrix, self._id) < 0
+        ):
+            return None
+        return inertia_in_scene([list(matrix[6 * i : 6 * i + 3]) for i in range(3)], self._turn)
+
+
+def inertia_in_scene(theirs: list[list[float]], turn: tuple[Vector, Vector, Vector]) -> tuple[Vector, Vector, Vector]:
+    """Turn an inertia of the device into that of the scene [kg]: a scene twice as large moves a quarter of the mass.
+
+    The kinetic energy is the same on both sides: v = T u gives M = T⁻ᵀ m T⁻¹, and T is a turn times the scale.
+    """
+    squared = sum(turn[0][j] ** 2 for j in range(3))
+
+    def entry(i: int, j: int) -> float:
+        return sum(turn[i][k] * theirs[k][m] * turn[j][m] for k in range(3) for m in range(3)) / squared**2
+
+    first, second, third = ((entry(i, 0), entry(i, 1), entry(i, 2)) for i in range(3))
+    return first, second, third
+
+
+class ForceDimensionDriver(HardwareDriver):
+    """A driver node with a Force Dimension device."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = ForceDimensionDriverParameters
+    hardware: ClassVar[type[MailboxDevice]] = ForceDimensionDevice
+    checked: ClassVar[str] = "the library of SDK 3.17.5 without a device, and a stand-in of it; not on hardware"

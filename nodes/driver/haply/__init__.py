@@ -1,0 +1,1 @@
+"""Haply Inverse3, through Haply's Inverse Service."""

@@ -1,0 +1,311 @@
+"""Haply Inverse3 as a driver node, through the WebSocket of Haply's Inverse Service.
+
+A thread exchanges forces for states, as fast as the service answers and at most at `servo_rate`; driver and thread share a
+mailbox, as with every other device, so the driver's tick never waits for the service. Written from the vendor's guide and
+checked against a stand-in service (sim/stand_ins), not yet on hardware.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import threading
+import time
+from contextlib import ExitStack, suppress
+from typing import Annotated, Any, ClassVar, Final
+
+import msgspec
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.sync.client import ClientConnection, connect
+
+from messages.types import ZERO, Vector
+from nodes.driver.device import DeviceLimits, Workspace
+from nodes.driver.haply.service import ENDS, EVENTS, REMEDY, Inverse3, ask, buttons, command, read
+from nodes.driver.hardware.driver import HardwareDriver
+from nodes.driver.hardware.libraries import Found
+from nodes.driver.hardware.mailbox import SAMPLE, HardwareParameters, MailboxDevice, ServoParameters
+
+SILENCE: Final = 0.1
+"""Longest watchdog that a launch file may ask for on this device [s]."""
+
+CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE = 1, 2, 3, 4, 5
+"""What can go wrong, as numbers for the mailbox."""
+
+ERRORS: Final = {
+    CLOSED: "the Inverse Service closed the connection",
+    SLOW: "the Inverse Service does not answer in time",
+    FORCELESS: "the Inverse Service takes no forces (0 N act while a force is asked for): it must be of version 3.5",
+    UNPLUGGED: "the Inverse3 was unplugged",
+    NO_STATE: "the Inverse Service gives no state of the Inverse3",
+}
+
+ASKED: Final = 0.1
+"""From so much force on it is looked whether the service takes it [N]; and so much may come from others."""
+
+FORCELESS_AFTER: Final = 0.3
+"""After so long without an effect forces are taken to be refused [s]."""
+
+
+class Inverse3Parameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the device.
+
+    Attributes
+    ----------
+    serial : str
+        Its identifier in the service (``device_id``); empty for the first one.
+    host : str
+        Where the service runs.
+    port, events_port : int
+        Of its WebSocket, and of its events; 0 for no events.
+    start_time : float
+        Longest wait for the service and the device [s]: a cold start takes up to 25.
+    peak_force : float
+        Largest force along an axis [N]: the service does not tell what the device bears.
+    continuous_force : float
+        What it bears for long [N].
+    workspace : tuple of tuple of float, shape (3, 2)
+        Along its own axes [m].
+    """
+
+    serial: str = ""
+    host: str = "localhost"
+    port: Annotated[int, msgspec.Meta(ge=1, le=65535)] = 10001
+    events_port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 10020
+    start_time: Annotated[float, msgspec.Meta(ge=0.0, le=120.0)] = 30.0
+    peak_force: Annotated[float, msgspec.Meta(gt=0.0, le=20.0)] = 8.0
+    continuous_force: Annotated[float, msgspec.Meta(gt=0.0, le=20.0)] = 3.0
+    workspace: Workspace = ((-0.35, 0.35), (-0.35, 0.35), (-0.35, 0.35))
+
+
+class Inverse3DriverParameters(HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the driver node.
+
+    Attributes
+    ----------
+    inverse3 : Inverse3Parameters
+        The device.
+    """
+
+    inverse3: Inverse3Parameters = Inverse3Parameters()
+
+
+class Inverse3Device(MailboxDevice):
+    """One device. Nothing but `open` needs the service: a cold start takes longer than a node may take to be configured."""
+
+    TITLE: ClassVar[str] = "Inverse3"
+    AXES: ClassVar[tuple[str, ...]] = ("+y", "-x", "+z")
+
+    def __init__(self, parameters: Inverse3DriverParameters) -> None:
+        super().__init__(parameters)
+        self._wants = parameters.inverse3
+        self._socket: ClientConnection | None = None
+        self._open = ExitStack()
+        self._threads: list[threading.Thread] = []
+        self._ending = threading.Event()
+        self._id = ""
+        self._told = ""
+        self._others: Vector = ZERO
+        self.round_trip = 0.0
+
+    @classmethod
+    def find(cls, parameters: Any) -> Found:
+        """Look whether the service answers."""
+        wants = parameters.inverse3
+        address = f"ws://{wants.host}:{wants.port}"
+        version = ask(wants.host, wants.port, "/version")
+        return Found(None if version is None else f"the Inverse Service {version}", (address,))
+
+    def connect(self) -> None:
+        """Lay down what the driver asks of it; the service is not needed yet."""
+        wants = self._wants
+        limits = DeviceLimits(
+            peak_force=wants.peak_force,
+            continuous_force=min(wants.peak_force, wants.continuous_force),
+            silence=SILENCE,
+            hold=wants.deadline,
+            opening=wants.start_time + 10.0,
+            workspace=wants.workspace,
+        )
+        self.prepare(limits, wants.deadline)
+        code = self._code
+        doubles = ctypes.POINTER(ctypes.c_double)
+        code.mailbox_force.argtypes = [ctypes.c_void_p, doubles]
+        code.mailbox_sampled.argtypes = [ctypes.c_void_p, doubles]
+        code.mailbox_ticked.argtypes = [ctypes.c_void_p]
+        code.mailbox_failed.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_int]
+
+    def identify(self) -> None:
+        """Wait for the service and the device, and read what it is; no force."""
+        if self._socket is not None:
+            return
+        wants = self._wants
+        address = f"ws://{wants.host}:{wants.port}"
+        until, why = time.monotonic() + wants.start_time, ""
+        while self._socket is None:
+            try:
+                self._socket = self._dial(address)
+            except (OSError, ConnectionClosed, InvalidHandshake, ValueError, TimeoutError) as error:
+                why = str(error)
+            if self._socket is None:
+                if time.monotonic() > until:
+                    raise OSError(
+                        f"Inverse3: not ready at {address} within {wants.start_time:g} s: {why}; {REMEDY}. On Linux "
+                        "ModemManager may hold its serial port"
+                    )
+                time.sleep(0.1)
+
+    def _dial(self, address: str) -> ClientConnection:
+        wants = self._wants
+        with ExitStack() as dialled:
+            socket = dialled.enter_context(_connection(address))
+            found = read(socket.recv(timeout=2.0)).inverse3
+            names = [device.device_id for device in found]
+            chosen = [device for device in found if wants.serial in ("", device.device_id)]
+            if not chosen:
+                asked = (
+                    f"no Inverse3 {wants.serial}; there are: {', '.join(names)}"
+                    if names
+                    else "no Inverse3 is connected"
+                )
+                raise ValueError(asked)
+            self._describe(chosen[0])
+            self._open = dialled.pop_all()
+            return socket
+
+    def _describe(self, device: Inverse3) -> None:
+        wants = self._wants
+        self._id = device.device_id
+        sessions = ask(wants.host, wants.port, "/sessions")
+        self.facts = {
+            "model": "Haply Inverse3",
+            "serial": device.device_id,
+            "service": ask(wants.host, wants.port, "/version") or "unknown",
+            # What the service does to positions and forces on the way: it changes what is felt, and its meaning.
+            "basis": ask(wants.host, wants.port, "/inverse3/0/config/basis") or device.config.get("basis", "unknown"),
+            "config": device.config,
+            "status": device.status,
+            "other_sessions": sessions if isinstance(sessions, list) else [],
+        }
+
+    def open(self) -> None:
+        """Wait for the service, start the exchange, and let forces through, at zero."""
+        self.identify()
+        self._ending.clear()
+        for work in (self._exchange, *([self._listen] if self._wants.events_port else [])):
+            thread = threading.Thread(target=work, name=f"inverse3 {work.__name__}", daemon=True)
+            thread.start()
+            self._threads.append(thread)
+        self.await_samples()
+        self.write_force(ZERO, 0, 0.0)
+
+    def _failed(self, error: int, fatal: bool = False) -> None:
+        self._code.mailbox_failed(self._at, error, int(fatal))
+
+    def _exchange(self) -> None:
+        """Send forces and take states, until the end (its own thread)."""
+        socket, code, at = self._socket, self._code, self._at
+        assert socket is not None  # noqa: S101  # it is connected
+        force, sample = (ctypes.c_double * 3)(), (ctypes.c_double * SAMPLE)()
+        period, first = 1.0 / self._wants.servo_rate, True
+        due = time.monotonic()
+        refused_since = math.inf
+        while not self._ending.is_set():
+            acts = code.mailbox_force(at, force)
+            wanted = (force[0], force[1], force[2])
+            begun = time.monotonic()
+            try:
+                socket.send(command(self._id, wanted if acts else None, first))
+                told = read(socket.recv(timeout=1.0))
+            except TimeoutError:
+                self._failed(SLOW)
+                continue
+            except (ConnectionClosed, OSError):
+                self._failed(CLOSED, fatal=not self._ending.is_set())
+                return
+            except ValueError:
+                self._failed(NO_STATE)
+                continue
+            self.round_trip, first = time.monotonic() - begun, False
+            state = next((device.state for device in told.inverse3 if device.device_id == self._id), None)
+            if state is None:
+                # What is zero may be left out of a state, but a state that is not there is no state of zeros.
+                self._failed(NO_STATE)
+            else:
+                turn = state.body_orientation
+                quaternion = (turn.x, turn.y, turn.z, turn.w)
+                sample[:] = [
+                    *(*state.cursor_position.numbers(), *state.cursor_velocity.numbers()),
+                    *(*quaternion, 0.0, float(buttons(told))),
+                ]
+                code.mailbox_sampled(at, sample)
+                code.mailbox_ticked(at)
+                given = state.current_cursor_force.numbers()
+                self._others = tuple(a - b for a, b in zip(given, wanted, strict=True)) if acts else given  # type: ignore[assignment]
+                taken = max(map(abs, wanted)) < ASKED or max(map(abs, given)) > 0.0
+                refused_since = math.inf if taken else min(refused_since, begun)
+                if begun - refused_since > FORCELESS_AFTER:
+                    self._failed(FORCELESS, fatal=True)
+                    return
+            due = max(due + period, time.monotonic())
+            if (left := due - time.monotonic()) > 0.0:
+                time.sleep(left)
+
+    def _listen(self) -> None:
+        """Take the service's events, until the end (its own thread); a service without them has none."""
+        address = f"ws://{self._wants.host}:{self._wants.events_port}"
+        try:
+            with _connection(address) as events:
+                while not self._ending.is_set():
+                    try:
+                        text = str(events.recv(timeout=0.1))
+                    except TimeoutError:
+                        continue
+                    if any(word in text for word in ENDS):
+                        self._told = ""
+                    for word, meaning in EVENTS.items():
+                        if word in text:
+                            self._told = meaning
+                    if "device-disconnected" in text:
+                        self._failed(UNPLUGGED, fatal=True)
+        except (OSError, ConnectionClosed, InvalidHandshake, TimeoutError):
+            return
+
+    def error_text(self, code: int) -> str:
+        """Put an error in words."""
+        return ERRORS.get(code, f"error {code}")
+
+    def condition(self) -> str:
+        """Say why the device gives no force, or another one than it is asked for."""
+        if self._box.fault:
+            return f"{self.error_text(self._box.fault)}: forces are off until the node is started again"
+        if self._told:
+            return self._told
+        if max(map(abs, self._others)) > ASKED:
+            x, y, z = self._others
+            return f"another session of the Inverse Service adds {x:+.2f}, {y:+.2f}, {z:+.2f} N along the device's axes"
+        return ""
+
+    def close(self) -> None:
+        """Send zero, end the exchange and hang up; also after a failure half-way."""
+        self._ending.set()
+        for thread in self._threads:
+            thread.join(timeout=1.5)
+        self._threads.clear()
+        socket, self._socket = self._socket, None
+        if socket is not None:
+            # When it is gone already it has forgotten every force by itself.
+            with self._open, suppress(ConnectionClosed, OSError):
+                socket.send(command(self._id, ZERO))
+
+
+def _connection(address: str) -> connect:
+    """Prepare a connection; no proxy of the environment stands between a device and its driver, and no compression."""
+    return connect(address, open_timeout=2.0, close_timeout=0.5, compression=None, proxy=None)
+
+
+class Inverse3Driver(HardwareDriver):
+    """A driver node with a Haply Inverse3."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = Inverse3DriverParameters
+    hardware: ClassVar[type[MailboxDevice]] = Inverse3Device
+    checked: ClassVar[str] = "a stand-in service; not on hardware"

@@ -1,0 +1,136 @@
+"""Haply's Inverse Service (3.5): what is said over its WebSocket, and the little that its HTTP side is asked.
+
+The first message holds all that there is; after it exactly one state answers each message sent. What is zero may be left out of
+a state. A force acts once and is forgotten; forces of several sessions add up.
+"""
+
+from __future__ import annotations
+
+import json
+import urllib.error
+import urllib.request
+from typing import Any, Final
+
+import msgspec
+
+from messages.types import Vector
+
+PROFILE: Final = "haptic-nodes"
+REMEDY: Final = "install and start Haply's Inverse Service 3.5, and plug the Inverse3 in"
+
+
+class _Vector(msgspec.Struct):
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+    def numbers(self) -> Vector:
+        return self.x, self.y, self.z
+
+
+class _Quaternion(msgspec.Struct):
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    w: float = 1.0
+
+
+class State(msgspec.Struct):
+    """The state of a device; what is left out is zero.
+
+    Attributes
+    ----------
+    cursor_position, cursor_velocity, current_cursor_force : vector
+        In the session's own axes [m], [m/s], [N].
+    body_orientation : quaternion
+        Of the device's body.
+    """
+
+    cursor_position: _Vector = msgspec.field(default_factory=_Vector)
+    cursor_velocity: _Vector = msgspec.field(default_factory=_Vector)
+    current_cursor_force: _Vector = msgspec.field(default_factory=_Vector)
+    body_orientation: _Quaternion = msgspec.field(default_factory=_Quaternion)
+
+
+class Inverse3(msgspec.Struct):
+    """One device as the service tells it; a device without a state was not read."""
+
+    device_id: str = ""
+    config: dict[str, Any] = {}
+    status: dict[str, Any] = {}
+    state: State | None = None
+
+
+class Grip(msgspec.Struct):
+    """A VerseGrip: its buttons, where the service tells them."""
+
+    state: dict[str, Any] = {}
+
+
+class Told(msgspec.Struct):
+    """One message of the service."""
+
+    inverse3: list[Inverse3] = []
+    wireless_verse_grip: list[Grip] = []
+    session_id: int | str | None = None
+    error: Any = None
+
+
+_DECODER: Final = msgspec.json.Decoder(Told)
+
+
+def read(message: str | bytes) -> Told:
+    """Read a message of the service.
+
+    Raises
+    ------
+    ValueError
+        When it is none.
+    """
+    try:
+        return _DECODER.decode(message)
+    except msgspec.DecodeError as error:
+        raise ValueError(f"the service sent what it should not: {error}") from error
+
+
+def buttons(told: Told) -> int:
+    """Tell the buttons of the first grip, one bit each."""
+    if not told.wireless_verse_grip:
+        return 0
+    pressed = told.wireless_verse_grip[0].state.get("buttons", {})
+    names = sorted(pressed) if isinstance(pressed, dict) else []
+    return sum(1 << n for n, name in enumerate(names) if pressed[name] is True)
+
+
+def command(device: str, force: Vector | None, first: bool = False) -> str:
+    """Write a message: a force, or None to ask for the position only; the first one names this session."""
+    if force is None:
+        commands: dict[str, Any] = {"probe_position": {}}
+    else:
+        # ``vector`` as of 3.5; 3.1 had ``values``, and takes this for no force: which is looked at.
+        commands = {"set_cursor_force": {"vector": dict(zip("xyz", force, strict=True))}}
+    said: dict[str, Any] = {"inverse3": [{"device_id": device, "commands": commands}]}
+    if first:
+        said["session"] = {"configure": {"profile": {"name": PROFILE}}}
+    return json.dumps(said)
+
+
+def ask(host: str, port: int, path: str) -> Any:
+    """Ask the service's HTTP side; None where it has no answer: an older one has not all of it."""
+    try:
+        with urllib.request.urlopen(f"http://{host}:{port}{path}", timeout=1.0) as answer:  # http only
+            told = json.loads(answer.read(1 << 20))
+    except (OSError, ValueError, urllib.error.URLError):
+        return None
+    return told.get("data") if isinstance(told, dict) and told.get("ok") else None
+
+
+EVENTS: Final = {
+    "device-disconnected": "the Inverse3 was unplugged",
+    "device-busy": "another program has the Inverse3",
+    "ebrake_triggered": "the emergency brake of the Inverse3 is on",
+    "stall_detected": "the Inverse3 has found a motor stalled and gives no force",
+    "stability_ceiling": "the Inverse3 has found the loop unstable and lowers forces",
+}
+"""What the service's events mean, by the word that is in them; ``ebrake_released`` and ``device-connected`` end it."""
+ENDS: Final = ("ebrake_released", "device-connected")

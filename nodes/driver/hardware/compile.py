@@ -1,0 +1,81 @@
+"""Compiling a servo loop, or linking a vendor's static library, once: what is kept is made anew when a source changes."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from nodes.tick import cache
+
+
+def shared_library(name: str, sources: Iterable[Path], options: Sequence[str | Path], what: str) -> Any:
+    """Load what a C compiler makes of some options.
+
+    Parameters
+    ----------
+    name : str
+        What it is kept as.
+    sources : iterable of Path
+        The files that it is made of.
+    options : sequence of str or Path
+        For the compiler.
+    what : str
+        What it is, for an error.
+
+    Returns
+    -------
+    ctypes.CDLL
+        The library.
+
+    Raises
+    ------
+    OSError
+        When there is no compiler, or it fails.
+    """
+    # A path that is absolute stands for itself.
+    digests = {
+        str(path.relative_to(cache.ROOT) if path.is_relative_to(cache.ROOT) else path): cache.digest_of(path)
+        for path in sources
+    }
+    try:
+        found = cache.read(name)
+    except cache.CacheRefusedError:
+        found = None
+    if found is None:
+        found = cache.Entry(kind="so", content=_compiled(options, what))
+        # Where nothing can be kept it is compiled at each start.
+        with contextlib.suppress(cache.CacheRefusedError):
+            cache.write(name, found, digests)
+    return cache.load(found.content)
+
+
+def servo_library(source: Path) -> Any:
+    """Load a servo loop, which is compiled once per version of its source."""
+    sources = [source, Path(__file__).with_name("mailbox.h")]
+    name = f"{source.parent.name}-{source.stem}.so"
+    return shared_library(
+        name, sources, ["-pthread", source, "-lm"], f"the servo loop {source.parent.name}/{source.name}"
+    )
+
+
+def compiler() -> str:
+    """Find a C compiler."""
+    found = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if found is None:
+        raise OSError("no C compiler: a device's servo loop is compiled once, at first use; install gcc or clang")
+    return found
+
+
+def _compiled(options: Sequence[str | Path], what: str) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="haptic-servo-") as folder:
+        library = Path(folder) / "made.so"
+        command = [compiler(), "-O2", "-shared", "-fPIC", "-o", library, *options]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise OSError(f"{command[0]} cannot compile {what}: {done.stderr[-1000:]}")
+        return library.read_bytes()

@@ -1,0 +1,111 @@
+"""Base of the driver nodes of real devices: beside the loop it publishes the handle, and says why no force is felt."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, ClassVar, Final
+
+import msgspec
+
+from messages import topics
+from messages.types import Handle as HandleMessage
+from nodes.driver.device import Device
+from nodes.driver.hardware.libraries import Found
+from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice
+from nodes.driver.node import Driver
+from nodes.parameters.store import ParameterError
+
+__all__ = [
+    "HardwareDriver",
+]
+
+HANDLE_PERIOD: Final = 0.02
+"""How often buttons, gripper and orientation are looked at [s]; they are published when they have changed, and each second."""
+
+
+class HardwareDriver(Driver):
+    """A driver node with a real device; a kind names its class.
+
+    Attributes
+    ----------
+    hardware : type
+        The device.
+    checked : str
+        What its driver was tested against.
+    """
+
+    Parameters: ClassVar[type[msgspec.Struct]] = HardwareParameters
+    publishes: ClassVar[tuple[str, ...]] = (*Driver.publishes, topics.HANDLE)
+    hardware: ClassVar[type[MailboxDevice]]
+    checked: ClassVar[str] = ""
+
+    _condition = ""
+
+    @classmethod
+    def find(cls, parameters: Any) -> Found:
+        """Look for what the device needs on this machine.
+
+        Parameters
+        ----------
+        parameters : HardwareParameters
+            Of the kind.
+
+        Returns
+        -------
+        Found
+            Its library, and where it was looked for.
+        """
+        return cls.hardware.find(parameters)
+
+    def make_device(self) -> Device:
+        """Take hold of the device, forces off."""
+        self.held = self.hardware(self.store.current)
+        self.held.connect()
+        return self.held
+
+    def loop(self) -> None:
+        """Tick, and look at the handle beside it."""
+        ended = threading.Event()
+        thread = threading.Thread(target=self._watch_handle, args=(ended,), name="handle", daemon=True)
+        thread.start()
+        try:
+            super().loop()
+        finally:
+            ended.set()
+            thread.join()
+
+    def _watch_handle(self, ended: threading.Event) -> None:
+        last: Any = None
+        silent = 0
+        while not ended.wait(HANDLE_PERIOD):
+            if self.state != "running" or (handle := self.held.handle()) is None:
+                continue
+            seen = (handle.orientation, handle.gripper, handle.buttons)
+            silent += 1
+            if seen != last or silent * HANDLE_PERIOD >= 1.0:
+                last, silent = seen, 0
+                self.post(topics.HANDLE, HandleMessage(seq=self.counted().seq, stamp=self.now(), **handle._asdict()))
+
+    def condition(self) -> str:
+        """Say what keeps the device from giving forces; empty when nothing does."""
+        return self.held.condition()
+
+    def look_after(self) -> None:
+        """Look whether the loop goes on, and tell when the device keeps forces off (control thread)."""
+        super().look_after()
+        condition = self.held.condition() if self.state == "running" else ""
+        if condition != self._condition:
+            self._condition = condition
+            self.announce("device", condition or "forces are on again")
+
+    def operations(self) -> dict[str, Callable[..., Any]]:
+        """Offer what the device is, and to put its handle into the middle of the scene."""
+        return {**super().operations(), "facts": lambda: self.held.facts, "recentre": self._recentre}
+
+    def _recentre(self) -> dict[str, Any]:
+        if any(self.driving.handed):
+            raise ParameterError(
+                f"{self.setup.name}: re-centre while no force acts: move the device out of the wall first"
+            )
+        return {"moved_m": list(self.held.recentre())}

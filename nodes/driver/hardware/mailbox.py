@@ -1,0 +1,316 @@
+"""A device behind a mailbox: a servo loop samples it and brings it forces, the driver takes the newest at each tick.
+
+Base of all drivers of real devices. mailbox.h is the mailbox itself; the driver's two calls are in it, so that compiled ticks
+need no interpreter, and so is the deadline after which a force that nobody renews is zero.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, NamedTuple
+
+import msgspec
+
+from messages.types import Vector
+from nodes.driver.calls import Calls
+from nodes.driver.device import DeviceLimits
+from nodes.driver.hardware.compile import servo_library
+from nodes.driver.hardware.libraries import Found
+from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
+from nodes.driver.parameters import DriverParameters
+
+__all__ = [
+    "Handle",
+    "HardwareParameters",
+    "MailboxDevice",
+]
+
+FAULT, STALLED, UNREAD = 1, 2, 3
+"""What ``device_read`` of mailbox.h fails with, as negative numbers."""
+
+LOST: Final = 0.8
+"""After so long without a sample a device is given up [s]; until then its position counts as unknown, and there is no force."""
+
+SAMPLE: Final = 12
+
+_kept: Final[list[Any]] = []
+"""Mailboxes that a servo loop may still use: one whose thread hangs must not write into freed memory."""
+
+
+class Mailbox(ctypes.Structure):
+    """What driver and servo loop share, as in nodes/driver/hardware/mailbox.h."""
+
+    _fields_: ClassVar[list[tuple[str, Any]]] = [
+        ("turn", ctypes.c_double * 9),
+        ("unit", ctypes.c_double),
+        ("origin", ctypes.c_double * 3),
+        *((name, ctypes.c_double) for name in ("deadline", "patience", "peak", "reach", "back")),
+        ("clutch", ctypes.c_int64),
+        ("commands", ctypes.c_uint),
+        ("force", ctypes.c_double * 3),
+        ("stop", ctypes.c_uint),
+        ("seen", ctypes.c_uint),
+        ("seen_at", ctypes.c_double),
+        ("held", ctypes.c_int64),
+        ("frozen", ctypes.c_double * 3),
+        ("shift", ctypes.c_double * 3),
+        ("share_from", ctypes.c_double),
+        ("samples", ctypes.c_uint),
+        ("sample", ctypes.c_double * SAMPLE),
+        *((name, ctypes.c_uint) for name in ("ticks", "let_go", "errors")),
+        *((name, ctypes.c_int) for name in ("error", "fault", "condition")),
+        ("last_command", ctypes.c_uint),
+        ("silent", ctypes.c_uint),
+        ("commanded_at", ctypes.c_double),
+        ("acting", ctypes.c_double * 3),
+    ]
+
+
+class HardwareParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters that every driver of a real device has.
+
+    Attributes
+    ----------
+    mapping : Mapping
+        From the device into the scene; see nodes/driver/hardware/mapping.py.
+    """
+
+    mapping: Mapping = Mapping()
+
+
+class ServoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of a servo loop.
+
+    Attributes
+    ----------
+    servo_rate : int
+        Its rate [Hz]; where a device refuses it, its own holds.
+    deadline : float
+        How long it holds a force without a new one [s].
+    """
+
+    servo_rate: Annotated[int, msgspec.Meta(ge=100, le=10_000)] = 1000
+    deadline: Annotated[float, msgspec.Meta(ge=0.005, le=0.1)] = 0.05
+
+
+class Handle(NamedTuple):
+    """What a device gives beside its position, in the scene's axes.
+
+    Attributes
+    ----------
+    orientation : tuple of float, shape (4,)
+        Quaternion x, y, z, w; (0, 0, 0, 1) for a device without one.
+    gripper : float
+        How far it is open [m]; 0 without one.
+    buttons : int
+        One bit each.
+    velocity : tuple of float, shape (3,)
+        As the vendor computes it [m/s]: recorded, not used.
+    """
+
+    orientation: tuple[float, float, float, float]
+    gripper: float
+    buttons: int
+    velocity: Vector
+
+
+class MailboxDevice(ABC):
+    """One device; a kind defines how it is found, opened and closed, and what its errors mean.
+
+    Parameters
+    ----------
+    parameters : HardwareParameters
+        Of its driver.
+
+    Attributes
+    ----------
+    TITLE : str
+        What it is called in errors.
+    AXES : tuple of str
+        Its axes that are forward, left and up here, where it stands upright.
+    UNIT : float
+        Its unit of length [m].
+    facts : dict
+        What is known of it once it is connected: model, serial number, versions.
+    """
+
+    TITLE: ClassVar[str] = ""
+    AXES: ClassVar[Sequence[str]] = ("+x", "+y", "+z")
+    UNIT: ClassVar[float] = 1.0
+    SERVO: ClassVar[Path] = Path(__file__).with_name("mailbox.c")
+    Shared: ClassVar[type[Any]] = Mailbox
+
+    def __init__(self, parameters: Any) -> None:
+        self.parameters = parameters
+        self.facts: dict[str, Any] = {}
+        self._limits = DeviceLimits()
+        self._turn = matrix(parameters.mapping, self.AXES)
+        self._code: Any = None
+        self._shared: Any = None
+        self._box: Any = None
+
+    @property
+    def limits(self) -> DeviceLimits:
+        """What a scene may ask for, by what the device itself says it bears; known after `connect`."""
+        return self._limits
+
+    @property
+    def let_go(self) -> int:
+        """How often the servo loop set the force to zero by itself, because none came."""
+        return int(self._box.let_go)
+
+    @classmethod
+    def find(cls, parameters: Any) -> Found:
+        """Look for what it needs on this machine; a kind with a library names it."""
+        del parameters
+        return Found(None, ())
+
+    # -- what a kind defines -----------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Take hold of the device with forces off, and read its limits and facts.
+
+        Raises
+        ------
+        OSError
+            When it cannot be used; the text says what to do.
+        """
+
+    def identify(self) -> None:  # noqa: B027  # most kinds know all by then
+        """Read what is not known after `connect`; for a device that is far away."""
+
+    @abstractmethod
+    def open(self) -> None:
+        """Start the servo loop, calibrate with forces off, then let forces through, at zero.
+
+        Raises
+        ------
+        OSError
+            When it cannot be used; the text says what to do.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Switch forces off, end the servo loop and give the device back; also after a failure half-way, and twice."""
+
+    @abstractmethod
+    def error_text(self, code: int) -> str:
+        """Put an error of the device in words."""
+
+    @abstractmethod
+    def condition(self) -> str:
+        """Say why the device gives no force although it is asked to; empty when nothing keeps it from it."""
+
+    # -- for kinds ---------------------------------------------------------------------------------------------------
+
+    def prepare(self, theirs: DeviceLimits, deadline: float) -> None:
+        """Make the mailbox, and take what the device bears along its own axes in metres."""
+        mapping: Mapping = self.parameters.mapping
+        self._code = servo_library(self.SERVO)
+        self._code.mailbox_size.restype = ctypes.c_size_t
+        sizes = [(self._code.mailbox_size, Mailbox)]
+        if self.Shared is not Mailbox:
+            self._code.servo_size.restype = ctypes.c_size_t
+            sizes.append((self._code.servo_size, self.Shared))
+        if any(size() != ctypes.sizeof(struct) for size, struct in sizes):
+            raise OSError(f"{self.TITLE}: servo loop and driver disagree about what they share; reinstall haptic-nodes")
+        doubles, whole = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
+        self._code.device_read.argtypes = [whole, whole, doubles]
+        self._code.device_write.argtypes = [whole, doubles, whole, ctypes.c_double]
+        self._code.mailbox_sample.argtypes = [whole, doubles]
+        self._shared = self.Shared()
+        _kept.append(self._shared)
+        box = self._box = self._shared if self.Shared is Mailbox else self._shared.box
+        box.turn[:] = [number for row in self._turn for number in row]
+        box.unit, box.origin[:] = self.UNIT, mapping.centre
+        box.deadline = box.patience = deadline
+        box.peak = theirs.peak_force
+        box.clutch = 0 if mapping.clutch is None else 1 << mapping.clutch
+        box.reach, box.back = mapping.reach, mapping.clutch_ramp
+        self._limits = limits_in_scene(theirs, mapping, self._turn)
+
+    def await_samples(self) -> None:
+        """Wait until the servo loop runs; where asked for, the device stands in the middle of the scene then."""
+        until = time.monotonic() + 2.0
+        while self._box.ticks < 2:
+            if self._box.fault or time.monotonic() > until:
+                error = self._box.fault or self._box.error
+                raise OSError(
+                    f"{self.TITLE}: no sample from the device within 2 s"
+                    + (f": {self.error_text(error)}" if error else "; restart it")
+                )
+            time.sleep(0.001)
+        if self.parameters.mapping.recentre:
+            self.recentre()
+
+    def recentre(self) -> Vector:
+        """Put the device into the middle of the scene, wherever it stands; by how much that moved it [m]."""
+        here, centre = self.read_position(0), self.parameters.mapping.centre
+        x, y, z = (c - at for c, at in zip(centre, here, strict=True))
+        if not math.isfinite(x + y + z):
+            raise OSError(f"{self.TITLE}: the device gives no position; it cannot be re-centred")
+        for i, step in enumerate((x, y, z)):
+            self._box.origin[i] += step
+        return x, y, z
+
+    @property
+    def _at(self) -> int:
+        return ctypes.addressof(self._box)
+
+    # -- a device, as the driver node sees it ------------------------------------------------------------------------
+
+    def read_position(self, seq: int) -> Vector:
+        """Take the newest sample; one that is too old is no position, and a device that goes on giving none is lost."""
+        position = (ctypes.c_double * 3)()
+        status = -self._code.device_read(self._at, seq, position)
+        box = self._box
+        if status == FAULT:
+            raise OSError(f"{self.TITLE}: {self.error_text(box.fault)}; forces are off until the node is started again")
+        if status == STALLED and (silent := time.monotonic() - box.seen_at) > LOST:
+            error = f"{self.error_text(box.error)}; " if box.error else ""
+            raise OSError(f"{self.TITLE}: no sample for {silent:.3f} s: {error}look at cable and power")
+        if status:
+            return (math.nan, math.nan, math.nan)
+        return position[0], position[1], position[2]
+
+    def write_force(self, force: Vector, seq: int, offset: float) -> None:
+        """Hand a force to the servo loop."""
+        self._code.device_write(self._at, (ctypes.c_double * 3)(*force), seq, offset)
+
+    def calls(self) -> Calls:
+        """Give the mailbox as it stands in C."""
+        read, write = (
+            ctypes.cast(function, ctypes.c_void_p).value or 0
+            for function in (self._code.device_read, self._code.device_write)
+        )
+        return Calls(read, write, self._at)
+
+    def raw(self) -> list[float] | None:
+        """Take the newest sample as the device gives it, in its own axes and units; None when there is none."""
+        sample = (ctypes.c_double * SAMPLE)()
+        return None if self._code.mailbox_sample(self._at, sample) else list(sample)
+
+    def handle(self) -> Handle | None:
+        """Tell what the device gives beside its position."""
+        sample = self.raw()
+        if sample is None:
+            return None
+        unit = self.UNIT
+        x, y, z = (sum(turn * v * unit for turn, v in zip(row, sample[3:6], strict=True)) for row in self._turn)
+        return Handle(self._turned(sample[6:10]), sample[10], int(sample[11]), (x, y, z))
+
+    def _turned(self, q: Sequence[float]) -> tuple[float, float, float, float]:
+        """Turn an orientation of the device into the scene: the axis of the turn goes as a position does."""
+        scale = self.parameters.mapping.scale
+        x, y, z = (sum(turn / scale * part for turn, part in zip(row, q[:3], strict=True)) for row in self._turn)
+        return x, y, z, q[3]
+
+    def inertia(self) -> tuple[Vector, Vector, Vector] | None:
+        """Tell the inertia that forces of the scene move where the device stands [kg]; None where that is not known."""
+        return None

@@ -1,0 +1,140 @@
+/* The arm behind a stand-in of a vendor's library, in a file that the library, a service and whoever plays the fault all map.
+
+   A mass with a damper under gravity along each axis, moved exactly between two changes of force (as sim/device/model.py does); or
+   held where `position` says until `free_from`. Here +x is forward, +y left, +z up, in SI units. */
+
+#ifndef STAND_IN_WORLD_H
+#define STAND_IN_WORLD_H
+
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <fcntl.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <time.h>
+#include <unistd.h>
+
+typedef struct {
+    /* the arm */
+    double mass, damping, gravity, resolution;
+    double position[3], velocity[3], force[3];
+    double advanced_at, free_from;
+    /* its own deadline [s], 0 for none, and when a force came last */
+    double watchdog, commanded_at;
+    /* what it bears */
+    double peak, continuous;
+    double gripper;
+    double turn[9];
+    int32_t buttons, serial, devices, rate;
+    /* what the driver has done: the library is open, forces are on, calibrations left, rules broken, forces written, largest force */
+    int32_t open, forces, calibrations, broken, commands, style;
+    double largest;
+    /* faults: see sim/stand_ins/world.py */
+    int32_t unplugged, nan, positive, block_ms, manual, cause, error, refuse_rate, frozen, fails;
+    double other[3];
+    char fail[32];
+    int32_t lock;
+} world;
+
+static inline double world_now(void) {
+    struct timespec at;
+    clock_gettime(CLOCK_MONOTONIC, &at);
+    return (double) at.tv_sec + 1e-9 * (double) at.tv_nsec;
+}
+
+static inline void world_lock(world *w) {
+    while (__atomic_exchange_n(&w->lock, 1, __ATOMIC_ACQUIRE)) usleep(10);
+}
+
+static inline void world_unlock(world *w) { __atomic_store_n(&w->lock, 0, __ATOMIC_RELEASE); }
+
+static inline void world_step(world *w, double duration) {
+    double q = w->damping > 0.0 ? -expm1(-w->damping * duration / w->mass) * w->mass / w->damping : duration;
+    for (int i = 0; i < 3; i++) {
+        double u = w->force[i] + w->other[i] - (i == 2 ? w->mass * w->gravity : 0.0);
+        if (w->damping > 0.0) {
+            double kept = 1.0 - q * w->damping / w->mass;
+            w->position[i] += q * w->velocity[i] + u / w->damping * (duration - q);
+            w->velocity[i] = kept * w->velocity[i] + u / w->damping * (1.0 - kept);
+        } else {
+            w->position[i] += duration * w->velocity[i] + 0.5 * u / w->mass * duration * duration;
+            w->velocity[i] += u / w->mass * duration;
+        }
+    }
+}
+
+/* Let time pass up to now. */
+static inline void world_advance(world *w) {
+    double now = world_now(), ends = w->commanded_at + w->watchdog;
+    double from = fmax(w->advanced_at, w->free_from);
+    if (w->watchdog > 0.0 && now > ends) {
+        if (ends > from) world_step(w, ends - from);
+        from = fmax(from, ends);
+        w->force[0] = w->force[1] = w->force[2] = 0.0;
+    }
+    if (now > from) world_step(w, now - from);
+    w->advanced_at = now;
+}
+
+/* Read the encoders; 0 when the arm cannot be read, and nothing is written then. */
+static inline int world_read(world *w, double *position, double *velocity) {
+    int32_t block = __atomic_exchange_n(&w->block_ms, 0, __ATOMIC_SEQ_CST);
+    if (block) usleep(1000u * (unsigned) block);
+    if (w->unplugged) return 0;
+    world_lock(w);
+    world_advance(w);
+    for (int i = 0; i < 3; i++) {
+        double x = w->position[i];
+        if (w->resolution > 0.0) x = nearbyint(x / w->resolution) * w->resolution;
+        position[i] = w->nan ? NAN : x;
+        velocity[i] = w->velocity[i];
+    }
+    world_unlock(w);
+    return 1;
+}
+
+/* Give it a force. */
+static inline void world_push(world *w, const double *force) {
+    world_lock(w);
+    world_advance(w);
+    w->commanded_at = world_now();
+    w->commands++;
+    for (int i = 0; i < 3; i++) {
+        if (!isfinite(force[i]) || fabs(force[i]) > w->peak) w->broken++;
+        w->force[i] = w->forces && !w->cause && isfinite(force[i]) ? force[i] : 0.0;
+        w->largest = fmax(w->largest, fabs(w->force[i]));
+    }
+    world_unlock(w);
+}
+
+static inline world *world_at(const char *path) {
+    int file = open(path, O_RDWR | O_CLOEXEC);
+    if (file < 0) {
+        fprintf(stderr, "stand-in: %s: no world there\n", path);
+        abort();
+    }
+    void *at = mmap(0, sizeof(world), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+    close(file);
+    if (at == MAP_FAILED) abort();
+    return at;
+}
+
+/* The world of a library lies beside its file. */
+static inline world *world_of(void *function) {
+    static world *found;
+    Dl_info about;
+    char path[4096];
+    if (found) return found;
+    if (!dladdr(function, &about)) abort();
+    snprintf(path, sizeof(path), "%s.world", about.dli_fname);
+    return found = world_at(path);
+}
+
+/* Whether a call is to fail now. */
+static inline int world_fails(world *w, const char *call) { return w->unplugged || (w->fails && !strcmp(w->fail, call)); }
+
+#endif

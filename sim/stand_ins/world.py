@@ -1,0 +1,155 @@
+"""The arm behind a stand-in: physics, what a driver has done to it, and the faults that it plays on command.
+
+It lies in a file (world.h), which the stand-in in a node's process and whoever watches or breaks it map both. A stand-in of a
+library is compiled into a folder, with its world beside it; so two of them are two devices.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import mmap
+import subprocess
+import time
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from nodes.driver.hardware.compile import compiler, shared_library
+
+__all__ = [
+    "World",
+    "library",
+]
+
+HERE: Final = Path(__file__).parent
+
+
+class State(ctypes.Structure):
+    """What world.h lays down."""
+
+    _fields_: ClassVar[list[tuple[str, Any]]] = [
+        *((name, ctypes.c_double) for name in ("mass", "damping", "gravity", "resolution")),
+        *((name, ctypes.c_double * 3) for name in ("position", "velocity", "force")),
+        *((name, ctypes.c_double) for name in ("advanced_at", "free_from", "watchdog", "commanded_at")),
+        *((name, ctypes.c_double) for name in ("peak", "continuous", "gripper")),
+        ("turn", ctypes.c_double * 9),
+        *((name, ctypes.c_int32) for name in ("buttons", "serial", "devices", "rate")),
+        *((name, ctypes.c_int32) for name in ("open", "forces", "calibrations", "broken", "commands", "style")),
+        ("largest", ctypes.c_double),
+        *(
+            (name, ctypes.c_int32)
+            for name in (
+                *("unplugged", "nan", "positive", "block_ms", "manual", "cause", "error", "refuse_rate", "frozen"),
+                "fails",
+            )
+        ),
+        ("other", ctypes.c_double * 3),
+        ("fail", ctypes.c_char * 32),
+        ("lock", ctypes.c_int32),
+    ]
+
+
+class World:
+    """One arm.
+
+    Parameters
+    ----------
+    path : Path
+        Its file; made, with an arm of 0.1 kg held at the origin, where there is none.
+
+    Attributes
+    ----------
+    state : State
+        It, as it is now. Of the faults, ``unplugged`` fails every call; ``nan`` gives positions that are none; ``positive``
+        lets calls give remarks; ``block_ms`` lets the next read take so long; ``manual`` asks for a calibration by hand;
+        ``cause`` keeps forces off; ``error`` reports an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops
+        the vendor's own thread; ``fails`` lets the call named ``fail`` fail; ``other`` is a force of somebody else [N].
+    """
+
+    def __init__(self, path: Path) -> None:
+        made = not path.exists()
+        if made:
+            path.write_bytes(bytes(ctypes.sizeof(State)))
+        with path.open("r+b") as file:
+            self._mapped = mmap.mmap(file.fileno(), ctypes.sizeof(State))
+        self.path = path
+        self.state = State.from_buffer(self._mapped)
+        code = shared_library(
+            "stand-in-world.so", [HERE / "world.c", HERE / "world.h"], [HERE / "world.c", "-lm"], "an arm"
+        )
+        code.stand_in_size.restype = ctypes.c_size_t
+        if code.stand_in_size() != ctypes.sizeof(State):
+            raise OSError(f"{path}: world.h and world.py disagree")
+        self._code = code
+        if made:
+            s = self.state
+            s.mass, s.damping, s.free_from = 0.1, 1.0, math.inf
+            s.peak, s.continuous = 7.9, 1.75
+            s.turn[0] = s.turn[4] = s.turn[8] = 1.0
+            s.serial, s.devices, s.rate = 1234, 1, 1000
+
+    def fail(self, call: str) -> None:
+        """Let a call of the vendor's library fail from now on; none for an empty name."""
+        self.state.fail, self.state.fails = call.encode(), bool(call)
+
+    def force(self) -> tuple[float, float, float]:
+        """Tell what acts on it now [N]."""
+        self._code.stand_in_advance(ctypes.byref(self.state))
+        x, y, z = self.state.force
+        return x, y, z
+
+    def read(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+        """Read position [m] and velocity [m/s]; None when that fails."""
+        position, velocity = (ctypes.c_double * 3)(), (ctypes.c_double * 3)()
+        if not self._code.stand_in_read(ctypes.byref(self.state), position, velocity):
+            return None
+        return (position[0], position[1], position[2]), (velocity[0], velocity[1], velocity[2])
+
+    def push(self, force: tuple[float, float, float]) -> None:
+        """Give it a force [N]."""
+        self._code.stand_in_push(ctypes.byref(self.state), (ctypes.c_double * 3)(*force))
+
+    def drop(self, height: float, gravity: float = 9.81, at: float | None = None) -> None:
+        """Let it fall from a height [m], now or at a time of the monotonic clock [s]."""
+        s = self.state
+        s.position[:] = (0.0, 0.0, height)
+        s.velocity[:] = (0.0, 0.0, 0.0)
+        s.gravity = gravity
+        s.free_from = time.monotonic() if at is None else at
+
+
+def library(name: str, folder: Path) -> tuple[Path, World]:
+    """Compile a stand-in of a vendor's library into a folder, with its world.
+
+    Parameters
+    ----------
+    name : str
+        ``hd`` or ``dhd``.
+    folder : Path
+        Where to.
+
+    Returns
+    -------
+    tuple of Path and World
+        The library and its arm.
+    """
+    path = folder / f"lib{name}-stand-in.so"
+    subprocess.run(_command(name, "-shared", "-fPIC", "-o", str(path)), check=True)
+    return path, world_beside(path)
+
+
+def world_beside(path: Path) -> World:
+    """Give a library its world."""
+    return World(path.with_name(path.name + ".world"))
+
+
+def archive(name: str, folder: Path) -> Path:
+    """Make the stand-in a static library, as a vendor may ship it."""
+    compiled, path = folder / f"{name}.o", folder / f"lib{name}.a"
+    subprocess.run(_command(name, "-fPIC", "-c", "-o", str(compiled)), check=True)
+    subprocess.run(["ar", "rcs", str(path), str(compiled)], check=True)
+    return path
+
+
+def _command(name: str, *options: str) -> list[str]:
+    return [compiler(), "-O1", "-pthread", *options, str(HERE / f"{name}.c"), "-ldl", "-lm"]

@@ -1,0 +1,101 @@
+"""Every registered real device on its stand-in, ready to be driven and to be broken."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any, NamedTuple
+
+import msgspec
+
+from nodes.base.kinds import NODES
+from nodes.driver.hardware.driver import HardwareDriver
+from nodes.driver.hardware.mailbox import MailboxDevice
+from sim.stand_ins import inverse_service
+from sim.stand_ins.world import World, library, world_beside
+
+LIBRARIES = {"touch_driver": ("hd", "touch"), "force_dimension_driver": ("dhd", "force_dimension")}
+"""Of a device with a library: its stand-in, and the section of its parameters."""
+
+GRIPPED: dict[str, dict[str, Any]] = {
+    "touch_driver": {"calibration_time": 0.5},
+    "force_dimension_driver": {"ready_time": 0.2, "workspace": [[-0.2, 0.2]] * 3},
+    "inverse3_driver": {"start_time": 1.0},
+}
+"""Parameters with which a test does not wait for long."""
+
+
+class Bench(NamedTuple):
+    """A device on its stand-in.
+
+    Attributes
+    ----------
+    kind : str
+        Of its driver.
+    driver : type
+        It.
+    world : World
+        The arm.
+    section : str
+        Where its parameters stand.
+    parameters : dict
+        They.
+    made : list of MailboxDevice
+        Its devices; what is left open is closed at the end.
+    """
+
+    kind: str
+    driver: type[HardwareDriver]
+    world: World
+    section: str
+    parameters: dict[str, Any]
+    made: list[MailboxDevice]
+
+    def written(self, mapping: dict[str, Any] | None = None, **given: Any) -> dict[str, Any]:
+        """Write its parameters as a launch file does."""
+        return {self.section: {**self.parameters, **given}, **({"mapping": mapping} if mapping else {})}
+
+    def device(self, mapping: dict[str, Any] | None = None, **given: Any) -> MailboxDevice:
+        """Make the device; it is not connected yet."""
+        made = self.driver.hardware(msgspec.convert(self.written(mapping, **given), self.driver.Parameters))
+        self.made.append(made)
+        return made
+
+
+def real_devices() -> dict[str, type[HardwareDriver]]:
+    """Find every registered driver of a real device."""
+    found, _ = NODES.all()
+    return {name: kind for name, kind in found.items() if isinstance(kind, type) and issubclass(kind, HardwareDriver)}
+
+
+@cache
+def _compiled(name: str) -> Path:
+    return library(name, Path(mkdtemp(prefix="stand-in-")))[0]
+
+
+@contextmanager
+def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
+    """Set a device up: its own library or service, its own arm."""
+    driver = real_devices()[kind]
+    made: list[MailboxDevice] = []
+    if kind in LIBRARIES:
+        name, section = LIBRARIES[kind]
+        path = folder / _compiled(name).name
+        shutil.copy(_compiled(name), path)
+        stand = Bench(kind, driver, world_beside(path), section, {"library": str(path), **GRIPPED[kind]}, made)
+        service = None
+    else:
+        service = inverse_service.start(folder, *options)
+        parameters = {"port": service.port, "events_port": service.events_port, **GRIPPED[kind]}
+        stand = Bench(kind, driver, service.world, "inverse3", parameters, made)
+    try:
+        yield stand
+    finally:
+        for device in made:
+            device.close()
+        if service is not None:
+            service.end()
