@@ -16,11 +16,6 @@ from typing import Any, ClassVar, Final
 
 from nodes.driver.hardware.compile import compiler, shared_library
 
-__all__ = [
-    "World",
-    "library",
-]
-
 HERE: Final = Path(__file__).parent
 
 

@@ -11,7 +11,7 @@ import ctypes
 import math
 import threading
 import time
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from typing import Annotated, Any, ClassVar, Final
 
 import msgspec
@@ -298,9 +298,12 @@ class Inverse3Device(MailboxDevice):
                 socket.send(command(self._id, ZERO))
 
 
-def _connection(address: str) -> connect:
+def _connection(address: str) -> AbstractContextManager[ClientConnection]:
     """Prepare a connection; no proxy of the environment stands between a device and its driver, and no compression."""
-    return connect(address, open_timeout=2.0, close_timeout=0.5, compression=None, proxy=None)
+    made: AbstractContextManager[ClientConnection] = connect(
+        address, open_timeout=2.0, close_timeout=0.5, compression=None, proxy=None
+    )
+    return made
 
 
 class Inverse3Driver(HardwareDriver):

@@ -16,10 +16,6 @@ from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice
 from nodes.driver.node import Driver
 from nodes.parameters.store import ParameterError
 
-__all__ = [
-    "HardwareDriver",
-]
-
 HANDLE_PERIOD: Final = 0.02
 """How often buttons, gripper and orientation are looked at [s]; they are published when they have changed, and each second."""
 

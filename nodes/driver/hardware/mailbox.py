@@ -24,12 +24,6 @@ from nodes.driver.hardware.libraries import Found
 from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
 from nodes.driver.parameters import DriverParameters
 
-__all__ = [
-    "Handle",
-    "HardwareParameters",
-    "MailboxDevice",
-]
-
 FAULT, STALLED, UNREAD = 1, 2, 3
 """What ``device_read`` of mailbox.h fails with, as negative numbers."""
 

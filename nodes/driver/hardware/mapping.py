@@ -16,12 +16,6 @@ import msgspec
 from messages.types import Vector
 from nodes.driver.device import Bounds, DeviceLimits, Workspace
 
-__all__ = [
-    "Mapping",
-    "limits_in_scene",
-    "matrix",
-]
-
 AxisName = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Matrix = tuple[Vector, Vector, Vector]
 _LETTERS: Final = "xyz"

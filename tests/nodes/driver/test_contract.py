@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -103,7 +104,7 @@ def limits_are_read_and_kept(stand: Bench) -> None:
 
     def presses() -> bool:
         device.write_force((1e6, -1e6, 0.0), 0, 0.0)
-        return stand.world.state.largest > 0.0
+        return bool(stand.world.state.largest)
 
     wait_for(presses, "a force")
     assert stand.world.state.largest == pytest.approx(peak, rel=1e-12)
@@ -265,7 +266,7 @@ def closed_twice_is_closed(stand: Bench) -> None:
 
 def the_wrong_device_first(stand: Bench) -> None:
     """Of two devices the one that is meant, and a clear answer where it is not there."""
-    wrong = {"serial": 1 if stand.kind == "force_dimension_driver" else "1"}
+    wrong: dict[str, Any] = {"serial": 1 if stand.kind == "force_dimension_driver" else "1"}
     if stand.kind == "inverse3_driver":
         wrong["start_time"] = 0
     device = stand.device(**wrong)

@@ -43,11 +43,8 @@ def test_calibration_comes_before_forces(fake: Bench) -> None:
     device = fake.device()
     device.connect()
     assert fake.world.state.forces == 0
-    assert device.limits.workspace == (
-        pytest.approx((-0.13, 0.085), abs=1e-15),
-        pytest.approx((-0.21, 0.21), abs=1e-15),
-        pytest.approx((-0.11, 0.205), abs=1e-15),
-    )
+    ends = [end for bounds in device.limits.workspace for end in bounds]
+    assert ends == pytest.approx([-0.13, 0.085, -0.21, 0.21, -0.11, 0.205], abs=1e-15)
     assert (device.limits.peak_force, device.limits.continuous_force) == (7.9, 1.75)
     device.open()
     assert fake.world.state.calibrations == 0
