@@ -19,7 +19,7 @@ from nodes.driver.hardware.compile import compiler, shared_library
 HERE: Final = Path(__file__).parent
 
 
-class State(ctypes.Structure):
+class WorldState(ctypes.Structure):
     """What world.h lays down."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
@@ -54,7 +54,7 @@ class World:
 
     Attributes
     ----------
-    state : State
+    state : WorldState
         It, as it is now. Of the faults, ``unplugged`` fails every call; ``nan`` gives positions that are none; ``positive``
         lets calls give remarks; ``block_ms`` lets the next read take so long; ``manual`` asks for a calibration by hand;
         ``cause`` keeps forces off; ``error`` reports an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops
@@ -64,16 +64,16 @@ class World:
     def __init__(self, path: Path) -> None:
         made = not path.exists()
         if made:
-            path.write_bytes(bytes(ctypes.sizeof(State)))
+            path.write_bytes(bytes(ctypes.sizeof(WorldState)))
         with path.open("r+b") as file:
-            self._mapped = mmap.mmap(file.fileno(), ctypes.sizeof(State))
+            self._mapped = mmap.mmap(file.fileno(), ctypes.sizeof(WorldState))
         self.path = path
-        self.state = State.from_buffer(self._mapped)
+        self.state = WorldState.from_buffer(self._mapped)
         code = shared_library(
             "stand-in-world.so", [HERE / "world.c", HERE / "world.h"], [HERE / "world.c", "-lm"], "an arm"
         )
         code.stand_in_size.restype = ctypes.c_size_t
-        if code.stand_in_size() != ctypes.sizeof(State):
+        if code.stand_in_size() != ctypes.sizeof(WorldState):
             raise OSError(f"{path}: world.h and world.py disagree")
         self._code = code
         if made:

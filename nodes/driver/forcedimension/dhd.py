@@ -85,7 +85,7 @@ FUNCTIONS: Final[Functions] = {
 """All that is used of it."""
 
 
-class Servo(ctypes.Structure):
+class DhdServo(ctypes.Structure):
     """What driver and servo loop share, as in nodes/driver/forcedimension/servo.c."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [

@@ -22,7 +22,7 @@ from nodes.driver.forcedimension.dhd import (
     RESET,
     STATUS,
     WATCHDOG_UNIT,
-    Servo,
+    DhdServo,
     error_text,
     identity,
     load_library,
@@ -96,7 +96,7 @@ class ForceDimensionDevice(MailboxDevice):
     TITLE: ClassVar[str] = "Force Dimension"
     AXES: ClassVar[tuple[str, ...]] = ("-x", "-y", "+z")
     SERVO: ClassVar[Path] = Path(__file__).with_name("servo.c")
-    Shared: ClassVar[type[Any]] = Servo
+    Shared: ClassVar[type[Any]] = DhdServo
 
     def __init__(self, parameters: ForceDimensionDriverParameters) -> None:
         super().__init__(parameters)

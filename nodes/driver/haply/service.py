@@ -35,7 +35,7 @@ class _Quaternion(msgspec.Struct):
     w: float = 1.0
 
 
-class State(msgspec.Struct):
+class Inverse3State(msgspec.Struct):
     """The state of a device; what is left out is zero.
 
     Attributes
@@ -58,7 +58,7 @@ class Inverse3(msgspec.Struct):
     device_id: str = ""
     config: dict[str, Any] = {}
     status: dict[str, Any] = {}
-    state: State | None = None
+    state: Inverse3State | None = None
 
 
 class Grip(msgspec.Struct):
@@ -67,7 +67,7 @@ class Grip(msgspec.Struct):
     state: dict[str, Any] = {}
 
 
-class Told(msgspec.Struct):
+class ServiceMessage(msgspec.Struct):
     """One message of the service."""
 
     inverse3: list[Inverse3] = []
@@ -76,10 +76,10 @@ class Told(msgspec.Struct):
     error: Any = None
 
 
-_DECODER: Final = msgspec.json.Decoder(Told)
+_DECODER: Final = msgspec.json.Decoder(ServiceMessage)
 
 
-def read(message: str | bytes) -> Told:
+def read(message: str | bytes) -> ServiceMessage:
     """Read a message of the service.
 
     Raises
@@ -93,7 +93,7 @@ def read(message: str | bytes) -> Told:
         raise ValueError(f"the service sent what it should not: {error}") from error
 
 
-def buttons(told: Told) -> int:
+def buttons(told: ServiceMessage) -> int:
     """Tell the buttons of the first grip, one bit each."""
     if not told.wireless_verse_grip:
         return 0

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from nodes.tick import cache
+from nodes.compiled import cache
 
 
 def shared_library(name: str, sources: Iterable[Path], options: Sequence[str | Path], what: str) -> Any:
@@ -47,7 +47,7 @@ def shared_library(name: str, sources: Iterable[Path], options: Sequence[str | P
     except cache.CacheRefusedError:
         found = None
     if found is None:
-        found = cache.Entry(kind="so", content=_compiled(options, what))
+        found = cache.CacheEntry(kind="so", content=_compiled(options, what))
         # Where nothing can be kept it is compiled at each start.
         with contextlib.suppress(cache.CacheRefusedError):
             cache.write(name, found, digests)

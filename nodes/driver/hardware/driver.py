@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final
 import msgspec
 
 from messages import topics
-from messages.types import Handle as HandleMessage
+from messages.types import Handle
 from nodes.driver.device import Device
 from nodes.driver.hardware.libraries import Found
 from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice
@@ -81,7 +81,8 @@ class HardwareDriver(Driver):
             silent += 1
             if seen != last or silent * HANDLE_PERIOD >= 1.0:
                 last, silent = seen, 0
-                self.post(topics.HANDLE, HandleMessage(seq=self.counted().seq, stamp=self.now(), **handle._asdict()))
+                message = Handle(seq=self.counted().seq, stamp=self.clock.now(), **handle._asdict())
+                self.events.publish(self.setup.topic(topics.HANDLE), message)
 
     def condition(self) -> str:
         """Say what keeps the device from giving forces; empty when nothing does."""
@@ -93,7 +94,7 @@ class HardwareDriver(Driver):
         condition = self.held.condition() if self.state == "running" else ""
         if condition != self._condition:
             self._condition = condition
-            self.announce("device", condition or "forces are on again")
+            self.events.emit_each("device", condition or "forces are on again")
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the device is, and to put its handle into the middle of the scene."""

@@ -92,7 +92,7 @@ class ServoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     deadline: Annotated[float, msgspec.Meta(ge=0.005, le=0.1)] = 0.05
 
 
-class Handle(NamedTuple):
+class HandleSample(NamedTuple):
     """What a device gives beside its position, in the scene's axes.
 
     Attributes
@@ -290,14 +290,14 @@ class MailboxDevice(ABC):
         sample = (ctypes.c_double * SAMPLE)()
         return None if self._code.mailbox_sample(self._at, sample) else list(sample)
 
-    def handle(self) -> Handle | None:
+    def handle(self) -> HandleSample | None:
         """Tell what the device gives beside its position."""
         sample = self.raw()
         if sample is None:
             return None
         unit = self.UNIT
         x, y, z = (sum(turn * v * unit for turn, v in zip(row, sample[3:6], strict=True)) for row in self._turn)
-        return Handle(self._turned(sample[6:10]), sample[10], int(sample[11]), (x, y, z))
+        return HandleSample(self._turned(sample[6:10]), sample[10], int(sample[11]), (x, y, z))
 
     def _turned(self, q: Sequence[float]) -> tuple[float, float, float, float]:
         """Turn an orientation of the device into the scene: the axis of the turn goes as a position does."""

@@ -36,7 +36,7 @@ from nodes.driver.touch.hdapi import (
     MAX_WORKSPACE,
     MODEL_TYPE,
     SERIAL_NUMBER,
-    Servo,
+    TouchServo,
     error_text,
     load_library,
 )
@@ -87,7 +87,7 @@ class TouchDevice(MailboxDevice):
     AXES: ClassVar[tuple[str, ...]] = ("-z", "-x", "+y")
     UNIT: ClassVar[float] = 1e-3
     SERVO: ClassVar[Path] = Path(__file__).with_name("servo.c")
-    Shared: ClassVar[type[Any]] = Servo
+    Shared: ClassVar[type[Any]] = TouchServo
 
     def __init__(self, parameters: TouchDriverParameters) -> None:
         super().__init__(parameters)

@@ -42,7 +42,7 @@ class ErrorInfo(ctypes.Structure):
     ]
 
 
-class Servo(ctypes.Structure):
+class TouchServo(ctypes.Structure):
     """What driver and servo loop share, as in nodes/driver/touch/servo.c."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [

@@ -218,16 +218,16 @@ def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: P
 def test_the_servo_loop_of_a_device_is_not_taken_from_others(place: Path) -> None:
     from nodes.driver.hardware.compile import servo_library
     from nodes.driver.touch.driver import TouchDevice
-    from nodes.driver.touch.hdapi import Servo
+    from nodes.driver.touch.hdapi import TouchServo
 
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
     kept = place / "touch-servo.so"
-    assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(Servo)
+    assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(TouchServo)
     kept.write_bytes(kept.read_bytes()[:1000])
-    assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(Servo)
+    assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(TouchServo)
     kept.chmod(0o666)
-    assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(Servo)
+    assert servo_library(TouchDevice.SERVO).servo_size() == ctypes.sizeof(TouchServo)
 
 
 # -- what may go wrong while compiling -------------------------------------------------------------------------------
