@@ -16,12 +16,6 @@ import msgspec
 
 from messages.types import Message
 
-__all__ = [
-    "attributes",
-    "schema",
-    "schema_json",
-]
-
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*) : .*$")
 
 _SCALARS: dict[type[msgspec.inspect.Type], str] = {

@@ -9,19 +9,6 @@ from __future__ import annotations
 
 from collections.abc import MutableSequence, Sequence
 
-__all__ = [
-    "SMOOTHING",
-    "cross_fade",
-    "deflection",
-    "fir",
-    "limit",
-    "one_sided",
-    "plane_distance",
-    "push",
-    "sections",
-    "warm_up",
-]
-
 SMOOTHING = 1.0 / 64.0
 """Part of each tick's delay in the measured one: a mean over some 64 ticks, which one late tick does not throw."""
 

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from types import FunctionType, ModuleType
 from typing import Any
 
+import haptic
+
 import messages
 import nodes
 import sim
@@ -29,10 +31,14 @@ def modules() -> Iterator[ModuleType]:
 
 def surface() -> list[ModuleType]:
     # An __init__ that passes names on has nothing of its own.
-    return [module for module in modules() if hasattr(module, "__all__") and any(own(module))]
+    return [haptic, *(module for module in modules() if hasattr(module, "__all__") and any(own(module)))]
 
 
 def own(module: ModuleType) -> Iterator[tuple[str, Any]]:
+    if module is haptic:
+        # It loads what it offers from where that stands.
+        yield from ((f"haptic.{name}", getattr(haptic, name)) for name in haptic.__all__)
+        return
     for name, thing in vars(module).items():
         if not name.startswith("_") and getattr(thing, "__module__", None) == module.__name__:
             yield f"{module.__name__}.{name}", thing

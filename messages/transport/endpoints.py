@@ -32,24 +32,6 @@ if TYPE_CHECKING:
     Context = zmq.Context[zmq.Socket[bytes]]
     Socket = zmq.Socket[bytes]
 
-__all__ = [
-    "DOMAIN",
-    "HANDSHAKE_MS",
-    "KEEPALIVE_PROBES",
-    "KEEPALIVE_S",
-    "MAX_MESSAGE",
-    "MAX_RECONNECT_MS",
-    "MAX_UPSTREAM",
-    "RECONNECT_MS",
-    "TCP_HANDSHAKE_MS",
-    "EndpointRefusedError",
-    "bind",
-    "connect",
-    "is_open_place",
-    "is_remote",
-    "remove_ipc",
-    "split",
-]
 
 DOMAIN = b"haptic"
 """ZAP domain of the encrypted sockets; with it set and enforced, a process without a gate lets nobody in."""

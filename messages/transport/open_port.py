@@ -22,10 +22,6 @@ from messages.transport.endpoints import EndpointRefusedError, bind, is_open_pla
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context, Socket
 
-__all__ = [
-    "MOST_GROWTH",
-    "OpenPort",
-]
 
 MOST_GROWTH = 128 << 20
 """By so much memory may grow before all listeners are put out [bytes]."""

@@ -19,12 +19,6 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 from messages.types import Vector
 from nodes.driver.device import Device
 
-__all__ = [
-    "Calls",
-    "Compiled",
-    "DeviceCalls",
-]
-
 _READ = ctypes.CFUNCTYPE(c_int, c_int64, c_int64, POINTER(c_double))
 _WRITE = ctypes.CFUNCTYPE(c_int, c_int64, POINTER(c_double), c_int64, c_double)
 

@@ -29,17 +29,6 @@ from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
 from nodes.parameters.yaml_io import parse_yaml, read_yaml
 
-__all__ = [
-    "COLLECTIONS",
-    "find",
-    "launch_dirs",
-    "parse_assignments",
-    "read",
-    "read_arguments",
-    "scenarios",
-    "without",
-]
-
 COLLECTIONS = Registry("haptic.launch", "collection of scenarios")
 """What adds scenarios: each names a package with launch files in it, which is not imported."""
 

@@ -19,13 +19,6 @@ from nodes.parameters.refusals import choices, short
 from nodes.parameters.registry import NotInstalledError
 from nodes.parameters.store import ParameterError, convert
 
-__all__ = [
-    "LawRefusedError",
-    "compile_law",
-    "law_to_dict",
-    "parse_law",
-]
-
 
 class LawRefusedError(ParameterError):
     """A law that is not rendered; the text tells path, value, limit and remedy."""

@@ -13,11 +13,6 @@ from typing import Any
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError
 
-__all__ = [
-    "NotInstalledError",
-    "Registry",
-]
-
 
 class NotInstalledError(ParameterError):
     """Nothing of that name is installed, or it cannot be imported; the text says which package it comes from."""

@@ -15,19 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "BAD",
-    "COLOURS",
-    "GREY",
-    "INK",
-    "LINES",
-    "MARKERS",
-    "OMEGA",
-    "label_ends",
-    "save_figure",
-    "styled",
-    "threshold",
-]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Blue, vermilion, green, purple, orange, sky and black, in this order."""

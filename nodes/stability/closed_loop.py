@@ -18,15 +18,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = [
-    "Rendered",
-    "closed_loop",
-    "law_figures",
-    "pole_radius",
-    "rendered",
-    "state_matrix",
-]
-
 
 @dataclass(frozen=True)
 class Rendered:

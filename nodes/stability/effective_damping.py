@@ -20,11 +20,6 @@ if TYPE_CHECKING:
 
     PowerSum = Callable[[NDArray[np.float64], NDArray[np.complex128]], NDArray[np.complex128]]
 
-__all__ = [
-    "damping_needed",
-    "effective_damping",
-    "least",
-]
 
 _ZOOMS = 6
 

@@ -26,11 +26,6 @@ if TYPE_CHECKING:
 
     Matrix = NDArray[np.float64]
 
-__all__ = [
-    "MAX_STATES",
-    "EveryDelay",
-    "every_delay",
-]
 
 MAX_STATES = 40
 """Longest state that a norm is sought for; a law of n + 1 taps has n + 3 and the delay's ticks."""

@@ -18,11 +18,6 @@ if TYPE_CHECKING:
 
     Matrix = NDArray[np.float64]
 
-__all__ = [
-    "FlexiblePlant",
-    "flexible_radius",
-]
-
 
 @dataclass(frozen=True)
 class FlexiblePlant:

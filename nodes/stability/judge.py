@@ -14,14 +14,6 @@ from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 
-__all__ = [
-    "MARGINAL",
-    "Verdict",
-    "between",
-    "furthest_stable",
-    "judge",
-]
-
 MARGINAL = 1e-6
 """How far outside the unit circle rounding may put the pole that a loop without any spring has at z = 1."""
 

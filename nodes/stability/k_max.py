@@ -20,18 +20,6 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.occurring import Edge, edge_at
 from nodes.stability.plant import Plant, held_plant
 
-__all__ = [
-    "KMax",
-    "Tolerance",
-    "boundaries",
-    "crossings",
-    "edge_of",
-    "k_max",
-    "tolerance",
-    "with_spring",
-    "without_spring",
-]
-
 
 @dataclass(frozen=True)
 class KMax:

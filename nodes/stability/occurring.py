@@ -17,13 +17,6 @@ from dataclasses import dataclass, replace
 from nodes.laws import CompiledLaw
 from nodes.stability.plant import Plant, held_plant
 
-__all__ = [
-    "Edge",
-    "damping_shown",
-    "edge_at",
-    "position_over_force",
-]
-
 
 @dataclass(frozen=True)
 class Edge:

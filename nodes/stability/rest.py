@@ -22,12 +22,6 @@ from nodes.stability.plant import Plant
 if TYPE_CHECKING:
     from nodes.laws import CompiledLaw
 
-__all__ = [
-    "Rest",
-    "absolute_sum",
-    "rest",
-    "stiffest_at_rest",
-]
 
 _POINTS = 2000
 

@@ -22,14 +22,6 @@ if TYPE_CHECKING:
 
     from nodes.laws import CompiledLaw
 
-__all__ = [
-    "TwoRate",
-    "heavy_limit",
-    "lifted",
-    "two_rate_k_max",
-    "two_rate_radius",
-]
-
 
 @dataclass(frozen=True)
 class TwoRate:

@@ -8,11 +8,6 @@ from nodes.launcher import launch_file
 from nodes.laws import law_names
 from nodes.laws.presets import preset_names
 
-__all__ = [
-    "laws",
-    "scenarios",
-]
-
 
 def scenarios() -> dict[str, dict[str, Any]]:
     """List the scenarios that can be launched.

@@ -7,11 +7,6 @@ from typing import Any, Protocol
 
 from sim.api.values import plain
 
-__all__ = [
-    "Laws",
-    "Parameters",
-]
-
 
 class _Asked(Protocol):
     """What a launch offers to those that change it (`sim.api.runs.Run`)."""

@@ -11,12 +11,6 @@ from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import compile_law, parse_law
 from sim.api.values import plain
 
-__all__ = [
-    "LawLike",
-    "compiled",
-    "law",
-]
-
 LawLike: TypeAlias = "Law | CompiledLaw | Mapping[str, Any] | str | Sequence[float] | NDArray[Any]"
 """What is taken for a law: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or taps [N/m]."""
 

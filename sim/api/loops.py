@@ -20,15 +20,6 @@ if TYPE_CHECKING:
 
     from sim.scene.loop import Trace
 
-__all__ = [
-    "KMaxResult",
-    "Played",
-    "Poles",
-    "drop",
-    "k_max",
-    "play",
-    "poles",
-]
 
 _SHOWN = 41
 

@@ -13,12 +13,6 @@ from sim.api.results import Result, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Recorded",
-    "plot",
-    "read",
-]
-
 
 @dataclass(frozen=True, repr=False)
 class Recorded(Result):

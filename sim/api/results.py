@@ -15,11 +15,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Array",
-    "Result",
-    "new_figure",
-]
 
 Array = NDArray[np.float64]
 

@@ -31,14 +31,6 @@ from sim.api.recordings import Recorded, read
 from sim.api.results import Result
 from sim.api.values import plain
 
-__all__ = [
-    "LaunchError",
-    "Run",
-    "RunSummary",
-    "connect",
-    "launch",
-]
-
 HAPTIC = (*PYTHON, "-m", "nodes.cli.main")
 
 STARTS_WITHIN = 60.0

@@ -20,13 +20,6 @@ from sim.api.results import Result
 from sim.api.runs import ENDS_WITHIN, HAPTIC, LaunchError
 from sim.api.values import plain
 
-__all__ = [
-    "Answer",
-    "design",
-    "identify",
-    "tune",
-]
-
 
 @dataclass(frozen=True, repr=False)
 class Answer(Result):

@@ -9,14 +9,6 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 
-__all__ = [
-    "CONVENTIONS",
-    "Demand",
-    "Robust",
-    "Vector",
-    "filtered",
-]
-
 Vector = NDArray[np.float64]
 
 CONVENTIONS = ((False, True), (False, False), (True, True), (True, False))

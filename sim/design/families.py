@@ -23,25 +23,6 @@ from nodes.stability.plant import Plant
 from sim.design.demand import Demand, Robust
 from sim.design.robust import stiffest
 
-__all__ = [
-    "CUTOFFS",
-    "ORDERS",
-    "REFINED",
-    "Tuned",
-    "Vector",
-    "best_paper_optimum",
-    "best_pd",
-    "best_pd_alpha",
-    "best_pd_filtered",
-    "certificate",
-    "certified",
-    "compare",
-    "designed",
-    "fir",
-    "latest_delay",
-    "to_yaml",
-]
-
 Vector = NDArray[np.float64]
 
 ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))

@@ -17,13 +17,6 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 
-__all__ = [
-    "Passive",
-    "Vector",
-    "certain_damping",
-    "stiffest_passive",
-]
-
 Vector = NDArray[np.float64]
 
 _GRID = 1024

@@ -19,10 +19,6 @@ from sim.design.demand import Demand, Robust, Vector, filtered
 from sim.design.evolution import evolved
 from sim.design.landing import landed
 
-__all__ = [
-    "stiffest",
-]
-
 _MASSES = 5
 _SPANS = (0.3, 10.0)
 """Half widths of the boxes that are searched from nothing: too narrow a one shuts the stiffest long laws out."""

@@ -19,21 +19,6 @@ import msgspec
 
 from nodes.parameters.checked import check_fields
 
-__all__ = [
-    "Coefficients",
-    "DeviceModel",
-    "Hand",
-    "NonNegative",
-    "Positive",
-    "advance",
-    "coefficients",
-    "decay_mean",
-    "path_position",
-    "quantise",
-    "saturate",
-    "split_delay",
-]
-
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 

@@ -28,16 +28,6 @@ from sim.scene.compiled import compiled
 from sim.scene.loop import Array, Scene, SceneSurface, contact_of, motion_of, run
 from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compiled
 
-__all__ = [
-    "Criterion",
-    "drop_scene",
-    "free_scene",
-    "press_scene",
-    "rest_position",
-    "settled",
-    "settles",
-]
-
 
 @dataclass(frozen=True)
 class Criterion:

@@ -28,19 +28,6 @@ from sim.measure.launches import MeasurementError
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import Array, Scene
 
-__all__ = [
-    "NO_LIMITS",
-    "SCENARIO",
-    "SameKMax",
-    "compiled",
-    "last_settling",
-    "launched",
-    "parameters",
-    "same_k_max",
-    "settles_launched",
-    "with_stiffness",
-]
-
 SCENARIO = "floor_drop"
 """Launch file whose nodes get the experiment's parameters."""
 

@@ -17,15 +17,6 @@ from nodes.laws import CompiledLaw
 from sim.experiments.drop import Criterion, rest_position, settles
 from sim.scene.loop import Array, Scene, run
 
-__all__ = [
-    "LawOfStiffness",
-    "SearchInterrupted",
-    "SimulatedKMax",
-    "simulated_boundary",
-    "simulated_k_max",
-    "swing_frequency",
-]
-
 LawOfStiffness = Callable[[float], CompiledLaw]
 
 

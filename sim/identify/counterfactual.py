@@ -19,15 +19,6 @@ from sim.experiments.drop import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
 from sim.scene.loop import Given, run
 
-__all__ = [
-    "STILL",
-    "Array",
-    "Felt",
-    "missing_force",
-    "nudges",
-    "replay",
-]
-
 Array = NDArray[np.float64]
 
 STILL = Criterion().tolerance

@@ -8,13 +8,6 @@ from typing import Any
 
 from nodes.stability.flexible import FlexiblePlant
 
-__all__ = [
-    "Estimate",
-    "HeldOut",
-    "Identified",
-    "refusal",
-]
-
 
 @dataclass(frozen=True)
 class Estimate:

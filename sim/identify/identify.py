@@ -16,14 +16,6 @@ from sim.identify.identified import Identified
 from sim.identify.motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
 from sim.identify.output_error import Fit, fit, windows
 
-__all__ = [
-    "HELD_OUT",
-    "WINDOW",
-    "Array",
-    "identify",
-    "initial_state",
-]
-
 Array = NDArray[np.float64]
 
 WINDOW = 100

@@ -18,18 +18,6 @@ from numpy.typing import NDArray
 from sim.identify.experiment import Experiment
 from sim.identify.motion import SHARE, STATES, normal, slopes
 
-__all__ = [
-    "LEAST",
-    "MOST",
-    "Array",
-    "Fit",
-    "first_states",
-    "fit",
-    "left_over",
-    "own_states",
-    "windows",
-]
-
 Array = NDArray[np.float64]
 
 LEAST = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0])

@@ -17,8 +17,6 @@ from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
 from sim.scene.from_launch import from_launch
 from sim.scene.loop import Array, Scene, run
 
-__all__ = ["beside_scene", "play_beside"]
-
 
 def beside_scene(
     setups: Mapping[str, Setup],

@@ -25,11 +25,6 @@ from nodes.stability.plant import Plant
 from sim.device.driver import NO_END, SimDriverParameters
 from sim.scene.loop import Given, PlannedSwap, Scene, SceneSurface, Trace, run
 
-__all__ = [
-    "LaunchedScene",
-    "from_launch",
-]
-
 
 @dataclass(frozen=True)
 class LaunchedScene:

@@ -36,18 +36,6 @@ from sim.scene.tick_loop import (
     play_compiled,
 )
 
-__all__ = [
-    "Array",
-    "Given",
-    "PlannedSwap",
-    "Scene",
-    "SceneSurface",
-    "Trace",
-    "contact_of",
-    "motion_of",
-    "run",
-]
-
 Array = NDArray[np.float64]
 
 

@@ -15,15 +15,6 @@ from sim.design.families import Tuned, best_pd, designed
 from sim.device.model import DeviceModel, Hand
 from sim.identify.identified import Identified
 
-__all__ = [
-    "Wanted",
-    "demand",
-    "design",
-    "from_record",
-    "model",
-    "to_record",
-]
-
 
 @dataclass(frozen=True)
 class Wanted:

@@ -18,13 +18,6 @@ from sim.identify.identified import Identified
 from sim.tune.design import model
 from sim.tune.knock import KnockedEdge, Plan, knocked, planned, scaled
 
-__all__ = [
-    "knock_size",
-    "linear_edge",
-    "plant_of",
-    "predict",
-]
-
 
 def plant_of(found: Identified) -> Plant:
     """Put the identified device into a plant.
