@@ -335,16 +335,36 @@ class Node:
     # -- what every node can use -------------------------------------------------------------------------------------
 
     def ticking(self) -> CompiledTicks | None:
-        """Give the compiled ticks while they go on: the node itself knows then only what was before; from any thread."""
+        """Give the compiled ticks while they go on: the node itself knows then only what was before; from any thread.
+
+        Returns
+        -------
+        CompiledTicks or None
+            Those that go on now; None between them.
+        """
         return self.compiled if self.compiled is not None and self.compiled.inside else None
 
     def counted(self) -> Counted:
-        """Tell how far the node is, compiled ticks that still go on included; from any thread."""
+        """Tell how far the node is, compiled ticks that still go on included; from any thread.
+
+        Returns
+        -------
+        Counted
+            Its tick, how many there were, and what was missed.
+        """
         ticking = self.ticking()
         return Counted(self.seq, self.ticks, self.gaps, self.skipped) if ticking is None else ticking.counted()
 
     def set_clock(self, offset: float, error: float) -> None:
-        """Take over how far this host's clock is from the launcher's, as the launcher has measured it."""
+        """Take over how far this host's clock is from the launcher's, as the launcher has measured it.
+
+        Parameters
+        ----------
+        offset : float
+            What is added to this host's clock to get the launcher's [s].
+        error : float
+            How far off that is at most [s].
+        """
         self.clock.set(offset, error)
         # Compiled ticks go on with the one that they were given.
         self.events.notify()
