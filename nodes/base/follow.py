@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from messages.codec import Decoder, MessageRefusedError
 from messages.transport.sockets import Subscription, TimedOut
-from messages.types import Message
+from messages.types import MAX_COUNT, Message
 from nodes.base.node import IDLE_MS, Node
 
 M = TypeVar("M", bound=Message)
@@ -41,7 +41,7 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         last = node.followed
         missing = seq - last - 1
         if missing > 0 and last >= 0:
-            node.gaps += missing
+            node.gaps = min(node.gaps + missing, MAX_COUNT)
         elif seq < last:
             node.events.emit("restart", f"{topic} went back from tick {last} to {seq}")
 
@@ -55,7 +55,12 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
                 node.out_of_step(frame, expected)
             return None
         try:
-            message = decode(next_frame())
+            payload = next_frame()
+            while payload == expected:
+                # A message of one frame, and the beginning of the next.
+                node.events.refuse(f"a message of one frame on {topic}, where topic and payload were expected")
+                payload = next_frame()
+            message = decode(payload)
         except TimedOut:
             node.events.refuse(f"a message on {topic} without a payload")
             return None

@@ -19,7 +19,7 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription
 from messages.transport.waker import Waker
-from messages.types import Message, NodeStatus
+from messages.types import MAX_COUNT, Message, NodeStatus
 from nodes.base import realtime
 from nodes.base.events import Clock, Events
 from nodes.base.handover import Changes
@@ -514,7 +514,7 @@ class Node:
             received=self.received + answered + sampled + skipped - self.skipped,
             refused=self.events.refused,
             skipped=skipped,
-            gaps=gaps,
+            gaps=min(gaps, MAX_COUNT),
             reason=self.stop_reason,
             memory=float(realtime.memory_bytes()),
             cpu=usage.ru_utime + usage.ru_stime,

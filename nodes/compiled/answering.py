@@ -19,6 +19,7 @@ import msgspec
 from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
 from messages.transport.sockets import Publisher, Subscription
+from messages.types import MAX_COUNT
 from nodes.compiled.fields import key_blocks
 from nodes.compiled.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, Counted
 from nodes.compiled.library import Kernel, functions
@@ -222,7 +223,7 @@ class CompiledTicks:
             went_on = state.seq != node.followed
             if went_on:
                 node.seq = node.followed = node.answered = state.seq
-                node.gaps = state.gaps
+                node.gaps = min(state.gaps, MAX_COUNT)
             if done:
                 node.answer = self.last_sent()
                 node.ticks = state.ticks

@@ -8,10 +8,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import msgspec
 import pytest
 
 from messages import topics
-from messages.codec import Decoder, encode
+from messages.codec import MAX_PAYLOAD, Decoder, encode
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import Force, Proxy
 from nodes.compiled.choose import choose
@@ -160,6 +161,36 @@ def test_of_messages_that_are_too_late_the_newest_is_answered(tmp_path: Path, ti
     assert node.received == node.skipped
     if tick == "compiled":
         assert node.ticks_compiled == len(forces)
+
+
+def test_both_ticks_take_and_refuse_the_same(tmp_path: Path) -> None:
+    """Compiled ticks took payloads up to 64 bytes too long; a message of one frame cost plain ticks the next one too."""
+
+    def padded(seq: int, size: int) -> bytes:
+        plain: dict[str, Any] = msgspec.to_builtins(proxy_of(seq, 0.002 * seq))
+        empty = len(msgspec.msgpack.encode({**plain, "later": bytes(60_000)})) - 60_000
+        payload = msgspec.msgpack.encode({**plain, "later": bytes(size - empty)})
+        assert len(payload) == size
+        return payload
+
+    def feed(proxies: Publisher, force_of: Callable[[int], Force]) -> None:
+        topic = topics.PROXY.encode()
+        sizes = {2: MAX_PAYLOAD, 3: MAX_PAYLOAD + 1, 5: MAX_PAYLOAD + 64, 7: MAX_PAYLOAD + 65}
+        for seq in range(20):
+            if seq in (9, 10, 12):
+                # A message of one frame, twice in a row, and once alone.
+                proxies._hop(topic)
+            proxies.send_hop(topic, padded(seq, sizes[seq]) if seq in sizes else encode(proxy_of(seq, 0.002 * seq)))
+            if sizes.get(seq, 0) <= MAX_PAYLOAD:
+                force_of(seq)
+
+    runs = {}
+    for tick in ("plain", "compiled"):
+        forces, node = answered(tmp_path, tick, "pd", "lockstep", feed)
+        assert [force.seq for force in forces] == [seq for seq in range(20) if seq not in (3, 5, 7)]
+        runs[tick] = [force.force for force in forces], node.events.refused, node.gaps, node.received
+        assert (node.events.refused, node.gaps) == (6, 3)
+    assert runs["compiled"] == runs["plain"]
 
 
 def test_swaps_and_fades_stay_compiled_with_the_same_bits(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 
-from messages.codec import encode
+from messages.codec import Decoder, encode
 from messages.transport.sockets import Publisher, Subscription, new_context
-from messages.types import DeviceState, Message, Proxy, Vector
+from messages.types import MAX_COUNT, DeviceState, Message, NodeStatus, Proxy, Vector
 from nodes.base.node import Node
 from nodes.compiled.choose import choose
 from nodes.coupling.node import Coupling
@@ -180,6 +180,13 @@ def test_what_goes_back_does_and_the_rest_of_the_run_does_not(
 def test_what_is_not_in_the_table_stays_compiled(row: str, tmp_path: Path) -> None:
     node, ticks = played(tmp_path, STAYS[row])
     assert (node.ticks, node.ticks_compiled) == (ticks, ticks)
+
+
+def test_gaps_without_an_end_are_still_a_count(tmp_path: Path) -> None:
+    """Two jumps to the largest tick were more than any status can tell, and nobody could read it any more."""
+    jumps = [state_of(seq) for seq in (0, MAX_COUNT - 1, MAX_COUNT, 0, MAX_COUNT - 1, MAX_COUNT)]
+    node, _ = played(tmp_path, environment(jumps, 0))
+    assert Decoder(NodeStatus).decode(encode(node.status())).gaps == MAX_COUNT
 
 
 def test_the_page_has_these_rows() -> None:
