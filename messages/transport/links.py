@@ -2,8 +2,8 @@
 
 ZeroMQ tries again when a peer goes away, but gives up for good when what comes breaks its protocol: a message above the
 limit, or another service on a node's port. It says so to nobody. Here a link that was given up, that gets no handshake, or
-over which nothing comes any more, is told with the reason and connected anew. All of it off the loop: the loop's thread only
-takes up what was asked for, between two ticks.
+over which nothing comes any more, raises an event with the reason and is reconnected. All of it off the loop: the loop's
+thread only takes up what was asked for, between two ticks.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ PERIOD = 0.5
 """How often `Links.keep` looks [s]."""
 
 SILENCE = 3.0
-"""After so long without a message a link is silent, and connected anew when it is not connected [s]."""
+"""After so long without a message a link counts as silent, and is reconnected when it is not connected [s]."""
 
 PATIENCE = 30.0
 """So long may one be silent that is connected: whoever is at the other end lives, and may be starved of its processor [s]."""
@@ -77,7 +77,7 @@ class _Link:
         return ""
 
     def trouble(self, now: float) -> str:
-        """Why it must be connected anew; empty when it must not."""
+        """Why it must be reconnected; empty when it need not be."""
         if self.is_revoked or now - self.renewed < AGAIN:
             return ""
         if self.state == "given up" and now - self.since > GIVEN_UP:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 STATUS_PERIOD = 0.5
 MOST_GROWTH = 256 << 20
-"""By so much memory may grow before whoever sends requests is put out: requests without an end look like that [bytes]."""
+"""Memory may grow by so much before those who send requests are disconnected: unbounded requests look like that [bytes]."""
 
 BURST, RATE = 50, 100.0
 """Requests that are served at once, and how many a second after that: each takes the interpreter from the loop."""
@@ -154,7 +154,7 @@ class ControlServer(threading.Thread):
         self._reopening.ask()
 
     def _review_memory(self) -> None:
-        """Put out all who may send requests when memory grows without an end; ZeroMQ bounds no request."""
+        """Disconnect all who may send requests when memory grows without bound; ZeroMQ bounds no request."""
         now = realtime.memory_bytes()
         self._usual_memory = self._usual_memory or now
         if now - self._usual_memory > MOST_GROWTH:

@@ -1,6 +1,6 @@
 """The life of a node's process: sockets, ready, ticks, and an end that leaves the device safe and nothing open.
 
-Whatever ends the loop, an exception included: first the device is made safe, then the rest is told, then all is closed.
+Whatever ends the loop, an exception included: first the device is made safe, then it is reported, then all is closed.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
-    """Run a sub-verb; a bad file is told in one line, exit code 1."""
+    """Run a sub-verb; a bad file gets an error of one line and exit code 1."""
     from nodes.recording.writer import RecordError
 
     for file in [arguments.file] if "file" in arguments else getattr(arguments, "files", []):

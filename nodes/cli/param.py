@@ -23,10 +23,10 @@ from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
 FORCE = "take the change even if the loop becomes unstable with it: for those who study that"
 
 MOST = 8
-"""Changes that are told one by one."""
+"""Changes that are printed one by one."""
 
 SHORT = 60
-"""Longest value that is told in full [characters]."""
+"""Longest value that is printed in full [characters]."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -121,7 +121,7 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 class _Interrupt:
-    """Lets Ctrl-C and SIGTERM end the listening, so that the figures so far are told and sockets are closed."""
+    """Lets Ctrl-C and SIGTERM end the listening, so that the figures so far are printed and sockets are closed."""
 
     def __init__(self) -> None:
         self.came = False

@@ -1,4 +1,4 @@
-"""The driver's limits: of the device's and the launch file's, the lower of each; who asks for more is told so."""
+"""The driver's limits: of the device's and the launch file's, the lower of each; an event says where more was asked."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 At each tick it samples the position, publishes it, and waits for the force that answers this very tick. ``realtime`` waits
 until the next absolute deadline and goes on without an answer if it must; ``lockstep`` waits for the answer, however long,
-so a run is deterministic and as fast as the machine allows. What happened in a tick is told by the next state message.
+so a run is deterministic and as fast as the machine allows. The next state message says what happened in a tick.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ A small machine of states, the same for the virtual device and for hardware::
 While there is no force, a hand that keeps pushing sinks in, and the law then asks for far more than before. So every force
 that was away comes back by a ramp: each tick away takes `REGAIN` ticks of ramp, up to the whole one (`recovery`). A ramp that
 pushes the device faster than `RETURN_SPEED` goes back, so that whoever has sunk in is let out, not thrown.
-Limits come from the device and from the launch file, whichever is lower; a launch file that asks for more is told so.
+Limits come from the device and from the launch file, whichever is lower; one that asks for more gets an event that says so.
 Whatever messages come in whatever order: on each axis the force stays within the peak, all changes made during one tick
 add up to no more than the slew, and the mean square of the force stays within the continuous limit, see motor_heat.py.
 

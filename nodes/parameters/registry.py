@@ -1,6 +1,6 @@
 """What is installed beside us: laws, realisations of D^α, surfaces, kinds of node and verbs, found through entry points.
 
-Nothing is imported until it is asked for by name, and what cannot be imported costs its own name only.
+Nothing is imported until it is asked for by name, and of what cannot be imported only the name becomes unavailable.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The library's reader needs the summary at the end, or returns short data silently where a file is cut. A recording of an
 experiment deserves better: here every length is checked against what is there, every checksum that the file carries is
-verified, and whatever is wrong is told with its offset.
+verified, and an error names the offset of whatever is wrong.
 """
 
 from __future__ import annotations

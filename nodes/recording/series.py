@@ -181,7 +181,7 @@ class Lines:
 
     def _read(self, recording: Recording) -> None:
         wanted = [topic for topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) if topic in recording.topics]
-        # Where ticks are told in their order, nothing comes after the first state behind the stretch.
+        # Where ticks are recorded in their order, nothing comes after the first state behind the stretch.
         ordered = not recording.topics[DEVICE_STATE].back
         for entry in recording.entries(wanted):
             message: Any = entry.message

@@ -13,7 +13,7 @@ from messages.types import DeviceState
 from nodes.recording.reader import Recording
 
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
-"""Which quantiles of the response time are told."""
+"""Which quantiles of the response time are given."""
 
 
 class Summary(msgspec.Struct):
@@ -68,7 +68,7 @@ def summarise(recording: Recording) -> Summary:
         first = first or last
         ticks += 1
         oldest = max(oldest, last.age)
-        # A response is told by the tick after it; 0 says that there was none in time.
+        # The tick after it holds a response; 0 says that there was none in time.
         if last.response > 0.0:
             told.append(last.response * 1e6)
     assert first is not None and last is not None  # noqa: PT018, S101  # a topic of the recording has a message

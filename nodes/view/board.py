@@ -1,4 +1,4 @@
-"""What pages are told beside the bins: documents of which only the newest counts, and a log of which everything does."""
+"""What pages get beside the bins: documents of which only the newest counts, and a log of which everything does."""
 
 from __future__ import annotations
 

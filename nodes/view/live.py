@@ -21,13 +21,13 @@ from nodes.view.ringing import Ringing
 from nodes.view.words import explain, told_stop
 
 STATUS_PERIOD = 0.2
-"""How often the status is told [s]."""
+"""How often pages get the status [s]."""
 
 RECENT = 5.0
 """How far back percentiles go [s]."""
 
 SILENT_NODE = 1.5
-"""A node that has said nothing for so long is told as silent: it sends its status twice a second [s]."""
+"""A node that has said nothing for so long is shown as silent: it sends its status twice a second [s]."""
 
 LATELY = 10.0
 """Ticks missed within so long are a present trouble; older ones are history [s]."""

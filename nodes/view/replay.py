@@ -48,7 +48,7 @@ IDLE = 0.05
 
 
 class Timeline:
-    """What pages are told, each with the time since tick 0 from which it holds [s]."""
+    """What pages get, each with the time since tick 0 from which it holds [s]."""
 
     def __init__(self) -> None:
         self.times: list[float] = []

@@ -66,7 +66,7 @@ SIZES: dict[str, tuple[str, float]] = {
     "drift": ("friction or damping that changes during the run", 1.0),
     "deadband": ("a force that the motor does not give as told: a dead band, or a gain that depends on the force", 1.0),
 }
-"""How each term is told, and the factor of its size."""
+"""Words for each term, and the factor of its size."""
 
 
 def describe(term: str, size: float) -> str:
