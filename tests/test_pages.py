@@ -33,6 +33,7 @@ SHORTER = {
     "haptic bench loop": "--rounds 1 --seconds 0.2 --ticks 200",
     "haptic study proxies": "--finest 3 --ticks 300 --steps 20000",
     "haptic bench listeners": "--rounds 1 --seconds 0.3",
+    "haptic bench ros2": "--rounds 1 --seconds 0.4",
     "haptic bench swaps": "--swaps 4 --sets 4 --duration 0.5 --blocks 1",
     "haptic bench simulator": "--rounds 1",
     "haptic bench taps": "--rounds 1 --taps 4,10",

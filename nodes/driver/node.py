@@ -25,6 +25,7 @@ from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.base.standstill import LastResort
 from nodes.driver.calls import numbers_of
 from nodes.driver.device import Device
+from nodes.driver.external import give
 from nodes.driver.limits import STOP_TIME, lower, undeclared
 from nodes.driver.motion import set_motion
 from nodes.driver.parameters import DriverParameters, check
@@ -378,13 +379,14 @@ class Driver(Node):
         self._watch.look((*self.counted(), self._report.soft_stop_ticks))
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """Offer what the launcher's status line asks for."""
+        """Offer what the launcher's status line asks for, and take forces from outside."""
         limits = self._device.limits
         times = {"opening_s": limits.opening, "closing_s": limits.closing}
         return {
             "progress": lambda: self._report.progress(self.setup.ticks),
             "device": lambda: times,
             "rearm": self._rearm,
+            "external": lambda force: give(self.driving, self.store.current.external, self.setup.name, force),
         }
 
     def _rearm(self, beside: bool = False) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 
 from nodes.base.setup import Setup
+from nodes.driver.external import ExternalParameters
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.passivity import PassivityParameters
 from nodes.parameters.store import ParameterError
@@ -21,10 +22,13 @@ class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         Limits; see nodes/driver/limits.py.
     passivity : PassivityParameters or None
         Passivity observer and controller after the law; see nodes/driver/passivity.py. None for none.
+    external : ExternalParameters or None
+        Whether forces from outside the loop are taken, and which; see nodes/driver/external.py. None for none.
     """
 
     safety: SafetyParameters = SafetyParameters()
     passivity: PassivityParameters | None = None
+    external: ExternalParameters | None = None
 
 
 def check(setup: Setup, parameters: Any, virtual: bool) -> None:

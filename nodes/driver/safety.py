@@ -156,6 +156,10 @@ def command(s: Any, seq: int, share: float) -> None:
     s.since = seq
     for i in range(3):
         s.wanted[i] = s.got[i]
+    at = s.external_at
+    if seq < s.external_until[at]:
+        for i in range(3):
+            s.wanted[i] += s.external[3 * at + i]
     if s.safety != ACTIVE:
         _become_active(s, seq)
     if s.guard_on != 0 and s.safety in (ACTIVE, RAMP):

@@ -190,6 +190,10 @@ class DriverState(Structure):
         ("axis", c_int64 * 3),
         ("sides", c_int64 * 3),
         ("workspace", c_double * 6),
+        # forces from outside (nodes/driver/external.py): two places, up to which tick each holds, and which one counts
+        ("external", c_double * 6),
+        ("external_until", c_int64 * 2),
+        ("external_at", c_int64),
         ("entered", c_int64 * len(SAFETY)),
         ("refused_for", c_int64 * len(REFUSED)),
         ("limited_by", c_int64 * len(LIMITED)),

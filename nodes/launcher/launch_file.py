@@ -323,9 +323,15 @@ def _include(
             f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a / around"
         )
     try:
-        return made.namespace, without(read(_beside(files[-1], made.launch), made.arguments, (), files), made.without)
+        launch = without(read(_beside(files[-1], made.launch), made.arguments, (), files), made.without)
     except ParameterError as error:
         raise ParameterError(f"{where}: {error}") from error
+    nodes = dict(launch.nodes)
+    for node, over in made.parameters.items():
+        if node not in nodes:
+            raise ParameterError(f"{where}.parameters: no node {node!r}; {choices(node, nodes)}")
+        nodes[node] = msgspec.structs.replace(nodes[node], parameters=merge(nodes[node].parameters, over))
+    return made.namespace, msgspec.structs.replace(launch, nodes=nodes)
 
 
 def _common_run(included: Sequence[tuple[str, Launch]], written: Mapping[str, Any], where: str) -> dict[str, Any]:

@@ -199,6 +199,8 @@ class Include(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         What stands before its nodes and topics; empty for nothing.
     arguments : dict
         Its arguments that differ from their defaults.
+    parameters : dict of str to dict
+        Node to parameters that are laid over its own.
     without : list of str
         Nodes of it that are left out.
     """
@@ -206,6 +208,7 @@ class Include(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     launch: str
     namespace: str = ""
     arguments: dict[str, Any] = {}
+    parameters: dict[str, dict[str, Any]] = {}
     without: list[str] = []
 
 

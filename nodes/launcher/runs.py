@@ -13,6 +13,7 @@ import os
 import shutil
 import stat
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -247,6 +248,17 @@ def write_run(path: Path, info: RunInfo) -> None:
     draft = path / "run.draft"
     draft.write_bytes(msgspec.json.encode(info))
     draft.replace(path / "run.json")
+
+
+def read_run(run_dir: str, given_up: Callable[[], bool], patience: float = 10.0) -> RunInfo:
+    """Read what the run of a node consists of, once its launcher has told it."""
+    path = Path(run_dir) / "run.json"
+    deadline = time.monotonic() + patience
+    while not path.exists():
+        if time.monotonic() > deadline or given_up():
+            raise OSError(f"{path}: the launcher has not told what the run consists of within {patience:g} s")
+        time.sleep(0.005)
+    return msgspec.json.decode(path.read_bytes(), type=RunInfo)
 
 
 def write_end(path: Path, reason: str) -> None:

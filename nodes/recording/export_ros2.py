@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from messages import topics
-from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Vector
+from messages.types import DeviceState, Force, Message, NodeStatus, Proxy
 from nodes.recording.export import parameters
 from nodes.recording.reader import Recording
+from nodes.recording.ros2_messages import RosMessages
 from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import RecordError
-
-FRAME = "haptic"
-"""Frame of all positions and forces."""
 
 DESCRIPTION = (
     ("/haptic/device/pose", "geometry_msgs/msg/PoseStamped"),
@@ -34,65 +32,18 @@ DESCRIPTION = (
 """Topics of the bag, and their types."""
 
 
-class _Messages:
-    """Our messages as those of ROS 2."""
-
-    def __init__(self, store: Any) -> None:
-        self._store = store
-        self.types = store.types
-
-    def header(self, nanoseconds: int) -> Any:
-        time = self.types["builtin_interfaces/msg/Time"](nanoseconds // 10**9, nanoseconds % 10**9)
-        return self.types["std_msgs/msg/Header"](time, FRAME)
-
-    def pose(self, at: int, position: Vector) -> Any:
-        point = self.types["geometry_msgs/msg/Point"](*position)
-        still = self.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-        return self.types["geometry_msgs/msg/PoseStamped"](
-            self.header(at), self.types["geometry_msgs/msg/Pose"](point, still)
-        )
-
-    def wrench(self, at: int, force: Vector) -> Any:
-        vector = self.types["geometry_msgs/msg/Vector3"]
-        wrench = self.types["geometry_msgs/msg/Wrench"](vector(*force), vector(0.0, 0.0, 0.0))
-        return self.types["geometry_msgs/msg/WrenchStamped"](self.header(at), wrench)
-
-    def joints(self, at: int, state: DeviceState) -> Any:
-        import numpy as np
-
-        return self.types["sensor_msgs/msg/JointState"](
-            self.header(at),
-            ["x", "y", "z"],
-            np.array(state.position),
-            np.zeros(0),
-            np.array(state.force),
-        )
-
-    def diagnostics(self, at: int, status: NodeStatus) -> Any:
-        pair, kind = self.types["diagnostic_msgs/msg/KeyValue"], self.types["diagnostic_msgs/msg/DiagnosticStatus"]
-        values = [pair(name, str(getattr(status, name))) for name in status.__struct_fields__]
-        level = kind.OK if status.state == "running" else kind.WARN
-        one = kind(level, status.node, status.state, status.kind, values)
-        return self.types["diagnostic_msgs/msg/DiagnosticArray"](self.header(at), [one])
-
-    def text(self, text: str) -> Any:
-        return self.types["std_msgs/msg/String"](text)
-
-    def of(self, topic: str, message: Message, at: int) -> Iterator[tuple[str, Any]]:
-        """Turn one recorded message into those of the bag."""
-        if isinstance(message, DeviceState):
-            yield "/haptic/device/pose", self.pose(at, message.position)
-            yield "/haptic/device/force", self.wrench(at, message.force)
-            yield "/haptic/device/joints", self.joints(at, message)
-        elif isinstance(message, Proxy) and topic == topics.PROXY:
-            yield "/haptic/proxy/pose", self.pose(at, message.proxy)
-        elif isinstance(message, Force):
-            yield "/haptic/coupling/force", self.wrench(at, message.force)
-        elif isinstance(message, NodeStatus):
-            yield "/diagnostics", self.diagnostics(at, message)
-
-    def serialised(self, message: Any) -> bytes:
-        return bytes(self._store.serialize_cdr(message, message.__msgtype__))
+def _of(make: RosMessages, topic: str, message: Message, at: int) -> Iterator[tuple[str, Any]]:
+    """Turn one recorded message into those of the bag."""
+    if isinstance(message, DeviceState):
+        yield "/haptic/device/pose", make.pose(at, message.position)
+        yield "/haptic/device/force", make.wrench(at, message.force)
+        yield "/haptic/device/joints", make.joints(at, message)
+    elif isinstance(message, Proxy) and topic == topics.PROXY:
+        yield "/haptic/proxy/pose", make.pose(at, message.proxy)
+    elif isinstance(message, Force):
+        yield "/haptic/coupling/force", make.wrench(at, message.force)
+    elif isinstance(message, NodeStatus):
+        yield "/diagnostics", make.diagnostics(at, message)
 
 
 def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
@@ -111,7 +62,11 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
         shutil.rmtree(folder)
     offset = read_offsets(recording.metadata[CLOCK])[1] if CLOCK in recording.metadata else 0
     store = get_typestore(Stores.ROS2_HUMBLE)
-    messages = _Messages(store)
+    make = RosMessages(store.types.__getitem__)
+
+    def serialised(message: Any) -> bytes:
+        return bytes(store.serialize_cdr(message, message.__msgtype__))
+
     try:
         with Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
             lines = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in DESCRIPTION}
@@ -119,11 +74,11 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
             for entry in recording.entries():
                 at = round(entry.message.stamp * 1e9) + offset
                 if first:
-                    text = messages.text(json.dumps(parameters(recording), ensure_ascii=False))
-                    writer.write(lines["/haptic/parameters"], at, messages.serialised(text))
+                    text = make.text(json.dumps(parameters(recording), ensure_ascii=False))
+                    writer.write(lines["/haptic/parameters"], at, serialised(text))
                     first = False
-                for topic, message in messages.of(entry.topic, entry.message, at):
-                    writer.write(lines[topic], at, messages.serialised(message))
+                for topic, message in _of(make, entry.topic, entry.message, at):
+                    writer.write(lines[topic], at, serialised(message))
     except OSError as error:
         raise RecordError(f"{error.filename or folder}: {error.strerror}") from error
     return sorted(folder.iterdir())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -13,14 +12,11 @@ import msgspec
 from messages.transport.sockets import Subscription
 from nodes.base.node import Node
 from nodes.base.setup import Setup
-from nodes.launcher.runs import RunError, RunInfo
+from nodes.launcher.runs import RunError, RunInfo, read_run
 from nodes.parameters.store import convert
 from nodes.recording.logger import QUEUE
 from nodes.view.run_pages import RunPages
 from nodes.view.server import ADDRESS, check_address
-
-PATIENCE = 10.0
-"""How long the launcher may take to say what the run consists of [s]."""
 
 
 class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -97,13 +93,7 @@ class View(Node):
         self._listening = subscribe(set(self.setup.sources.values()), [""], QUEUE)
 
     def _run_info(self) -> RunInfo:
-        path = Path(self.setup.run_dir) / "run.json"
-        deadline = time.monotonic() + PATIENCE
-        while not path.exists():
-            if time.monotonic() > deadline or self.stopping:
-                raise OSError(f"{path}: the launcher has not told what the run consists of within {PATIENCE:g} s")
-            time.sleep(0.005)
-        run = msgspec.json.decode(path.read_bytes(), type=RunInfo)
+        run = read_run(self.setup.run_dir, lambda: self.stopping)
         try:
             return run.within(self.setup.namespace) if self.setup.namespace else run.only_chain()
         except RunError as error:

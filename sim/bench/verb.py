@@ -14,6 +14,7 @@ BENCHMARKS: dict[str, str] = {
     "curve": "sim.bench.curve",
     "loop": "sim.bench.loop",
     "listeners": "sim.bench.listeners",
+    "ros2": "sim.bench.ros2",
     "swaps": "sim.bench.swaps",
     "simulator": "sim.bench.simulator",
     "taps": "sim.bench.taps",

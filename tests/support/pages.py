@@ -284,7 +284,8 @@ class Shell:
         with contextlib.suppress(ControlError), zmq.Context() as context:
             for path in self.runtime_dir.glob("runs/*/run.json"):
                 run = msgspec.json.decode(path.read_bytes(), type=RunInfo)
-                if call(context, run.nodes["driver"].control, "status", timeout=1.0)["ticks"]:
+                drivers = [setup.control for name, setup in run.nodes.items() if name.rpartition("/")[2] == "driver"]
+                if drivers and all(call(context, driver, "status", timeout=1.0)["ticks"] for driver in drivers):
                     return True
         return False
 

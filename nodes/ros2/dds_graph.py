@@ -1,0 +1,140 @@
+"""A ROS 2 graph without ROS: Cyclone DDS, with types made from rosbags' definitions.
+
+To DDS a topic ``/haptic/force`` is ``rt/haptic/force``, and a type ``std_msgs/msg/Bool`` is ``std_msgs::msg::dds_::Bool_``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+from nodes.ros2.graph import SetParameter
+
+QUEUE = 10
+
+_LENIENT = (
+    "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility></Domain>"
+    "</CycloneDDS>"
+)
+"""Types with sequences match those of other vendors only so: their names count, not how they are described."""
+
+_ON_THIS_MACHINE = (
+    "<CycloneDDS><Domain>"
+    '<General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>'
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
+    '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+    "</Domain></CycloneDDS>"
+)
+"""As the vendors do it for ROS: no multicast, which a loopback may not have, but everybody's port asked."""
+
+
+class DdsGraph:
+    """A participant of the domain ROS_DOMAIN_ID."""
+
+    def __init__(self) -> None:
+        local = (
+            os.environ.get("ROS_LOCALHOST_ONLY") == "1"
+            or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
+        )
+        own = os.environ.get("CYCLONEDDS_URI", "")
+        # What the user says comes last, and counts.
+        os.environ["CYCLONEDDS_URI"] = ",".join(filter(None, [_LENIENT, _ON_THIS_MACHINE if local else "", own]))
+        typesys = import_module("rosbags.typesys")
+        self._store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        self._core = import_module("cyclonedds.core")
+        self._participant = import_module("cyclonedds.domain").DomainParticipant(
+            int(os.environ.get("ROS_DOMAIN_ID", "0"))
+        )
+        self._classes: dict[str, Any] = {}
+        self._readers: list[tuple[Any, Callable[[Any], None]]] = []
+
+    # -- types -------------------------------------------------------------------------------------------------------
+
+    def _field(self, description: Any) -> Any:
+        """Give the type of a field, as rosbags describes it."""
+        kind, inner = description
+        types = import_module("cyclonedds.idl.types")
+        if kind.name == "NAME":
+            return self._class(inner)
+        if kind.name == "BASE":
+            name = {"octet": "uint8", "byte": "uint8", "char": "uint8"}.get(inner[0], inner[0])
+            plain = {"string": str, "bool": bool}
+            return plain.get(name) or getattr(types, name)
+        of, length = inner
+        return types.array[self._field(of), length] if kind.name == "ARRAY" else types.sequence[self._field(of)]
+
+    def _class(self, name: str) -> Any:
+        if name not in self._classes:
+            _, fields = self._store.fielddefs[name]
+            made = import_module("cyclonedds.idl").make_idl_struct(
+                name.replace("/", "_"),
+                f"{name.replace('/msg/', '::msg::dds_::')}_",
+                {field: self._field(description) for field, description in fields},
+            )
+            self._classes[name] = made
+        return self._classes[name]
+
+    def _empty(self, description: Any) -> Any:
+        kind, inner = description
+        if kind.name == "NAME":
+            return self.look_up(inner)()
+        if kind.name == "SEQUENCE":
+            return []
+        if kind.name == "ARRAY":
+            return [self._empty(inner[0]) for _ in range(inner[1])]
+        return {"string": "", "bool": False}.get(inner[0], 0.0 if inner[0].startswith("float") else 0)
+
+    def look_up(self, name: str) -> Any:
+        """Give what builds a message; what is not given is zero or empty, as in ROS."""
+        made, (_, fields) = self._class(name), self._store.fielddefs[name]
+
+        def build(**given: Any) -> Any:
+            return made(**{field: given[field] if field in given else self._empty(kind) for field, kind in fields})
+
+        return build
+
+    # -- topics ------------------------------------------------------------------------------------------------------
+
+    def _topic(self, topic: str, name: str) -> Any:
+        return import_module("cyclonedds.topic").Topic(self._participant, f"rt{topic}", self._class(name))
+
+    def publisher(self, topic: str, name: str) -> Callable[[Any], None]:
+        """Offer a topic; with the type's hash, by which newer versions of ROS know it."""
+        policy = self._core.Policy
+        qos = self._core.Qos(
+            policy.Reliability.Reliable(0),
+            policy.History.KeepLast(QUEUE),
+            policy.Userdata(f"typehash={self._store.hash_rihs01(name)};".encode()),
+        )
+        publishing = import_module("cyclonedds.pub")
+        writer = publishing.DataWriter(publishing.Publisher(self._participant), self._topic(topic, name), qos)
+        write: Callable[[Any], None] = writer.write
+        return write
+
+    def listen(self, topic: str, name: str, take: Callable[[Any], None]) -> None:
+        """Listen to a topic."""
+        policy = self._core.Policy
+        qos = self._core.Qos(policy.Reliability.BestEffort, policy.History.KeepLast(QUEUE))
+        subscribing = import_module("cyclonedds.sub")
+        reader = subscribing.DataReader(subscribing.Subscriber(self._participant), self._topic(topic, name), qos)
+        self._readers.append((reader, take))
+
+    def serve(self, values: Mapping[str, Any], change: SetParameter) -> bool:
+        """Parameters are services of a ROS node: there is none."""
+        del values, change
+        return False
+
+    def take(self) -> None:
+        """Hand over what has come."""
+        for reader, take in self._readers:
+            for sample in reader.take(QUEUE):
+                # A writer that leaves shows as a sample without fields.
+                if hasattr(sample, "header"):
+                    take(sample)
+
+    def close(self) -> None:
+        """Leave the graph: with the participant goes all that is its."""
+        self._readers.clear()
+        del self._participant

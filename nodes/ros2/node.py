@@ -1,0 +1,319 @@
+"""The node kind ``ros2``: a chain on a ROS 2 graph, at a decimated rate, and a force and a target from there.
+
+It only listens: the loop does not wait for it, and a graph that is slow or gone leaves the loop unmoved. What comes from the
+graph goes to the driver as anybody's request: the force through `nodes.driver.external` and all limits behind it, the target
+through the hand of a virtual device, at its limited speed. Both count as gone when they are not renewed within the age that the
+driver states.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+
+from messages import topics
+from messages.codec import Decoder, MessageRefusedError
+from messages.errors import HapticError
+from messages.transport.requests import Line
+from messages.transport.sockets import Subscription, new_context
+from messages.types import DeviceState, Force, Proxy
+from nodes.base.node import Node
+from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.client.launches import roles
+from nodes.launcher.runs import RunError, RunInfo, read_run
+from nodes.parameters.store import ParameterError, convert
+from nodes.recording.ros2_messages import CUBE, FRAME, SPHERE, RosMessages
+from nodes.ros2.graph import Backend, Graph, choose, join
+from nodes.view.pointer import PointerWriter, pointer_file
+
+QUEUE = 10_000
+"""Messages that wait while the graph is busy."""
+
+POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
+
+SELDOM = 1.0
+"""How often what seldom changes is published [s]: the law, the wall."""
+
+ASKING = 0.5
+"""Longest wait for a node's answer [s]."""
+
+ACROSS, THICK = 0.3, 0.002
+"""How large and how thick a plane is drawn [m]."""
+
+
+class Ros2Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of a ros2 node.
+
+    Attributes
+    ----------
+    rate : float
+        How often the newest of each is published [Hz].
+    prefix : str
+        What stands before the topics, behind the namespace of the chain: ``/left/haptic/device/pose``.
+    frame : str
+        Frame of positions and forces.
+    backend : str
+        ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it imports.
+    wrench : str
+        Topic of a WrenchStamped whose force is handed to the driver on top of the law's; empty for none. The driver must allow
+        it (``external``).
+    target : str
+        Topic of a PoseStamped where the hand of a virtual device is pulled to; empty for none. It needs a ``pointer``.
+    age_limit : float
+        What is stamped so much before its arrival, or after it, is refused [s]. A stamp of 0 is not looked at.
+    """
+
+    rate: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 100.0
+    prefix: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")] = "haptic"
+    frame: str = FRAME
+    backend: Backend = "auto"
+    wrench: Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_][A-Za-z0-9_/]*)?$")] = ""
+    target: Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_][A-Za-z0-9_/]*)?$")] = ""
+    age_limit: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 0.1
+
+
+class Ros2(Node):
+    """Puts a chain on a ROS 2 graph."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = Ros2Parameters
+    listens_to: ClassVar[tuple[str, ...]] = ("*",)
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Check that there is a library, and that nothing from outside reaches a run that must be deterministic."""
+        parameters: Ros2Parameters = convert(setup.parameters, Ros2Parameters, setup.name)
+        choose(parameters.backend, setup.name)
+        for name in ("wrench", "target"):
+            if getattr(parameters, name) and setup.pace == "lockstep":
+                raise ParameterError(
+                    f"{setup.name}.{name}: lockstep is deterministic, so nothing from outside is taken; use pace realtime, or "
+                    f"leave {name} out"
+                )
+
+    @classmethod
+    def subscribes(cls, parameters: Any) -> tuple[str, ...]:
+        """Take everything of a node."""
+        del parameters
+        return ("",)
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._simulated = setup.pace == "lockstep"
+        self._offset = 0.0 if self._simulated else float(setup.manifest.get("wall_minus_monotonic_s", "0"))
+        self._law, self._seldom = "", 0.0
+        self._wall: tuple[int, Any, Any] | None = None
+        self._decoders: dict[str, Decoder[Any]] = {topic: Decoder(kind) for topic, kind in topics.LOOP.items()}
+        self._lines: dict[str, Line] = {}
+        self._roles: dict[str, str] = {}
+        self._hand: PointerWriter | None = None
+
+    def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
+        """Listen to the nodes of the chain."""
+        self._listening = subscribe(set(self.setup.sources.values()), [""], QUEUE)
+
+    # -- out ---------------------------------------------------------------------------------------------------------
+
+    def _open(self, parameters: Ros2Parameters) -> None:
+        namespace = f"/{self.setup.namespace}".rstrip("/")
+        backend = choose(parameters.backend, self.setup.name)
+        self._graph: Graph = join(backend, self.setup.name.rpartition("/")[2], namespace or "/")
+        self._make = RosMessages(self._graph.look_up, parameters.frame)
+        self._prefix = f"{namespace}/{parameters.prefix}"
+        self._publishers: dict[str, Callable[[Any], None] | None] = {}
+        self.say(f"on the ROS 2 graph through {backend}: {self._prefix}/device/pose, {parameters.rate:g} Hz")
+
+    def _publish(self, topic: str, kind: str, build: Callable[..., Any], *content: Any) -> None:
+        """Build a message and publish it; a type whose package is not installed is left out, said once."""
+        if topic not in self._publishers:
+            try:
+                self._graph.look_up(kind)
+                self._publishers[topic] = self._graph.publisher(topic, kind)
+            except ImportError as error:
+                self._publishers[topic] = None
+                self.tell("ros2", f"{topic} is left out: {error}")
+        publish = self._publishers[topic]
+        if publish is not None:
+            publish(build(*content))
+            self.sent += 1
+
+    def _newest(self, newest: dict[str, bytes]) -> None:
+        """Publish the newest message of each topic of the loop."""
+        make, prefix, seldom = self._make, self._prefix, self._seldom <= time.monotonic()
+        for topic, payload in newest.items():
+            try:
+                message = self._decoders[topic].decode(payload)
+            except MessageRefusedError as error:
+                self.refuse(str(error))
+                continue
+            at = round((message.stamp + self._offset) * 1e9)
+            if isinstance(message, DeviceState):
+                self._publish(f"{prefix}/device/pose", POSE, make.pose, at, message.position)
+                self._publish(f"{prefix}/device/force", WRENCH, make.wrench, at, message.force)
+                if self._simulated:
+                    self._publish("/clock", "rosgraph_msgs/msg/Clock", make.clock, at)
+                if seldom and self._wall is not None:
+                    self._publish(f"{prefix}/wall", "visualization_msgs/msg/Marker", make.marker, at, *self._wall)
+            elif isinstance(message, Proxy):
+                self._publish(f"{prefix}/proxy/pose", POSE, make.pose, at, message.proxy)
+                self._publish(f"{prefix}/contact", "std_msgs/msg/Bool", make.truth, message.contact)
+            elif isinstance(message, Force):
+                self._publish(f"{prefix}/coupling/force", WRENCH, make.wrench, at, message.force)
+                if seldom or message.law != self._law:
+                    self._law = message.law
+                    self._publish(f"{prefix}/law", "std_msgs/msg/String", make.text, message.law)
+        if seldom:
+            self._seldom = time.monotonic() + SELDOM
+            self._wall = self._see_wall()
+
+    def _see_wall(self) -> tuple[int, Any, Any] | None:
+        """Ask the environment what is touched: shape, place [m] and size [m] of a marker; None for what has no marker."""
+        if "environment" not in self._roles:
+            return None
+        surface: dict[str, Any] = {}
+        with suppress(HapticError):
+            surface = self._ask("environment", "param.get", name="surface") or {}
+        kind = surface.get("kind")
+        if kind == "plane":
+            size, place = [ACROSS] * 3, [0.0] * 3
+            across = AXIS_INDEX[surface.get("axis", "z")]
+            size[across] = THICK
+            # Its free side is where it is touched.
+            place[across] = surface.get("position", 0.0) - surface.get("normal", 1) * THICK / 2.0
+            return CUBE, tuple(place), tuple(size)
+        if kind == "sphere":
+            return SPHERE, tuple(surface.get("position", (0.0, 0.0, 0.0))), (2.0 * surface["radius"],) * 3
+        if kind == "box" and not any(surface.get("rotation", ())):
+            return CUBE, tuple(surface.get("position", (0.0, 0.0, 0.0))), tuple(surface["size"])
+        return None
+
+    # -- in ----------------------------------------------------------------------------------------------------------
+
+    def _ask(self, role: str, op: str, **args: object) -> Any:
+        if role not in self._lines:
+            self._lines[role] = Line(self._context, self._run.nodes[self._roles.get(role, role)].control)
+        return self._lines[role].call(op, ASKING, **args)
+
+    def _fresh(self, name: str, stamp: Any) -> bool:
+        """Whether a message is young enough; the driver judges how long it lasts."""
+        age = time.time() - (stamp.sec + stamp.nanosec * 1e-9) if stamp.sec or stamp.nanosec else 0.0
+        if abs(age) <= self.store.current.age_limit:
+            return True
+        self.tell(
+            "stale", f"{name}: stamped {age:.3f} s before it came, limit {self.store.current.age_limit:g} s; refused"
+        )
+        return False
+
+    def _take_wrench(self, message: Any) -> None:
+        force = message.wrench.force
+        self.received += 1
+        if self._fresh("wrench", message.header.stamp):
+            try:
+                self._ask("driver", "external", force=[force.x, force.y, force.z])
+            except HapticError as error:
+                self.tell("wrench", str(error))
+
+    def _take_target(self, message: Any) -> None:
+        point = message.pose.position
+        self.received += 1
+        if self._hand is not None and self._fresh("target", message.header.stamp):
+            try:
+                self._hand.write((point.x, point.y, point.z))
+            except ValueError as error:
+                self.tell("target", str(error))
+
+    def _change(self, name: str, value: Any) -> str:
+        """Set a parameter of a node for the graph; why it was refused, or nothing."""
+        node, _, path = name.partition(".")
+        try:
+            self._ask(node, "param.set", values={path: list(value) if isinstance(value, (list, tuple)) else value})
+        except HapticError as error:
+            return str(error)
+        return ""
+
+    def _listen(self, parameters: Ros2Parameters) -> None:
+        """Take what the graph may give, and serve the nodes' parameters."""
+        driver = self._roles.get("driver", "")
+        if parameters.wrench:
+            if not driver or not self._run.nodes[driver].parameters.get("external"):
+                raise ParameterError(
+                    f"{self.setup.name}.wrench: the driver takes no force from outside; allow it with "
+                    "external: {peak: 1.0, age: 0.1}"
+                )
+            self._graph.listen(parameters.wrench, WRENCH, self._take_wrench)
+        if parameters.target:
+            try:
+                self._hand = PointerWriter(
+                    pointer_file(self.setup.run_dir, self._run.nodes[driver].name if driver else "")
+                )
+            except (FileNotFoundError, IsADirectoryError) as error:
+                raise ParameterError(
+                    f"{self.setup.name}.target: no hand can be dragged; a sim_driver has one with device.hand and pointer: {{}}"
+                ) from error
+            self._graph.listen(parameters.target, POSE, self._take_target)
+        self._graph.serve(self._parameters(), self._change)
+
+    def _parameters(self) -> dict[str, Any]:
+        """All parameters of driver, environment and coupling that ROS has a type for, by full name."""
+        found: dict[str, Any] = {}
+
+        def add(name: str, value: Any) -> None:
+            if isinstance(value, dict):
+                for inner, deeper in value.items():
+                    add(f"{name}.{inner}", deeper)
+            elif isinstance(value, (bool, int, float, str)):
+                found[name] = value
+
+        for node in self._roles.values():
+            with suppress(HapticError):
+                add(node, self._ask(node, "param.dump"))
+        return found
+
+    # -- the loop ----------------------------------------------------------------------------------------------------
+
+    def loop(self) -> None:
+        """Publish until stopped."""
+        self.state = "running"
+        parameters: Ros2Parameters = self.store.current
+        names = {self.setup.topic(topic).encode(): topic for topic in topics.LOOP}
+        self._context = new_context()
+        try:
+            self._run: RunInfo = self._chain()
+            self._roles = roles(self._run)
+            self._open(parameters)
+            self._listen(parameters)
+            self._serve(names, 1.0 / parameters.rate)
+        finally:
+            if hasattr(self, "_graph"):
+                self._graph.close()
+            self._context.destroy(linger=0)
+
+    def _chain(self) -> RunInfo:
+        run = read_run(self.setup.run_dir, lambda: self.stopping)
+        try:
+            return run.within(self.setup.namespace) if self.setup.namespace else run.only_chain()
+        except RunError as error:
+            raise ParameterError(f"{error}: a ros2 node has one chain; give {self.setup.name} its namespace") from error
+
+    def _serve(self, names: dict[bytes, str], period: float) -> None:
+        newest: dict[str, bytes] = {}
+        following = time.monotonic()
+        while not self.stopping:
+            left = following - time.monotonic()
+            frames = self._listening.receive(max(0, min(50, int(left * 1e3 + 1.0))))
+            if frames is not None and (topic := names.get(frames[0])) is not None:
+                newest[topic] = frames[1]
+            if time.monotonic() >= following:
+                following = max(following + period, time.monotonic())
+                self._newest(newest)
+                newest.clear()
+                self._graph.take()
+                self.ticks += 1
+                self.between_ticks(0)
+
+    def finish(self) -> None:
+        """Stop listening."""
+        self._listening.close()

@@ -1,0 +1,150 @@
+"""The node kind ``ros2`` against rclpy itself: what a ROS 2 graph hears, and what it may do."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import pytest
+
+import nodes.ros2.graph as graph
+from messages.types import DeviceState, Event, Receipt
+from nodes.base.setup import Setup
+from nodes.driver.external import ExternalParameters
+from nodes.launcher import launch_file
+from nodes.parameters.store import ParameterError
+from nodes.recording.reader import Recording
+from nodes.ros2.node import Ros2
+from tests.support.launching import running
+from tests.support.rclpy_probe import PULL, PUSH
+from tests.support.setups import setup_of
+
+PYTHON = os.environ.get("RCLPY_PYTHON") or (sys.executable if find_spec("rclpy") else "")
+"""A Python that has rclpy: this one, or the one that the variable names."""
+
+PROBE = Path(__file__).parents[2] / "support" / "rclpy_probe.py"
+SECONDS = 0.8
+
+
+class Heard(NamedTuple):
+    """What came of a launch beside a ROS 2 node."""
+
+    told: dict[str, Any]
+    recording: Recording
+    offset: float
+
+    def states(self, since: str, until: str) -> list[DeviceState]:
+        """Give the recorded states of a while."""
+        begin, end = self.told[since] - self.offset, self.told[until] - self.offset
+        return [state for state in self.recording.messages("/device/state") if begin <= state.stamp <= end]
+
+
+@pytest.fixture(scope="module", params=["cyclonedds", "rclpy"])
+def heard(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Heard:
+    if not PYTHON:
+        pytest.skip("no rclpy: pip install -e '.[rclpy]', or RCLPY_PYTHON names a Python that has it")
+    backend = request.param
+    if backend == "rclpy" and not find_spec("rclpy"):
+        pytest.skip("this Python has no rclpy: pip install -e '.[rclpy]'")
+    folder = tmp_path_factory.mktemp(backend)
+    # A domain of its own: nobody else's graph hears it, or is heard.
+    domain = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 99), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    with running(folder, "ros2_wall", f"backend:={backend}", environment=domain) as launch:
+        done = subprocess.run(
+            [PYTHON, str(PROBE), str(SECONDS), "parameters" if backend == "rclpy" else "plain"],
+            capture_output=True,
+            text=True,
+            timeout=90.0,
+            env={**os.environ, **domain},
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        launch.interrupt()
+        figures = launch.figures
+    assert not figures["failures"]
+    recording = Recording(folder / figures["recording"])
+    return Heard(json.loads(done.stdout), recording, float(recording.manifest["wall_minus_monotonic_s"]))
+
+
+def test_rclpy_hears_what_was_recorded(heard: Heard) -> None:
+    states = {round((s.stamp + heard.offset) * 1e9): s.position for s in heard.recording.messages("/device/state")}
+    poses = heard.told["poses"]
+    # A stamp in seconds is a double, good to 0.2 µs at today's date: the node rounds as we do here.
+    assert [tuple(pose[2:]) for pose in poses] == [states[pose[0] * 10**9 + pose[1]] for pose in poses]
+    assert heard.told["frame"] == "haptic"
+    assert heard.told["laws"] == ["pd"]
+    assert all(heard.told["counts"].values())
+
+
+def test_it_is_told_at_the_decimated_rate(heard: Heard) -> None:
+    rate = len(heard.told["poses"]) / heard.told["span"]
+    # Of 500 Hz every fifth or less: a busy machine sends less, never more.
+    assert rate <= 100.0 * 1.05
+    assert heard.told["types"]["/haptic/device/pose"] == ["geometry_msgs/msg/PoseStamped"]
+
+
+def test_a_wrench_is_taken_on_top_of_the_law_and_ends_with_its_age(heard: Heard) -> None:
+    forces = {force.seq: force.force for force in heard.recording.messages("/coupling/force")}
+
+    def beyond_the_law(states: list[DeviceState]) -> set[float]:
+        active = [s for s in states if s.safety == "active" and s.force_seq in forces]
+        return {round(s.force[0] - forces[s.force_seq][0], 9) for s in active}
+
+    assert PUSH in beyond_the_law(heard.states("pushed_from", "pushed_to"))
+    # Whatever was stamped 5 s ago is refused, and what is not renewed is gone.
+    assert beyond_the_law(heard.states("old_from", "pushed_from")) == {0.0}
+    age = launch_file.read("ros2_wall", {}).nodes["driver"].parameters["external"]["age"]
+    after = [
+        s for s in heard.states("pushed_to", "pulled_to") if s.stamp > heard.told["pushed_to"] - heard.offset + 2 * age
+    ]
+    assert beyond_the_law(after) == {0.0}
+    refusals = [e.reason for e in heard.recording.messages("/ros2/event") if isinstance(e, Event) and e.kind == "stale"]
+    assert "limit 0.1 s" in refusals[0]
+
+
+def test_a_target_pulls_the_hand_at_its_limited_speed(heard: Heard) -> None:
+    targets = [s.target[0] for s in heard.states("pushed_to", "pulled_to")]
+    speed, period = 0.5, 0.002
+    assert max(abs(b - a) for a, b in pairwise(targets)) <= speed * period * (1 + 1e-9)
+    assert PULL in targets
+
+
+def test_rclpy_sets_parameters_and_hears_refusals(heard: Heard) -> None:
+    if "good" not in heard.told:
+        pytest.skip("cyclonedds serves no parameters")
+    assert "ros2" in heard.told["nodes"]
+    assert heard.told["good"] == [True, ""]
+    receipts = [r for r in heard.recording.messages("/coupling/receipt") if isinstance(r, Receipt)]
+    assert json.loads(receipts[-1].after)["stiffness"] == 700.0
+    done, why = heard.told["bad"]
+    assert not done
+    assert "stiffness" in why
+
+
+def node(**parameters: Any) -> Setup:
+    return msgspec.structs.replace(setup_of(), name="ros2", kind="ros2", parameters=parameters)
+
+
+def test_without_a_library_both_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graph, "find_spec", lambda _: None)
+    with pytest.raises(ParameterError, match=r"haptic-nodes\[ros2\].*haptic-nodes\[rclpy\]"):
+        Ros2.check(node())
+    with pytest.raises(ParameterError, match=r"ros2\.backend: rclpy.*setup\.bash"):
+        Ros2.check(node(backend="rclpy"))
+
+
+def test_a_deterministic_run_takes_nothing_from_outside() -> None:
+    with pytest.raises(ParameterError, match=r"ros2\.wrench: lockstep"):
+        Ros2.check(msgspec.structs.replace(node(wrench="/w"), pace="lockstep"))
+
+
+def test_the_scenario_states_how_long_a_wrench_lasts() -> None:
+    external = launch_file.read("ros2_wall", {}).nodes["driver"].parameters["external"]
+    assert msgspec.convert(external, ExternalParameters) == ExternalParameters(peak=2.0, age=0.1)
