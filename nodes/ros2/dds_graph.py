@@ -10,8 +10,6 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-from nodes.ros2.graph import SetParameter
-
 QUEUE = 10
 
 _LENIENT = (
@@ -121,7 +119,7 @@ class DdsGraph:
         reader = subscribing.DataReader(subscribing.Subscriber(self._participant), self._topic(topic, name), qos)
         self._readers.append((reader, take))
 
-    def serve(self, values: Mapping[str, Any], change: SetParameter) -> bool:
+    def serve(self, values: Mapping[str, Any], change: Callable[[str, Any], str]) -> bool:
         """Parameters are services of a ROS node: there is none."""
         del values, change
         return False

@@ -18,7 +18,7 @@ import msgspec
 from messages import topics
 from messages.codec import Decoder, MessageRefusedError
 from messages.errors import HapticError
-from messages.transport.requests import Line
+from messages.transport.requests import Connection
 from messages.transport.sockets import Subscription, new_context
 from messages.types import DeviceState, Force, Proxy
 from nodes.base.node import Node
@@ -107,7 +107,7 @@ class Ros2(Node):
         self._law, self._seldom = "", 0.0
         self._wall: tuple[int, Any, Any] | None = None
         self._decoders: dict[str, Decoder[Any]] = {topic: Decoder(kind) for topic, kind in topics.LOOP.items()}
-        self._lines: dict[str, Line] = {}
+        self._lines: dict[str, Connection] = {}
         self._roles: dict[str, str] = {}
         self._hand: PointerWriter | None = None
 
@@ -124,7 +124,7 @@ class Ros2(Node):
         self._make = RosMessages(self._graph.look_up, parameters.frame)
         self._prefix = f"{namespace}/{parameters.prefix}"
         self._publishers: dict[str, Callable[[Any], None] | None] = {}
-        self.say(f"on the ROS 2 graph through {backend}: {self._prefix}/device/pose, {parameters.rate:g} Hz")
+        self.events.log(f"on the ROS 2 graph through {backend}: {self._prefix}/device/pose, {parameters.rate:g} Hz")
 
     def _publish(self, topic: str, kind: str, build: Callable[..., Any], *content: Any) -> None:
         """Build a message and publish it; a type whose package is not installed is left out, said once."""
@@ -134,7 +134,7 @@ class Ros2(Node):
                 self._publishers[topic] = self._graph.publisher(topic, kind)
             except ImportError as error:
                 self._publishers[topic] = None
-                self.tell("ros2", f"{topic} is left out: {error}")
+                self.events.emit("ros2", f"{topic} is left out: {error}")
         publish = self._publishers[topic]
         if publish is not None:
             publish(build(*content))
@@ -147,7 +147,7 @@ class Ros2(Node):
             try:
                 message = self._decoders[topic].decode(payload)
             except MessageRefusedError as error:
-                self.refuse(str(error))
+                self.events.refuse(str(error))
                 continue
             at = round((message.stamp + self._offset) * 1e9)
             if isinstance(message, DeviceState):
@@ -194,7 +194,7 @@ class Ros2(Node):
 
     def _ask(self, role: str, op: str, **args: object) -> Any:
         if role not in self._lines:
-            self._lines[role] = Line(self._context, self._run.nodes[self._roles.get(role, role)].control)
+            self._lines[role] = Connection(self._context, self._run.nodes[self._roles.get(role, role)].control)
         return self._lines[role].call(op, ASKING, **args)
 
     def _fresh(self, name: str, stamp: Any) -> bool:
@@ -202,7 +202,7 @@ class Ros2(Node):
         age = time.time() - (stamp.sec + stamp.nanosec * 1e-9) if stamp.sec or stamp.nanosec else 0.0
         if abs(age) <= self.store.current.age_limit:
             return True
-        self.tell(
+        self.events.emit(
             "stale", f"{name}: stamped {age:.3f} s before it came, limit {self.store.current.age_limit:g} s; refused"
         )
         return False
@@ -214,7 +214,7 @@ class Ros2(Node):
             try:
                 self._ask("driver", "external", force=[force.x, force.y, force.z])
             except HapticError as error:
-                self.tell("wrench", str(error))
+                self.events.emit("wrench", str(error))
 
     def _take_target(self, message: Any) -> None:
         point = message.pose.position
@@ -223,7 +223,7 @@ class Ros2(Node):
             try:
                 self._hand.write((point.x, point.y, point.z))
             except ValueError as error:
-                self.tell("target", str(error))
+                self.events.emit("target", str(error))
 
     def _change(self, name: str, value: Any) -> str:
         """Set a parameter of a node for the graph; why it was refused, or nothing."""

@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-from nodes.ros2.graph import SetParameter
-
 QUEUE = 10
 
 
@@ -47,7 +45,7 @@ class RclpyGraph:
         sensor_data = import_module("rclpy.qos").qos_profile_sensor_data
         self._node.create_subscription(self.look_up(name), topic, take, sensor_data)
 
-    def serve(self, values: Mapping[str, Any], change: SetParameter) -> bool:
+    def serve(self, values: Mapping[str, Any], change: Callable[[str, Any], str]) -> bool:
         """Serve parameters: ``ros2 param set`` asks the node that has it, and passes its refusal on."""
         result = import_module("rcl_interfaces.msg").SetParametersResult
         dynamic = import_module("rcl_interfaces.msg").ParameterDescriptor
