@@ -136,7 +136,22 @@ def _free(out: Path, force: bool) -> Path:
 
 
 def _record(arguments: argparse.Namespace) -> int:
+    import signal
+
+    # First: who ends it while it starts gets a recording that is complete, too.
+    ended: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda number, _: ended.append(number)) for number in numbers}
+    try:
+        return _record_until(arguments, ended)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _record_until(arguments: argparse.Namespace, ended: list[int]) -> int:
     import os
+    import time
 
     from nodes.cli.ask import chosen_run, known_topic
     from nodes.recording.logger import record
@@ -149,7 +164,8 @@ def _record(arguments: argparse.Namespace) -> int:
     # Several recorders beside one launch each get a file of their own.
     out = _free(arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force)
     print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
-    count = record(run, str(out), arguments.topics, arguments.duration, arguments.force)
+    until = time.monotonic() + (arguments.duration or math.inf)
+    count = record(run, str(out), arguments.topics, lambda: bool(ended) or time.monotonic() > until, arguments.force)
     answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
     return 0
 

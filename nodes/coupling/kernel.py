@@ -163,12 +163,13 @@ def ticks(address: int) -> int:
         s.out_wholes[_TO_SEQ] = seq
         s.out_wholes[_TO_REVISION] = s.revision
         s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
+        # Before it is sent: whoever has the answer and asks for the count finds it there.
+        s.ticks += 1
         at = out_at(s)
         answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
         # Last: who copies the histories from another thread takes a push under way for one that has not begun.
         for n in range(s.axes):
             s.pushes[n] += 1
-        s.ticks += 1
         done += 1
         if called(s):
             break

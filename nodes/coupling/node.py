@@ -374,7 +374,8 @@ class Coupling(Node):
                     payload = self.answer = encode(
                         Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=self._revision)
                     )
-                    send(topic, payload)
+                    # Before it is sent: whoever has the answer and asks for the count finds it there.
                     self.ticks += 1
+                    send(topic, payload)
             if self.events.waiting:
                 self.between_ticks(self.seq + 1)

@@ -75,9 +75,10 @@ def ticks(address: int) -> int:
         s.out_wholes[_TO_CONTACT] = 1 if _meet(s, s.reals, s.out_reals) else 0
         s.out_reals[_TO_DELAY] = s.reals[_DELAY]
         s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
+        # Before it is sent: whoever has the answer and asks for the count finds it there.
+        s.ticks += 1
         at = out_at(s)
         answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
-        s.ticks += 1
         done += 1
         if called(s):
             break

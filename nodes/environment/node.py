@@ -131,7 +131,8 @@ class Environment(Node):
                     delay=state.delay,
                 )
                 self.answered, self.answer = state.seq, (payload := encode(message))
-                send(topic, payload)
+                # Before it is sent: whoever has the answer and asks for the count finds it there.
                 self.ticks += 1
+                send(topic, payload)
             if self.events.waiting:
                 self.between_ticks(self.seq + 1)

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 import os
-import signal
 import time
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
-from types import FrameType
 from typing import Any, ClassVar, NoReturn
 
 import msgspec
@@ -249,30 +247,21 @@ class Logger(Node):
             self._give_up(error)
 
 
-def record(run: RunInfo, path: str, topics: list[str], duration: float, overwrite: bool = False) -> int:
-    """Record a running launch from beside it, until it ends, the time is over, or a signal comes."""
+def record(run: RunInfo, path: str, topics: list[str], ended: Callable[[], bool], overwrite: bool = False) -> int:
+    """Record a running launch from beside it, until that ends, or somebody ends this; how many messages were recorded."""
     # The socket's threads inherit it.
     with realtime.off(run.processors):
-        return _record(run, path, topics, duration, overwrite)
+        return _record(run, path, topics, ended, overwrite)
 
 
-def _record(run: RunInfo, path: str, topics: list[str], duration: float, overwrite: bool) -> int:
-    ended: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        del frame
-        ended.append(number)
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
+def _record(run: RunInfo, path: str, topics: list[str], ended: Callable[[], bool], overwrite: bool) -> int:
     context = new_context()
     links = Links(context, say_link, say_link)
     inbox = Subscription(context, set(run.publishers().values()), topics or [""], QUEUE, links)
     try:
         with open_writer(path, run.manifest, overwrite) as writer:
             recorder = Recorder(inbox, writer, topics)
-            until = time.monotonic() + duration if duration else float("inf")
-            while not ended and time.monotonic() < until and run.lives:
+            while not ended() and run.lives:
                 recorder.take(100)
                 links.keep()
             # While the run lives there is no end to wait for.

@@ -9,6 +9,7 @@ import re
 import signal
 import statistics
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +26,7 @@ from nodes.cli import main
 from nodes.cli.spread import Spread
 from nodes.launcher.runs import RunInfo, new_run_dir, write_run
 from nodes.recording.reader import Recording
+from sim.measure.rig import full_pipe
 from tests.support.launching import HAPTIC, Running, private_runtime_dir, running, wait_for
 from tests.support.setups import setup_of
 
@@ -233,6 +235,26 @@ def test_record_until_a_signal(launch: Running, number: int) -> None:
     recording = Recording(path)
     assert recording.complete
     assert json.loads(out)["messages"] == sum(topic.messages for topic in recording.topics.values())
+
+
+def test_who_ends_a_recorder_that_only_begins_gets_a_complete_recording(launch: Running) -> None:
+    """It says that Ctrl-C ends it: so it does from there on. Nobody reads that line here, so that it stands still there."""
+    path = launch.folder / "begun.mcap"
+    reading, writing = full_pipe()
+    words = [*HAPTIC, "bag", "record", "--out", str(path), "--json"]
+    with subprocess.Popen(words, env=launch.environment, stdout=subprocess.PIPE, stderr=writing, text=True) as process:
+        try:
+            os.close(writing)
+            wait_for(lambda: "pipe_write" in Path(f"/proc/{process.pid}/wchan").read_text(), "the first line")
+            process.send_signal(signal.SIGINT)
+            # Until it has room.
+            threading.Thread(target=lambda: [None for _ in iter(lambda: os.read(reading, 65536), b"")]).start()
+            out, _ = process.communicate(timeout=30)
+        finally:
+            process.kill()
+    assert process.returncode == 0
+    assert Recording(path).complete
+    assert json.loads(out)["messages"] == sum(topic.messages for topic in Recording(path).topics.values())
 
 
 def test_a_killed_recorder_loses_at_most_half_a_second(launch: Running) -> None:
