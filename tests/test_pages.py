@@ -13,7 +13,7 @@ import pytest
 from nodes.cli.main import VERBS
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
-from tests.support.pages import Block, Command, anchors, blocks, command, links, promised, shell
+from tests.support.pages import Block, anchors, blocks, command, links, promised, shell
 
 PAGES = {
     str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
@@ -151,77 +151,3 @@ def test_nothing_is_shortened_that_is_not_there() -> None:
     typed = [command(line, {}).words for text in PAGES.values() for block in blocks(text) for line in block.lines]
     for start in SHORTER:
         assert any(words[: len(start.split())] == start.split() for words in typed), f"no command starts with {start}"
-
-
-DRAFT = """# Draft
-
-See [the rest](#the-rest), `[not](a-link)` and ![a picture](some/picture.png).
-
-```sh
-haptic launch wall_press duration:=0 &   # until the block ends
-haptic node list --json | tail -n 1 > nodes.json  # a pipe, a file
-haptic law switch \\
-    multi_term
-```
-
-```
-haptic is not run here
-```
-
-## The rest
-
-```sh
-# a comment of its own
-test -s nodes.json
-haptic launch floor_drop --json pace:=lockstep
-```
-
-```text
-{… "ticks": 1500, …}
-```
-"""
-
-
-def test_blocks_links_and_headings_are_found() -> None:
-    assert [len(block.lines) for block in blocks(DRAFT)] == [3, 2]
-    assert [block.prints for block in blocks(DRAFT)] == [(), ('{… "ticks": 1500, …}',)]
-    assert links(DRAFT) == ["#the-rest", "some/picture.png"]
-    assert anchors(DRAFT) == {"draft", "the-rest"}
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("haptic a b  # why", Command("haptic a b -s 1", False)),
-        ("haptic a b > out.txt", Command("haptic a b -s 1 > out.txt", False)),
-        ("haptic a b | head -n 1 && true", Command("haptic a b -s 1 | head -n 1 && true", False)),
-        ("haptic a c 'x > y' &  # on and on", Command("haptic a c 'x > y'", True)),
-        ("haptic a c 'x > y'", Command("haptic a c 'x > y' -t", False)),
-        ("haptic a cd", Command("haptic a cd -t", False)),
-        ("haptic ab", Command("haptic ab", False)),
-    ],
-)
-def test_commands_are_shortened_before_what_the_shell_adds(line: str, expected: Command) -> None:
-    assert command(line, {"haptic a": "-t", "haptic a b": "-s 1"}) == expected
-
-
-def test_a_promise_is_kept_or_shown() -> None:
-    said = "floor_drop: done after 1500 ticks\n  missed 0, p50 160.5 µs\n"
-    assert promised(("floor_drop: done after 30000 ticks", "missed 3, p50 1 µs", "… p50 …"), said) == []
-    assert promised(("floor_drop: gone after 1500 ticks",), said) == ["floor_drop: gone after 1500 ticks"]
-
-
-def test_a_draft_is_run_and_leaves_nothing(tmp_path: Path) -> None:
-    first, second = blocks(DRAFT)
-    with private_runtime_dir() as runtime_dir:
-        with shell(tmp_path, runtime_dir) as terminal:
-            for line in first.lines:
-                terminal.run(command(line, {}))
-            assert len(terminal.background) == 1
-        with shell(tmp_path, runtime_dir) as terminal:
-            terminal.run(command(second.lines[0], {}))
-            told = terminal.run(command(second.lines[1], {"haptic launch": "duration:=0.2"}))
-            assert json.loads(told.splitlines()[-1])["ticks"] == 100
-            with pytest.raises(AssertionError, match=r"exit code [12]$"):
-                terminal.run(command("haptic node info nobody", {}))
-    assert set(json.loads((tmp_path / "nodes.json").read_text(encoding="utf-8"))) > {"run"}
