@@ -1,0 +1,114 @@
+"""The paper's drop through each real device's driver, on its stand-in: the same forces as through the virtual device's."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from nodes.launcher import launch_file
+from nodes.recording.reader import Recording
+from nodes.recording.table import read
+from sim.scene.from_launch import from_launch
+from sim.scene.loop import run
+from tests.support import ROOT
+from tests.support.devices import Bench, bench, real_devices
+from tests.support.launching import running, wait_for
+
+SOFT = ("stiffness:=150", "damping:=0.5")
+"""So soft that it hardly matters how old each sample of the servo loop is, which differs from tick to tick."""
+
+HEIGHT, WEIGHT = 0.01, 0.1 * 9.81
+
+
+def through(stand: Bench, folder: Path, **parameters: Any) -> str:
+    """Write `floor_drop` with the device in place of the virtual one."""
+    content = yaml.safe_load((ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8"))
+    del content["model"]
+    for name in ("mass", "height"):
+        del content["arguments"][name]
+    # The arm of the stand-in is the scene's.
+    content["nodes"]["coupling"]["parameters"]["plant"]["mass"] = 0.1
+    written = stand.written(**parameters)
+    content["nodes"]["driver"] = {"kind": stand.kind, "parameters": written}
+    content["nodes"]["logger"]["parameters"] = {"path": "run.mcap"}
+    path = folder / "drop.yaml"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return str(path)
+
+
+Forces = dict[float, NDArray[np.float64]]
+
+
+@pytest.fixture(scope="module")
+def virtual() -> Forces:
+    """Play the same drop on the virtual device, by its delay [ticks]."""
+    arguments = launch_file.parse_assignments([*SOFT, "duration:=1.5"])
+    played = from_launch(launch_file.read("floor_drop", arguments))
+    found = {}
+    for delay in np.linspace(0.0, 1.5, 61):
+        device = msgspec.structs.replace(played.scene.device, delay=float(delay))
+        scene = replace(played.scene, device=device)
+        found[float(delay)] = run(scene, played.law, played.ticks, memory=played.memory).force
+    return found
+
+
+@pytest.fixture(params=sorted(real_devices()))
+def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
+    with bench(request.param, tmp_path) as made:
+        made.world.drop(HEIGHT, at=float("inf"))
+        yield made
+
+
+@pytest.mark.realtime
+def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_path: Path) -> None:
+    with running(tmp_path, through(stand, tmp_path, servo_rate=2000), *SOFT, "duration:=0") as launch:
+        # Let go at a tick, as the virtual device is.
+        epoch = float(next(launch.runtime_dir.rglob("driver.epoch")).read_text(encoding="ascii"))
+        period = 0.002
+        begins = epoch + (int((time.monotonic() - epoch) / period) + 50) * period
+        stand.world.drop(HEIGHT, at=begins)
+        time.sleep(1.6)  # the drop itself, in real time
+        # Then somebody holds the arm where it rests, and it gives no position for a while: no force, and back by a ramp.
+        stand.world.state.free_from = math.inf
+        stand.world.state.nan = 1
+        wait_for(lambda: not any(stand.world.force()), "no force without a position")
+        stand.world.state.nan = 0
+        wait_for(lambda: stand.world.force()[2] > 0.0, "the force comes back")
+        # Unplugged in mid-run it ends, and says why.
+        stand.world.state.unplugged = 1
+        launch.finish(code=1)
+    assert "Traceback" not in launch.errors
+    assert "[driver] ended: " in launch.errors
+    recording = Recording(tmp_path / "run.mcap")
+    assert "fault" in {state.safety for state in recording.messages("/device/state")}
+    table = read(tmp_path / "run.mcap")
+    ticks = len(virtual[0.0])
+    first = int(np.searchsorted(table["seq"], round((begins - epoch) / period)))
+    force = table["force"][first : first + ticks, 2]
+    known = np.flatnonzero(np.isfinite(force))  # where no tick was lost
+    assert known.size > 0.9 * ticks
+    force = force[known]
+    errors = {delay: np.sqrt(np.mean((force - wanted[known]) ** 2)) for delay, wanted in virtual.items()}
+    # The device's own latency is not told: it is the delay at which the virtual device renders the same.
+    delay = min(errors, key=lambda one: float(errors[one]))
+    peak = virtual[delay].max()
+    measured = float(np.nanmean(table["delay"][first : first + ticks]))
+    print(
+        f"{stand.kind}: delay {delay:.3f} ticks, up to the driver {measured:.3f}; peak {force.max() / peak - 1:+.2%}, "
+        f"all ticks {errors[delay] / peak:.2%}; missed {int(table['missed'][-1])}"
+    )
+    assert measured - 0.1 < delay < measured + 1.0
+    assert errors[delay] < 0.01 * peak
+    assert force.max() == pytest.approx(peak, rel=0.01)
+    assert force[-250:].mean() == pytest.approx(WEIGHT, rel=0.01)
