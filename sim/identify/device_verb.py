@@ -19,10 +19,35 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="list|presets|identify", required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="list|info|check|free|recentre|presets|identify", required=True)
     listed = sub.add_parser("list", help="which devices can be driven from here")
     add_json(listed)
     listed.set_defaults(run=_list)
+    for name, run, text in (
+        ("info", _info, "Connect to a device with forces off and tell what it is, and what it bears."),
+        (
+            "check",
+            _check,
+            "Check a device by hand: noise, rate, axes without a force, then a first force in steps, each asked for.",
+        ),
+        ("free", _free, "Name who holds a device; where nobody does, switch its forces off and give it back."),
+    ):
+        one = sub.add_parser(name, help=text, description=text)
+        one.add_argument("kind", help="kind of node that drives it: haptic device list")
+        one.add_argument(
+            "parameters", nargs="*", metavar="name:=value", help="of its driver: touch.library:=/opt/libHD.so"
+        )
+        add_json(one)
+        one.set_defaults(run=run)
+        if name == "info":
+            one.add_argument("--rate", type=float, default=500.0, help="of the loop [Hz] (default: %(default)s)")
+            one.add_argument("--delay", type=float, default=1.0, help="of the loop [ticks] (default: %(default)s)")
+            one.add_argument("--damping", type=float, default=3.0, help="of the law [N s/m] (default: %(default)s)")
+    text = "Put the device of a running launch into the middle of its scene, wherever its handle is."
+    centred = sub.add_parser("recentre", help=text, description=text)
+    centred.add_argument("driver", nargs="?", default="driver", help="node that drives it (default: %(default)s)")
+    add_run(centred)
+    centred.set_defaults(run=_recentre)
     known = sub.add_parser("presets", help="what is known of real devices, and from where: device:=touch_x")
     add_json(known)
     known.set_defaults(run=_presets)
@@ -64,9 +89,47 @@ def add_push(parser: argparse.ArgumentParser) -> None:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from sim.identify.devices import figures, text
+    from sim.hands_on.found import figures, text
 
     answer(arguments.json, {"devices": figures()}, text())
+    return 0
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    from sim.hands_on.found import device_of
+    from sim.hands_on.info import info, text
+
+    device = device_of(arguments.kind, arguments.parameters)
+    told = info(device, arguments.rate, arguments.delay, arguments.damping)
+    answer(arguments.json, told, f"{arguments.kind}: {device.TITLE}\n{text(told)}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from sim.hands_on.check import check
+    from sim.hands_on.found import device_of
+
+    told = check(device_of(arguments.kind, arguments.parameters), arguments.kind)
+    answer(arguments.json, told, told["line"])
+    return 0 if told["passed"] else 1
+
+
+def _free(arguments: argparse.Namespace) -> int:
+    from sim.hands_on.found import device_of
+    from sim.hands_on.free import free
+
+    device = device_of(arguments.kind, arguments.parameters)
+    answer(arguments.json, free(device), f"{arguments.kind}: forces are off, and nobody holds it")
+    return 0
+
+
+def _recentre(arguments: argparse.Namespace) -> int:
+    from nodes.cli.ask import ask, chosen_run, node_name
+
+    run = chosen_run(arguments)
+    found = ask(run, node_name(run, arguments.driver), "recentre")
+    x, y, z = (f"{1e3 * value:+.1f}" for value in found["moved_m"])
+    answer(arguments.json, found, f"the device is in the middle of the scene: moved by {x}, {y}, {z} mm")
     return 0
 
 

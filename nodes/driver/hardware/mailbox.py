@@ -21,7 +21,7 @@ from nodes.driver.calls import Calls
 from nodes.driver.device import DeviceLimits
 from nodes.driver.hardware.compile import servo_library
 from nodes.driver.hardware.libraries import Found
-from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
+from nodes.driver.hardware.mapping import Mapping, Matrix, limits_in_scene, matrix
 from nodes.driver.parameters import DriverParameters
 
 FAULT, STALLED, UNREAD = 1, 2, 3
@@ -163,6 +163,16 @@ class MailboxDevice(ABC):
         """Look for what it needs on this machine; a kind with a library names it."""
         del parameters
         return Found(None, ())
+
+    @property
+    def ticks(self) -> int:
+        """How many ticks of the servo loop have read a position."""
+        return int(self._box.ticks)
+
+    @property
+    def turn(self) -> Matrix:
+        """The matrix from the device's axes into the scene's."""
+        return self._turn
 
     # -- what a kind defines -----------------------------------------------------------------------------------------
 

@@ -1,0 +1,286 @@
+"""Checking a device by hand: noise, rate, axes without a force, and then a first force in steps, each asked for.
+
+Nothing is pushed before the axes are known to be right: a force along a wrong axis is felt as an unstable wall. Each push grows
+and goes by a ramp, and ends at once when the handle moves faster than `FASTEST`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+import time
+from typing import Any, Final
+
+import msgspec
+
+from messages.types import ZERO, Vector
+from nodes.cli.main import RefusedError, UsageError
+from nodes.driver.hardware.mailbox import MailboxDevice
+
+REST: Final = 1.0
+"""How long a device at rest is looked at [s]."""
+
+MOVED: Final = 0.02
+"""So far the handle must be moved, along one axis more than twice as far as along the others [m]."""
+
+PUSH_TIME: Final = 0.6
+"""How long a push lasts, its ramps included [s]."""
+
+FASTEST: Final = 0.25
+"""A handle that is faster is let go [m/s]."""
+
+STEP: Final = 0.001
+
+FRESH: Final = 5
+"""After so many samples a position is one of after the question."""
+
+WAYS: Final = (
+    ("forward", "away from you"),
+    ("left", "to the left"),
+    ("up", "upwards"),
+)
+
+
+class Rest(msgspec.Struct, frozen=True, kw_only=True):
+    """A device at rest.
+
+    Attributes
+    ----------
+    noise : tuple of float, shape (3,)
+        Standard deviation of its position [m].
+    step : float or None
+        Smallest change of a position that was seen [m]: the encoder's step, or finer; None when nothing changed.
+    rate : float
+        Samples of its servo loop [Hz].
+    longest : float
+        Longest time without one [s].
+    """
+
+    noise: Vector
+    step: float | None
+    rate: float
+    longest: float
+
+
+class Push(msgspec.Struct, frozen=True, kw_only=True):
+    """One push upwards.
+
+    Attributes
+    ----------
+    force : float
+        Its size [N].
+    moved : float
+        How far the handle went up meanwhile [m].
+    felt : bool
+        What the user said.
+    why : str
+        What the device says keeps it from giving a force.
+    ended : str
+        Why it ended early; empty when it did not.
+    """
+
+    force: float
+    moved: float
+    felt: bool
+    why: str
+    ended: str
+
+
+def ask(question: str) -> str:
+    """Ask the user, on standard error; the answer."""
+    print(question, end=" ", file=sys.stderr, flush=True)
+    answer = sys.stdin.readline()
+    if not answer:
+        raise UsageError("nobody answers: `haptic device check` asks before each step; run it on a terminal")
+    return answer.strip().lower()
+
+
+def at_rest(device: MailboxDevice) -> Rest:
+    """Look at a device that nobody moves."""
+    places: list[Vector] = []
+    begun = time.monotonic()
+    ticks = seen = device.ticks
+    last, longest = begun, 0.0
+    while (now := time.monotonic()) - begun < REST:
+        if device.ticks != seen:
+            longest = max(longest, now - last)
+            seen, last = device.ticks, now
+            place = device.read_position(0)
+            if all(map(math.isfinite, place)):
+                places.append(place)
+        time.sleep(0.0002)
+    if len(places) < 2:
+        raise RefusedError(
+            f"{device.TITLE}: {len(places)} positions in {REST:g} s: {device.condition() or 'it gives none'}"
+        )
+    columns = list(zip(*places, strict=True))
+    means = [sum(column) / len(column) for column in columns]
+    x, y, z = (
+        math.sqrt(sum((value - mean) ** 2 for value in column) / len(column))
+        for column, mean in zip(columns, means, strict=True)
+    )
+    steps = [abs(b - a) for column in columns for a, b in itertools.pairwise(column) if abs(b - a) > 1e-12]
+    return Rest(
+        noise=(x, y, z),
+        step=min(steps) if steps else None,
+        rate=(seen - ticks) / (last - begun) if last > begun else 0.0,
+        longest=longest,
+    )
+
+
+def place_of(device: MailboxDevice) -> Vector:
+    """Read a position that is one, and of now: some samples are waited for."""
+    until, ticks = time.monotonic() + 2.0, device.ticks
+    while time.monotonic() < until:
+        place = device.read_position(0)
+        if device.ticks > ticks + FRESH and all(map(math.isfinite, place)):
+            return place
+        time.sleep(STEP)
+    raise RefusedError(f"{device.TITLE}: it gives no position: {device.condition() or 'look at cable and power'}")
+
+
+def axes(device: MailboxDevice) -> tuple[bool, list[str]]:
+    """Let the user move the handle along each axis, without a force; whether all are right, and the axes that would be."""
+    found: list[str] = []
+    right = True
+    for number, (way, where) in enumerate(WAYS):
+        ask(f"Hold the handle still, then press Enter to begin with {way}:")
+        before = place_of(device)
+        ask(f"Move it about 5 cm {where}, hold it there, and press Enter:")
+        moved = [b - a for a, b in zip(before, place_of(device), strict=True)]
+        largest = max(range(3), key=lambda i: abs(moved[i]))
+        others = max(abs(moved[i]) for i in range(3) if i != largest)
+        if abs(moved[largest]) < MOVED or abs(moved[largest]) < 2.0 * others:
+            told = ", ".join(f"{1e3 * x:+.0f}" for x in moved)
+            raise RefusedError(
+                f"{way}: the position changed by {told} mm; expected at least {1e3 * MOVED:.0f} mm along one axis and less "
+                "than half of it along the others: try again, or give mapping.rotation for a mount that is askew"
+            )
+        found.append(_theirs(device, largest, moved[largest]))
+        if largest != number or moved[largest] < 0.0:
+            right = False
+    return right, found
+
+
+def _theirs(device: MailboxDevice, axis: int, sign: float) -> str:
+    """Name the device's own axis that is an axis of the scene."""
+    row = device.turn[axis]
+    largest = max(range(3), key=lambda j: abs(row[j]))
+    return f"{'+' if row[largest] * sign > 0.0 else '-'}{'xyz'[largest]}"
+
+
+def push(device: MailboxDevice, force: float) -> Push:
+    """Push upwards: a ramp up, a while, a ramp down; what the device did."""
+    before = place_of(device)
+    last: Vector | None = None
+    at: float | None = None
+    begun = time.monotonic()
+    ended, why = "", ""
+    try:
+        while (since := time.monotonic() - begun) < PUSH_TIME:
+            share = min(since, PUSH_TIME - since) / (PUSH_TIME / 3.0)
+            device.write_force((0.0, 0.0, force * min(max(share, 0.0), 1.0)), 0, 0.0)
+            time.sleep(STEP)
+            place, now = device.read_position(0), time.monotonic()
+            if not all(map(math.isfinite, place)):
+                # Where it is not known there is no force, and no speed until it is known again.
+                device.write_force(ZERO, 0, 0.0)
+                last = at = None
+                continue
+            if last is None or at is None:
+                last, at = place, now
+            # Over so long the step of an encoder is no speed.
+            if now - at >= 0.02:
+                speed = math.dist(place, last) / (now - at)
+                last, at = place, now
+                if speed > FASTEST:
+                    ended = f"the handle moved at {speed:.2f} m/s, limit {FASTEST:g} m/s"
+                    break
+            why = why or device.condition()
+    finally:
+        device.write_force(ZERO, 0, 0.0)
+    moved = place_of(device)[2] - before[2]
+    felt = ask(f"Did it push upwards with {force:g} N? [y/n]").startswith("y")
+    return Push(force=force, moved=moved, felt=felt, why=why, ended=ended)
+
+
+def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
+    """Go through all of it; the device is closed at the end, on every way out.
+
+    Raises
+    ------
+    RefusedError
+        When something is not as it should be.
+    """
+    try:
+        device.connect()
+        device.open()
+        for name, value in device.facts.items():
+            print(f"  {name}: {value}", file=sys.stderr)
+        ask("No force is asked for. Lay the handle down so that nothing moves it, and press Enter:")
+        rest = at_rest(device)
+        step = "none was seen" if rest.step is None else f"{1e6 * rest.step:.3g} µm"
+        noise = "/".join(f"{1e6 * value:.3g}" for value in rest.noise)
+        print(
+            f"  noise {noise} µm, step {step}, {rest.rate:.0f} samples/s, longest gap {1e3 * rest.longest:.3g} ms",
+            file=sys.stderr,
+        )
+        right, found = axes(device)
+        result: dict[str, Any] = {
+            "kind": kind,
+            "facts": device.facts,
+            "rest": msgspec.to_builtins(rest),
+            "axes_right": right,
+            "axes": found,
+            "pushes": [],
+        }
+        if not right:
+            written = ", ".join(f'"{name}"' for name in found)
+            raise RefusedError(
+                f"the axes are others than the driver takes: nothing was pushed. Give it mapping: {{axes: [{written}]}} and "
+                "check again"
+            )
+        pushes = _pushes(device)
+        result["pushes"] = [msgspec.to_builtins(one) for one in pushes]
+    except OSError as error:
+        raise RefusedError(str(error)) from error
+    finally:
+        device.close()
+    felt = ", ".join(f"{one.force:g} N {'felt' if one.felt else 'NOT felt'}" for one in pushes) or "no force tried"
+    facts = ", ".join(str(device.facts[name]) for name in ("model", "serial") if device.facts.get(name))
+    result["line"] = (
+        f"haptic device check {kind}: {facts}; axes {' '.join(found)} right; noise {noise} µm, step {step}; "
+        f"{rest.rate:.0f} samples/s, longest gap {1e3 * rest.longest:.3g} ms; upwards: {felt}"
+    )
+    result["passed"] = all(one.felt and not one.ended for one in pushes)
+    return result
+
+
+def _pushes(device: MailboxDevice) -> list[Push]:
+    """Push with 0.1 N, 1 N and what the device bears, each asked for; the first that is not felt ends it."""
+    pushes: list[Push] = []
+    for force in (0.1, 1.0, device.limits.peak_force):
+        largest = " (the largest that the device bears)" if force == device.limits.peak_force else ""
+        if not ask(f"Hold the handle loosely. Push upwards with {force:g} N{largest}? [y/n]").startswith("y"):
+            break
+        pushes.append(push(device, force))
+        one = pushes[-1]
+        if one.ended:
+            print(f"  let go: {one.ended}", file=sys.stderr)
+        if not one.felt:
+            print(f"  {one.why or no_force(device, one)}", file=sys.stderr)
+        if one.ended or not one.felt:
+            break
+    return pushes
+
+
+def no_force(device: MailboxDevice, one: Push) -> str:
+    """Say what it may be when the device itself knows nothing."""
+    if one.moved > 0.001:
+        return f"the handle moved up by {1e3 * one.moved:.1f} mm: the force acts, but is small for this hand"
+    if device.let_go:
+        return f"the servo loop let go {device.let_go} times because no force came in time: the machine is busy"
+    return (
+        "the device says that nothing keeps forces off: is a switch on its housing off, or an emergency stop pressed?"
+    )

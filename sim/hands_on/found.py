@@ -1,0 +1,109 @@
+"""Which devices can be driven from here: what each needs, where that was looked for, and what its driver was tested against."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from nodes.base.kinds import NODES
+from nodes.cli.main import UsageError
+from nodes.driver.hardware.driver import HardwareDriver
+from nodes.driver.hardware.mailbox import MailboxDevice
+from nodes.launcher.launch_file import parse_assignments
+from nodes.parameters.store import ParameterError, convert
+
+
+@dataclass(frozen=True)
+class DeviceKind:
+    """A kind of device.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of node that drives it.
+    found : bool
+        Whether what it needs is here.
+    library : str or None
+        That; None for a device that needs nothing, or where it is missing.
+    searched : tuple of str
+        Where it was looked for.
+    checked : str
+        What its driver was tested against.
+    """
+
+    kind: str
+    found: bool
+    library: str | None
+    searched: tuple[str, ...]
+    checked: str
+
+
+def real_kinds() -> dict[str, type[HardwareDriver]]:
+    """Find every installed driver of a real device."""
+    found, _ = NODES.all()
+    return {name: kind for name, kind in found.items() if isinstance(kind, type) and issubclass(kind, HardwareDriver)}
+
+
+def devices() -> list[DeviceKind]:
+    """Look for every kind of device."""
+    listed = [DeviceKind("sim_driver", True, None, (), "closed forms and lockstep runs (no hardware)")]
+    for name, kind in sorted(real_kinds().items()):
+        library, searched = kind.find(convert({}, kind.Parameters, name))
+        listed.append(DeviceKind(name, library is not None, library, searched, kind.checked))
+    return listed
+
+
+def figures() -> list[dict[str, Any]]:
+    """Give all kinds as figures."""
+    return [{**asdict(kind), "searched": list(kind.searched)} for kind in devices()]
+
+
+def text() -> str:
+    """Give all kinds as lines."""
+    listed = devices()
+    width = max(len(kind.kind) for kind in listed)
+    lines = []
+    for kind in listed:
+        state = "ready" if kind.found else "not found"
+        where = f" ({kind.library})" if kind.library else ""
+        lines.append(f"{kind.kind:{width}}  {state}{where}; tested against {kind.checked}")
+        if not kind.found:
+            lines += [f"{'':{width}}  looked in {place}" for place in kind.searched]
+    return "\n".join(lines)
+
+
+def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
+    """Make a device from the command line; it is not connected yet.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of node that drives it.
+    words : sequence of str
+        ``touch.library:=/opt/libHD.so``: parameters of the driver, by their dotted path.
+
+    Returns
+    -------
+    MailboxDevice
+        The device.
+
+    Raises
+    ------
+    UsageError
+        When there is no such kind, or no such parameter.
+    """
+    known = real_kinds()
+    if kind not in known:
+        raise UsageError(f"{kind!r} drives no real device; there are: {', '.join(sorted(known))}")
+    written: dict[str, Any] = {}
+    try:
+        for path, value in parse_assignments(list(words)).items():
+            at = written
+            *outer, last = path.split(".")
+            for name in outer:
+                at = at.setdefault(name, {})
+            at[last] = value
+        return known[kind].hardware(convert(written, known[kind].Parameters, kind))
+    except ParameterError as error:
+        raise UsageError(str(error)) from error

@@ -1,0 +1,49 @@
+"""Setting a device free: whoever holds it is named; where nobody does its forces are switched off and it is given back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from nodes.cli.main import RefusedError
+from nodes.driver.hardware.mailbox import MailboxDevice
+
+
+def holders(library: str | None) -> list[tuple[int, str]]:
+    """Find the processes of this machine that have a library loaded: number and command."""
+    if not library:
+        return []
+    found = []
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdecimal():
+            try:
+                maps = (folder / "maps").read_text(encoding="utf-8", errors="replace")
+                command = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+            except OSError:
+                # It has ended meanwhile, or is another user's.
+                continue
+            if f"{library}\n" in maps or f"/{Path(library).name}\n" in maps:
+                found.append((int(folder.name), command))
+    return sorted(found)
+
+
+def free(device: MailboxDevice) -> dict[str, Any]:
+    """Set a device free.
+
+    Raises
+    ------
+    RefusedError
+        When another process holds it, which is named, or it cannot be reached.
+    """
+    others = holders(type(device).find(device.parameters).library)
+    if others:
+        told = "; ".join(f"process {number}: {command[:120]}" for number, command in others)
+        raise RefusedError(f"{device.TITLE}: held by {told}. End that first: haptic stop, or kill the process")
+    try:
+        device.connect()
+        device.identify()
+    except OSError as error:
+        raise RefusedError(str(error)) from error
+    finally:
+        device.close()
+    return {"freed": True, "facts": device.facts}

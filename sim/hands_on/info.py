@@ -1,0 +1,91 @@
+"""What a device is: what it says of itself, its limits in the scene, and what its inertia means for a wall."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+
+from nodes.cli.main import RefusedError
+from nodes.driver.hardware.mailbox import MailboxDevice
+from nodes.laws.parse import parse_law
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
+
+
+def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> dict[str, Any]:
+    """Connect to a device, forces off, and tell what it is.
+
+    Parameters
+    ----------
+    device : MailboxDevice
+        The device; closed at the end.
+    rate : float
+        Of the loop that the stability figures are for [Hz].
+    delay : float
+        Of it [ticks].
+    damping : float
+        Of the coupling, its B [N s/m].
+
+    Returns
+    -------
+    dict
+        Facts, limits, and inertia with the largest stable stiffness along each axis where the device knows it.
+
+    Raises
+    ------
+    RefusedError
+        When it cannot be reached.
+    """
+    try:
+        device.connect()
+        device.identify()
+        inertia = device.inertia()
+    except OSError as error:
+        raise RefusedError(str(error)) from error
+    finally:
+        device.close()
+    told: dict[str, Any] = {
+        "facts": device.facts,
+        "limits": {
+            name: value if not isinstance(value, float) or math.isfinite(value) else None
+            for name, value in msgspec.to_builtins(device.limits).items()
+        },
+        "inertia_kg": inertia and [list(row) for row in inertia],
+        "edge": None,
+    }
+    if inertia is not None:
+        law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": damping}, "pd"), 1.0 / rate)
+        edges = []
+        for i in range(3):
+            mass = inertia[i][i]
+            plant = Plant(period=1.0 / rate, mass=mass, damping=0.0, delay=delay)
+            edges.append({"mass_kg": mass, "k_max_n_per_m": k_max(law, plant).k_max_n_per_m})
+        told["edge"] = {"rate_hz": rate, "delay_ticks": delay, "damping_n_s_per_m": damping, "axes": edges}
+    return told
+
+
+def text(told: dict[str, Any]) -> str:
+    """Tell it to people."""
+    lines = [f"  {name}: {value}" for name, value in told["facts"].items()]
+    limits = told["limits"]
+    lines.append(
+        f"  bears {limits['peak_force']} N, {limits['continuous_force']} N continuously; holds a force for {limits['hold']} s"
+    )
+    lines += [
+        f"  {axis}: {low:.3g} to {high:.3g} m" for axis, (low, high) in zip("xyz", limits["workspace"], strict=True)
+    ]
+    if (edge := told["edge"]) is not None:
+        lines.append(
+            f"  inertia where it stands, and the largest stable stiffness of PD, B = {edge['damping_n_s_per_m']:g} N s/m, at "
+            f"{edge['rate_hz']:g} Hz, delay {edge['delay_ticks']:g} ticks, the device's own damping taken as 0:"
+        )
+        lines += [
+            f"    {axis}: {one['mass_kg']:.4g} kg, "
+            + ("no stable one" if one["k_max_n_per_m"] is None else f"{one['k_max_n_per_m']:.4g} N/m")
+            for axis, one in zip("xyz", edge["axes"], strict=True)
+        ]
+        least = min(edge["axes"], key=lambda one: float(one["mass_kg"]))
+        lines.append(f"  for a launch file: plant: {{mass: {least['mass_kg']:.4g}, damping: 0.0}}")
+    return "\n".join(lines)

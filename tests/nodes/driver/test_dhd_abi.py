@@ -1,0 +1,110 @@
+"""DHD as its driver takes it: against the vendor's own library and header where `HAPTIC_DHD` names them, else the stand-in's.
+
+HAPTIC_DHD=/opt/sdk/lib/release/lin-x86_64-gcc/libdrd.a HAPTIC_DHD_HEADER=/opt/sdk/include/dhdc.h pytest tests/nodes/driver/test_dhd_abi.py
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from nodes.driver.forcedimension.dhd import FUNCTIONS, load_library
+from nodes.driver.forcedimension.driver import (
+    ForceDimensionDevice,
+    ForceDimensionDriverParameters,
+    ForceDimensionParameters,
+)
+from sim.stand_ins.world import World, archive
+
+REAL = os.environ.get("HAPTIC_DHD", "")
+HEADER = os.environ.get("HAPTIC_DHD_HEADER", "")
+
+TYPES = {
+    "int": ctypes.c_int,
+    "uint": ctypes.c_uint,
+    "double": ctypes.c_double,
+    "bool": ctypes.c_bool,
+    "char": ctypes.c_char,
+    "uchar": ctypes.c_ubyte,
+    "unsigned char": ctypes.c_ubyte,
+    "size_t": ctypes.c_size_t,
+    "const char*": ctypes.c_char_p,
+    "char*": ctypes.c_char_p,
+    "double *": ctypes.POINTER(ctypes.c_double),
+    "ushort *": ctypes.POINTER(ctypes.c_ushort),
+    "int []": ctypes.POINTER(ctypes.c_int),
+    "double []": ctypes.POINTER(ctypes.c_double),
+}
+"""C types of dhdc.h."""
+
+
+def declared(argument: str) -> object:
+    """Find the type of an argument of dhdc.h."""
+    text = argument.split("=")[0].strip()
+    if "][" in text:
+        # Two dimensions are a pointer all the same.
+        return None
+    array = "[]" if "[" in text else ""
+    pointer = "*" if "*" in text else ""
+    name = re.sub(r"\[.*", "", text).replace("*", " ").split()[:-1]
+    word = " ".join(name)
+    if word == "char" and pointer:
+        return TYPES["char*"]
+    return TYPES[f"{word} {array or pointer}".strip()]
+
+
+@pytest.mark.skipif(not HEADER, reason="HAPTIC_DHD_HEADER names no header of the vendor")
+def test_types_are_those_of_the_vendors_header() -> None:
+    text = Path(HEADER).read_text(encoding="utf-8", errors="replace")
+    for name, (result, arguments) in FUNCTIONS.items():
+        found = re.search(rf"^\s*([\w ]+\*?)\s+__SDK\s+{name}\s*\((.*?)\);", text, re.MULTILINE)
+        assert found, name
+        assert TYPES[found[1].strip()] == result, name
+        theirs = [declared(one) for one in found[2].split(",") if one.strip()]
+        assert len(theirs) == len(arguments), name
+        for wanted, ours in zip(theirs, arguments, strict=True):
+            assert wanted in (None, ours), (name, wanted, ours)
+
+
+@pytest.mark.skipif(not REAL, reason="HAPTIC_DHD names no library of the vendor")
+def test_the_vendors_library_has_all_and_says_that_no_device_is_there() -> None:
+    library = load_library(REAL)
+    assert library.dhdGetSDKVersionStr()
+    x = ctypes.c_double(7.0)
+    # On failure: negative, and the out-parameters left alone.
+    assert library.dhdGetPosition(x, x, x, b"\xff") < 0
+    assert x.value == 7.0
+    assert library.dhdErrorGetLast() != 0
+    device = ForceDimensionDevice(
+        ForceDimensionDriverParameters(force_dimension=ForceDimensionParameters(library=REAL))
+    )
+    with pytest.raises(OSError, match="no device found"):
+        device.connect()
+    device.close()
+
+
+def test_a_static_library_is_linked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stand-in, as the vendor ships it."""
+    kept = tmp_path / "cache"
+    kept.mkdir(mode=0o700)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(kept))
+    path = archive("dhd", tmp_path)
+    library = load_library(str(path))
+    assert library.dhdErrorGetLast() == 0
+    (made,) = kept.rglob("linked-*")
+    before = made.stat().st_mtime_ns
+    assert load_library(str(path)).dhdErrorGetLast() == 0
+    assert made.stat().st_mtime_ns == before
+    with pytest.raises(OSError, match="no such file"):
+        load_library(str(tmp_path / "libnone.a"))
+    with pytest.raises(OSError, match="has no dhdErrorGetLast"):
+        load_library(str(archive("hd", tmp_path)))
+
+
+def test_a_world_is_kept_in_its_file(tmp_path: Path) -> None:
+    World(tmp_path / "w").state.mass = 0.5
+    assert World(tmp_path / "w").state.mass == 0.5
