@@ -1,6 +1,6 @@
 """DHD as its driver takes it: against the vendor's own library and header where `HAPTIC_DHD` names them, else the stand-in's.
 
-HAPTIC_DHD=/opt/sdk/lib/release/lin-x86_64-gcc/libdrd.a HAPTIC_DHD_HEADER=/opt/sdk/include/dhdc.h pytest tests/nodes/driver/test_dhd_abi.py
+``HAPTIC_DHD=/opt/sdk/lib/.../libdrd.a HAPTIC_DHD_HEADER=/opt/sdk/include/dhdc.h pytest tests/nodes/driver/test_dhd_abi.py``
 """
 
 from __future__ import annotations
