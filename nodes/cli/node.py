@@ -81,6 +81,8 @@ def _info(arguments: argparse.Namespace) -> int:
         "control": setup.control,
         **info,
     }
+    force = ask(run, name, "force") if "force" in info["operations"] else None
+    figures |= {} if force is None else {"force": force}
     counters = ("ticks", "sent", "received", "refused", "skipped", "gaps", "denied")
     offset, error = status["clock_offset"], status["clock_error"]
     known = f"{-offset:+.6f} s from the launcher's, known to ±{error * 1e6:.0f} µs" if error else "the launcher's own"
@@ -91,6 +93,7 @@ def _info(arguments: argparse.Namespace) -> int:
         "  " + ", ".join(f"{key} {status[key]}" for key in counters),
         f"  memory {status['memory'] / 1e6:.1f} MB, processor time {status['cpu']:.2f} s",
         f"  clock {known}",
+        *([] if force is None else [f"  force: {force['why']}"]),
         "  publishes:",
         *(f"    {topic}" for topic in info["publishes"]),
         "  listens to:",

@@ -28,6 +28,7 @@ from nodes.driver.device import Device
 from nodes.driver.external import give
 from nodes.driver.limits import STOP_TIME, lower, undeclared
 from nodes.driver.motion import set_motion
+from nodes.driver.no_force import why_no_force
 from nodes.driver.parameters import DriverParameters, check
 from nodes.driver.passivity import set_guard
 from nodes.driver.report import DriverReport
@@ -386,6 +387,7 @@ class Driver(Node):
             "progress": lambda: self._report.progress(self.setup.ticks),
             "device": lambda: times,
             "rearm": self._rearm,
+            "force": lambda: {"why": why_no_force(self.driving, self.condition())},
             "external": lambda force: give(self.driving, self.store.current.external, self.setup.name, force),
         }
 
@@ -405,6 +407,16 @@ class Driver(Node):
 
         receipt: dict[str, Any] = self.changes.hand_over(apply)
         return receipt
+
+    def condition(self) -> str:
+        """Say what keeps the device from giving the forces that it gets; empty when nothing is known to.
+
+        Returns
+        -------
+        str
+            One sentence.
+        """
+        return ""
 
     def report(self) -> dict[str, Any]:
         """Summarise the run."""

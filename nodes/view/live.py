@@ -149,7 +149,7 @@ class LiveRun:
         self._responses: deque[float] = deque(maxlen=max(100, round(RECENT / facts.period)))
         self._heard: dict[str, tuple[NodeStatus, float]] = {}
         self._state_at = -1.0
-        self._told = ""
+        self._told = self._device = ""
         self._missed: deque[tuple[float, int]] = deque()
         self._axis = AXIS_INDEX[facts.axes[0]]
         self._ringing = Ringing()
@@ -195,6 +195,8 @@ class LiveRun:
             self.board.log({"kind": "receipt", "t": message.seq * self._period, **_told_receipt(message)})
             return
         elif isinstance(message, Event):
+            if message.kind in ("device_force", "device_force_back"):
+                self._device = message.reason if message.kind == "device_force" else ""
             if message.kind in ("safety", "stopped"):
                 self._told, span = told_stop(message.reason.partition(": ")[2] or message.reason)
                 self._stop = {"t": message.seq * self._period, "span_s": span}
@@ -248,7 +250,7 @@ class LiveRun:
         gone = [name for name, found in nodes.items() if found["silent_s"]]
         if gone:
             told = f"{' and '.join(gone)} silent"
-        level, text = explain(state, self.feed.proxy, force, silent, told, self._ringing.ring())
+        level, text = explain(state, self.feed.proxy, force, silent, told, self._ringing.ring(), self._device)
         if self.ended:
             level, text = "rest", f"The run has ended: {self.ended.rstrip('.')}."
             for name, found in nodes.items():

@@ -46,6 +46,7 @@ def explain(
     silent: float,
     told: str = "",
     ring: Ring | None = None,
+    device: str = "",
 ) -> tuple[str, str]:
     """Say why there is a force or none."""
     if state is None:
@@ -60,6 +61,9 @@ def explain(
         return "stop", f"No force: {_STATES[state.safety]}{because}."
     if state.safety in _STATES:
         return "warn", f"{given:.2f} N: {_STATES[state.safety]}{because}."
+    if device:
+        # It takes the driver's forces, and does not give them.
+        return "stop", f"No force, or another one: {device}."
     law = force.law if force is not None else ""
     asked = size(force.force) if force is not None else 0.0
     if law == "fallback":

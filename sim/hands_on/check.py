@@ -42,7 +42,7 @@ WAYS: Final = (
 )
 
 
-class Rest(msgspec.Struct, frozen=True, kw_only=True):
+class SamplesAtRest(msgspec.Struct, frozen=True, kw_only=True):
     """A device at rest.
 
     Attributes
@@ -63,7 +63,7 @@ class Rest(msgspec.Struct, frozen=True, kw_only=True):
     longest: float
 
 
-class Push(msgspec.Struct, frozen=True, kw_only=True):
+class TriedForce(msgspec.Struct, frozen=True, kw_only=True):
     """One push upwards.
 
     Attributes
@@ -96,7 +96,7 @@ def ask(question: str) -> str:
     return answer.strip().lower()
 
 
-def at_rest(device: MailboxDevice) -> Rest:
+def at_rest(device: MailboxDevice) -> SamplesAtRest:
     """Look at a device that nobody moves."""
     places: list[Vector] = []
     begun = time.monotonic()
@@ -121,7 +121,7 @@ def at_rest(device: MailboxDevice) -> Rest:
         for column, mean in zip(columns, means, strict=True)
     )
     steps = [abs(b - a) for column in columns for a, b in itertools.pairwise(column) if abs(b - a) > 1e-12]
-    return Rest(
+    return SamplesAtRest(
         noise=(x, y, z),
         step=min(steps) if steps else None,
         rate=(seen - ticks) / (last - begun) if last > begun else 0.0,
@@ -170,7 +170,7 @@ def _theirs(device: MailboxDevice, axis: int, sign: float) -> str:
     return f"{'+' if row[largest] * sign > 0.0 else '-'}{'xyz'[largest]}"
 
 
-def push(device: MailboxDevice, force: float) -> Push:
+def push(device: MailboxDevice, force: float) -> TriedForce:
     """Push upwards: a ramp up, a while, a ramp down; what the device did."""
     before = place_of(device)
     last: Vector | None = None
@@ -202,7 +202,7 @@ def push(device: MailboxDevice, force: float) -> Push:
         device.write_force(ZERO, 0, 0.0)
     moved = place_of(device)[2] - before[2]
     felt = ask(f"Did it push upwards with {force:g} N? [y/n]").startswith("y")
-    return Push(force=force, moved=moved, felt=felt, why=why, ended=ended)
+    return TriedForce(force=force, moved=moved, felt=felt, why=why, ended=ended)
 
 
 def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
@@ -257,9 +257,9 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
     return result
 
 
-def _pushes(device: MailboxDevice) -> list[Push]:
+def _pushes(device: MailboxDevice) -> list[TriedForce]:
     """Push with 0.1 N, 1 N and what the device bears, each asked for; the first that is not felt ends it."""
-    pushes: list[Push] = []
+    pushes: list[TriedForce] = []
     for force in (0.1, 1.0, device.limits.peak_force):
         largest = " (the largest that the device bears)" if force == device.limits.peak_force else ""
         if not ask(f"Hold the handle loosely. Push upwards with {force:g} N{largest}? [y/n]").startswith("y"):
@@ -275,7 +275,7 @@ def _pushes(device: MailboxDevice) -> list[Push]:
     return pushes
 
 
-def no_force(device: MailboxDevice, one: Push) -> str:
+def no_force(device: MailboxDevice, one: TriedForce) -> str:
     """Say what it may be when the device itself knows nothing."""
     if one.moved > 0.001:
         return f"the handle moved up by {1e3 * one.moved:.1f} mm: the force acts, but is small for this hand"

@@ -94,7 +94,8 @@ class HardwareDriver(Driver):
         condition = self.held.condition() if self.state == "running" else ""
         if condition != self._condition:
             self._condition = condition
-            self.events.emit_each("device", condition or "forces are on again")
+            kind = "device_force" if condition else "device_force_back"
+            self.events.emit_each(kind, condition or "nothing keeps forces off any more")
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Offer what the device is, and to put its handle into the middle of the scene."""
