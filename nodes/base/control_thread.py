@@ -22,7 +22,7 @@ from messages.codec import MessageRefusedError
 from messages.transport.endpoints import EndpointRefusedError, bind, remove_ipc, split
 from messages.transport.gate import Reopening
 from messages.transport.requests import Reply, Request, decode_request
-from nodes.base import realtime
+from nodes.base import descriptors, realtime
 from nodes.base.kept import keep
 from nodes.base.leases import Leases
 from nodes.base.report import tick_of
@@ -284,11 +284,20 @@ class ControlServer(threading.Thread):
             self._poll_file(self._watched)
         if now >= self._next_status:
             self._next_status = now + STATUS_PERIOD
+            self._watch_descriptors()
             node.events.publish(topics.status(node.setup.name), node.status())
             self._reopening.tend()
             self._review_memory()
             # Who answers each tick should hear one all the time, from the first one on.
             self._links.look(node.counted().ticks or None if node.answers and node.state == "running" else None)
+
+    def _watch_descriptors(self) -> None:
+        node = self._node
+        # Over tcp ZeroMQ bears it.
+        if node.setup.control.startswith("ipc://") and not node.stopping and (reason := descriptors.shortage()):
+            node.events.emit("descriptors", f"{reason}; stopping")
+            node.failing = True
+            node.stop(reason)
 
     def _poll_file(self, watched: WatchedFile) -> None:
         node = self._node

@@ -80,6 +80,8 @@ class Node:
         What ends the loop's wait; None for a loop that does not wait without end.
     kept : msgspec.Struct
         The parameters that a successor of this process would go on with.
+    failing : bool
+        Whether its end is a failure, although it goes there in order.
     resumed_at : int
         Tick from which this process goes on with what a predecessor had; -1 for the first one.
     """
@@ -104,7 +106,7 @@ class Node:
         self.store = ParameterStore(setup.name, self.Parameters, setup.parameters)
         self.state = "configuring"
         self.stop_reason = ""
-        self.stopping = False
+        self.stopping = self.failing = False
         self.started = threading.Event()
         self.seq = self.ticks = self.gaps = self.skipped = 0
         self.clock = Clock(setup, lambda: self.counted().seq)

@@ -5,7 +5,6 @@ Whatever ends the loop, an exception included: first the device is made safe, th
 
 from __future__ import annotations
 
-import resource
 import signal
 import sys
 import threading
@@ -21,7 +20,7 @@ from messages.transport.gate import Gate
 from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription, move_aside, new_context
 from messages.transport.waker import Waker
-from nodes.base import realtime
+from nodes.base import descriptors, realtime
 from nodes.base.control_thread import ControlServer
 from nodes.base.kept import resume
 from nodes.base.kinds import load
@@ -74,12 +73,6 @@ def _heed_signals(node: Node) -> None:
     signal.signal(signal.SIGIO, signal.SIG_IGN)
 
 
-def _take_descriptors() -> None:
-    """Let the process open as many files and connections as it may: ZeroMQ ends it when they run out."""
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-
-
 def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | None]:
     """Make all sockets, and before them the gate, where some are encrypted."""
     setup = node.setup
@@ -130,7 +123,7 @@ def _fail_to_start(node: Node, error: Exception) -> int:
 def live(node: Node) -> int:
     """Run a node from start to end."""
     _heed_signals(node)
-    _take_descriptors()
+    descriptors.take()
     refused = realtime.apply(node.setup.scheduling)
     instead_of_stderr(realtime.step_aside, stdout_too=True)
     node.load_kernel()
@@ -160,7 +153,7 @@ def live(node: Node) -> int:
             node.loop()
         finally:
             node.finish()
-        code = 0
+        code = int(node.failing)
     except (ParameterError, OSError) as error:
         # What a device or a disk says is no fault of the program: one line, no traceback.
         node.stop_reason = node.stop_reason or str(error)

@@ -107,29 +107,34 @@ def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> No
         assert control.stop()
 
 
-def test_exhausted_descriptors_cost_no_control(tmp_path: Path) -> None:
-    """Whatever took them: a file that cannot be opened ends neither thread nor loop, and control works when they are back."""
+def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) -> None:
+    """ZeroMQ aborts a process that has none left when somebody connects: a node takes what it may, or ends while it can."""
     with running(tmp_path, "wall_press", "duration:=0") as launch:
-        line = Connection(launch.context, launch.run.nodes["coupling"].control)
-        pid = int(line.call("status")["pid"])
-        number = len(os.listdir(f"/proc/{pid}/fd"))
-        before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+        driver = launch.run.nodes["driver"].control
+        pid = launch.pid("driver")
+        number, before = len(os.listdir(f"/proc/{pid}/fd")), resource.prlimit(pid, resource.RLIMIT_NOFILE)
         resource.prlimit(pid, resource.RLIMIT_NOFILE, (number, before[1]))
-        clients = []
-        for _ in range(50):
-            client = socket.socket(socket.AF_UNIX)
-            client.setblocking(False)
-            clients.append(client)
-            with contextlib.suppress(BlockingIOError):
-                client.connect(launch.run.nodes["coupling"].control.removeprefix("ipc://"))
-        launch.wait_ticks(300)
-        resource.prlimit(pid, resource.RLIMIT_NOFILE, before)
-        for client in clients:
-            client.close()
-        # Served late at the most, by the same process, which has not lost its place.
-        status = wait_for(lambda: launch.call("coupling", "status", timeout=DEADLINE), "the status")
-        assert status["pid"] == pid
-        line.drop()
+        wait_for(
+            lambda: resource.prlimit(pid, resource.RLIMIT_NOFILE) == (before[1],) * 2, "the node takes what it may"
+        )
+        with contextlib.ExitStack() as held:
+            for _ in range(50):
+                client = held.enter_context(socket.socket(socket.AF_UNIX))
+                client.setblocking(False)
+                with contextlib.suppress(BlockingIOError):
+                    client.connect(driver.removeprefix("ipc://"))
+            launch.wait_ticks(300)
+        # Served late at the most, by the same process.
+        assert launch.pid("driver") == pid
+        # Now there is no more to be had.
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, (number, number))
+        launch.finish(code=1)
+        assert (
+            f"[driver] descriptors: of {number} descriptors, the limit (ulimit -n), too few are left" in launch.errors
+        )
+        assert "SIGABRT" not in launch.errors
+        # It ended in order: force down to zero, device closed.
+        assert launch.figures["safety"]["soft_stop_ticks"] > 0
 
 
 def test_a_flooded_node_without_a_launcher_ends_by_its_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
