@@ -1,12 +1,13 @@
-"""Record, inspect, play back, repair, export and draw recordings."""
+"""Record, inspect, play back, cut, repair, export and draw recordings."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import math
+import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from nodes.recording.accounts import ClockRecord, Completeness
     from nodes.recording.reader import Recording
 
-OWN = ("record", "info", "play", "recover", "export", "plot")
+OWN = ("record", "info", "play", "cut", "filter", "recover", "export", "plot")
 VERBS = Registry("haptic.bag", "sub-verb of bag")
 """What other packages do with a recording: modules of the same shape as a verb."""
 
@@ -49,6 +50,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
     record = declare("record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C.")
     record.add_argument("topics", nargs="*", metavar="TOPIC", help="whole names of topics; all when left out")
+    _add_patterns(record)
     record.add_argument("--all", "-a", action="store_true", help="record all topics, as without any")
     record.add_argument("--out", "-o", type=Path, metavar="FILE", help="file to write (default: OUT_DIR/RUN-PID.mcap)")
     record.add_argument(
@@ -73,7 +75,21 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     play.add_argument("--loop", "-l", action="store_true", help="begin again at the end, until Ctrl-C")
     play.add_argument("--topics", nargs="+", metavar="TOPIC", help="topics to publish; all when left out")
+    play.add_argument("--start-offset", type=_time, default=0.0, metavar="S", help="begin so many seconds into it")
+    play.add_argument(
+        "--remap", "-m", nargs="+", default=[], metavar="OLD:=NEW", help="publish a topic under another name"
+    )
     play.add_argument("--wait", action="store_true", help="wait for a listener before the first message")
+
+    cut = declare("cut", _extract, "Copy a while of a recording into one of its own.")
+    cut.set_defaults(topics=[])
+    few = declare("filter", _extract, "Copy some topics of a recording into one of their own.")
+    few.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="whole names of topics")
+    for own in (cut, few):
+        own.add_argument("file", type=Path)
+        own.add_argument("--from", type=_time, dest="start", metavar="S", help="from this time of the run on [s]")
+        own.add_argument("--to", type=_time, dest="stop", metavar="S", help="up to this time [s]")
+        _add_patterns(own)
 
     recover = declare("recover", _recover, "Copy all that is sound in a cut or damaged recording into a complete one.")
     recover.add_argument("file", type=Path)
@@ -106,6 +122,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
     for own, default in (
         (recover, "FILE.recovered.mcap"),
+        (cut, "FILE.cut.mcap"),
+        (few, "FILE.filter.mcap"),
         (export, "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet"),
         (plot, "FILE.png, FILE_xy.png, FILE_overlay.png; .svg and .pdf are what they are called"),
     ):
@@ -113,6 +131,27 @@ def add(parser: argparse.ArgumentParser) -> None:
             "--out", "-o", type=Path, metavar="PATH", help=f"what to write (default: {default}, beside it)"
         )
         own.add_argument("--force", action="store_true", help="replace what is there already")
+
+
+def _add_patterns(own: argparse.ArgumentParser) -> None:
+    own.add_argument("--regex", "-e", metavar="REGEX", help="the topics in whose names this is found")
+    own.add_argument("--exclude-regex", "-x", metavar="REGEX", help="but not those in whose names this is")
+
+
+def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
+    """Choose topics by name and pattern; all where nothing is asked for."""
+    try:
+        wanted = re.compile(arguments.regex or "")
+        unwanted = None if arguments.exclude_regex is None else re.compile(arguments.exclude_regex)
+    except re.error as error:
+        raise UsageError(f"bag {arguments.chosen}: {error.pattern!r} is no regular expression: {error}") from error
+    known = list(known)
+    named = [topic for topic in known if topic in arguments.topics or (arguments.regex and wanted.search(topic))]
+    chosen = named if arguments.topics or arguments.regex else known
+    left = [topic for topic in chosen if unwanted is None or not unwanted.search(topic)]
+    if not left:
+        raise UsageError(f"bag {arguments.chosen}: no topic fits; there are {', '.join(known)}")
+    return left
 
 
 def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
@@ -161,11 +200,14 @@ def _record_until(arguments: argparse.Namespace, ended: list[int]) -> int:
         raise UsageError(f"bag record: --all and topics ({' '.join(arguments.topics)}) at once; choose one")
     for topic in arguments.topics:
         known_topic(run, topic)
+    topics = arguments.topics
+    if arguments.regex or arguments.exclude_regex:
+        topics = _chosen(run.endpoints(), arguments)
     # Several recorders beside one launch each get a file of their own.
     out = _free(arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force)
     print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
     until = time.monotonic() + (arguments.duration or math.inf)
-    count = record(run, str(out), arguments.topics, lambda: bool(ended) or time.monotonic() > until, arguments.force)
+    count = record(run, str(out), topics, lambda: bool(ended) or time.monotonic() > until, arguments.force)
     answer(arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages")
     return 0
 
@@ -254,6 +296,9 @@ def _play(arguments: argparse.Namespace) -> int:
     from nodes.recording.reader import Recording
 
     recording = Recording(arguments.file)
+    names = _remapped(recording, arguments.remap)
+    if arguments.start_offset > recording.wall_duration:
+        raise UsageError(f"--start-offset {arguments.start_offset:g}: it lasts {recording.wall_duration:g} s")
     counts: dict[str, int] = {}
     context = new_context()
     try:
@@ -266,8 +311,16 @@ def _play(arguments: argparse.Namespace) -> int:
         while arguments.wait and not publisher.listeners():
             time.sleep(0.01)
         while True:
-            for entry in play(recording, publisher, rate=arguments.rate, topics=arguments.topics):
-                counts[entry.topic] = counts.get(entry.topic, 0) + 1
+            for entry in play(
+                recording,
+                publisher,
+                rate=arguments.rate,
+                topics=arguments.topics,
+                offset=arguments.start_offset,
+                remap=names,
+            ):
+                name = names.get(entry.topic, entry.topic)
+                counts[name] = counts.get(name, 0) + 1
             if not (arguments.loop and counts):
                 break
     except KeyboardInterrupt:
@@ -278,6 +331,37 @@ def _play(arguments: argparse.Namespace) -> int:
     pace = "without a pause" if math.isinf(arguments.rate) else f"at {arguments.rate:g} times the original pace"
     told = printable("\n".join(f"  {topic}: {count}" for topic, count in counts.items()))
     answer(arguments.json, {"published": counts}, f"published {pace}:\n{told}")
+    return 0
+
+
+def _remapped(recording: Recording, words: Iterable[str]) -> dict[str, str]:
+    names = {}
+    for word in words:
+        old, sign, new = word.partition(":=")
+        if not sign or not new.startswith("/"):
+            raise UsageError(f"--remap {word}: expected OLD:=NEW, both with a leading slash")
+        if old not in recording.topics:
+            raise UsageError(f"--remap {word}: no topic {old!r}; there are {', '.join(recording.topics)}")
+        names[old] = new
+    return names
+
+
+def _extract(arguments: argparse.Namespace) -> int:
+    from nodes.recording.extract import extract
+    from nodes.recording.reader import Recording
+
+    recording = Recording(arguments.file)
+    start, stop = arguments.start or 0.0, math.inf if arguments.stop is None else arguments.stop
+    if start >= stop:
+        raise UsageError(f"--from {start:g} --to {stop:g}: the end comes after the beginning")
+    for topic in arguments.topics:
+        if topic not in recording.topics:
+            raise UsageError(f"{arguments.file}: no topic {topic!r}; there are {', '.join(recording.topics)}")
+    topics = _chosen(recording.topics, arguments)
+    out = _free(arguments.out or arguments.file.with_suffix(f".{arguments.chosen}.mcap"), arguments.force)
+    counts = extract(recording, out, topics, start, stop, overwrite=arguments.force)
+    told = printable("\n".join(f"  {topic}: {count}" for topic, count in counts.items()))
+    answer(arguments.json, {"out": str(out), "messages": counts}, f"{out}:\n{told}")
     return 0
 
 

@@ -21,6 +21,7 @@ from nodes.base import realtime
 from nodes.base.setup import Setup
 from nodes.base.words import instead_of_stderr, last_words
 from nodes.cli.colour import coloured
+from nodes.cli.debugging import Debugging
 from nodes.cli.main import UsageError, add_json, answer
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.places import refuse_unwritable
@@ -61,6 +62,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         help="directory of recordings and plot (default: as the launch file says)",
+    )
+    parser.add_argument(
+        "--debug", "-d", action="store_true", help="print what is launched, argument by argument, and each process"
     )
     parser.add_argument("--no-plot", action="store_true", help="do not draw the recording at the end")
     parser.add_argument(
@@ -338,7 +342,11 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
 
     page = PageAnnouncer(arguments.json)
 
+    debug = Debugging(launch, say) if arguments.debug else None
+
     def progress(supervisor: Supervisor) -> None:
+        if debug is not None:
+            debug(supervisor)
         page(supervisor)
         status(supervisor)
 

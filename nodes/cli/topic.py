@@ -17,6 +17,8 @@ from messages.schema import schema
 from messages.topics import LOOP, message_type
 from nodes.cli.ask import add_run, chosen_run, known_topic
 from nodes.cli.main import UsageError, answer
+from nodes.cli.publish import add as add_publish
+from nodes.cli.publish import publish
 
 if TYPE_CHECKING:
     from nodes.cli.listen import Heard
@@ -28,7 +30,7 @@ REPORT_PERIOD = 1.0
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="list|info|echo|hz|bw|delay", required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="list|info|echo|hz|bw|delay|pub", required=True)
 
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
@@ -42,6 +44,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     echo = declare("echo", _echo, "Print the messages of a topic (with --json: one JSON object per line).")
     echo.add_argument("--once", action="store_true", help="print one message and end, as -n 1")
     echo.add_argument("--field", metavar="NAME", help="print only this field, e.g. position or position[2]")
+    add_publish(
+        declare("pub", publish, "Give a force or a hand's target from outside, as far as the driver allows it.")
+    )
     figures = [
         declare("hz", _hz, "Measure rate and intervals of a topic, as received."),
         declare("bw", _bw, "Measure the bandwidth of a topic."),

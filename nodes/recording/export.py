@@ -88,7 +88,7 @@ def _flat(values: Iterable[Any]) -> Iterator[Any]:
             yield int(value) if isinstance(value, bool) else value
 
 
-def _begin(recording: Recording) -> float:
+def begin_of(recording: Recording) -> float:
     """Stamp of the first tick [s], or of whatever came first where there are no ticks."""
     topics = recording.topics
     if DEVICE_STATE in topics:
@@ -117,7 +117,7 @@ def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False
     folder = Path(out)
     files = {topic: folder / f"{name}.csv" for topic, name in plain_names(recording.topics).items()}
     made = list(files.values())
-    mode, begin = "w" if overwrite else "x", _begin(recording)
+    mode, begin = "w" if overwrite else "x", begin_of(recording)
     writers: dict[str, Any] = {}
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -157,7 +157,7 @@ def _tables(recording: Recording) -> dict[str, Arrays]:
         found[TICKS] = read(recording.path)
     for topic, name in plain_names(recording.topics).items():
         arrays = recording.arrays(topic)
-        found[name] = {"time": arrays["stamp"] - _begin(recording), **arrays}
+        found[name] = {"time": arrays["stamp"] - begin_of(recording), **arrays}
     for table, arrays in found.items():
         for field, array in arrays.items():
             if array.dtype.hasobject:
@@ -215,7 +215,7 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
     for path in (out, _beside(out)):
         if path.exists() and not overwrite:
             raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten")
-    begin = _begin(recording)
+    begin = begin_of(recording)
     types = {"law": pa.string(), "safety": pa.string(), "contact": pa.int8()}
     types |= dict.fromkeys(("seq", "revision", "age", "missed", "overruns"), pa.int64())
     fields = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 
 from messages.codec import encode
 from messages.transport.open_port import OpenPort
@@ -11,19 +11,25 @@ from nodes.recording.reader import Entry, Recording
 
 
 def play(
-    recording: Recording, publisher: OpenPort, *, rate: float = 1.0, topics: Collection[str] | None = None
+    recording: Recording,
+    publisher: OpenPort,
+    *,
+    rate: float = 1.0,
+    topics: Collection[str] | None = None,
+    offset: float = 0.0,
+    remap: Mapping[str, str] | None = None,
 ) -> Iterator[Entry]:
-    """Publish the messages of a recording as they were received, stamps and seq unchanged."""
+    """Publish the messages of a recording as they were received, from `offset` [s] on; stamps and seq unchanged."""
     if not rate > 0.0:
         raise ValueError(f"rate is {rate}, must be above 0")
-    begin, first = time.monotonic(), None
+    names, begin, first = remap or {}, time.monotonic(), recording.first_log + offset
     for entry in recording.entries(topics):
-        if first is None:
-            first = entry.log_time
+        if entry.log_time < first:
+            continue
         # Absolute targets: what one message is late does not add up.
         ahead = begin + (entry.log_time - first) / rate - time.monotonic()
         if ahead > 0.0:
             time.sleep(ahead)
-        publisher.send(entry.topic.encode(), encode(entry.message))
+        publisher.send(names.get(entry.topic, entry.topic).encode(), encode(entry.message))
         publisher.keep()
         yield entry

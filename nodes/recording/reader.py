@@ -150,6 +150,21 @@ class Recording:
         return self.metadata.get(MANIFEST, {})
 
     @property
+    def publish_offset(self) -> int:
+        """What to take from a publish time of `raw` to get the stamp [ns]."""
+        return self._publish_offset
+
+    @property
+    def channels(self) -> dict[int, Channel]:
+        """Channels by the numbers that `raw` gives."""
+        return self._channels
+
+    @property
+    def schemas(self) -> dict[int, Schema]:
+        """Schemas by the numbers that the channels name."""
+        return self._schemas
+
+    @property
     def recovered(self) -> bool:
         """Whether it was cut: either it still is, or `nodes.recording.recover.recover` completed it."""
         return not self.complete or RECOVERY in self.metadata

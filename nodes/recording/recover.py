@@ -117,7 +117,7 @@ def _sound(parse: Callable[[Path, Record], T], path: Path, record: Record, probl
         return None
 
 
-class _Copy:
+class Copy:
     """The file being written: registers schemas and channels anew, each when its first message comes."""
 
     def __init__(self, writer: Any, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
@@ -139,6 +139,7 @@ class _Copy:
         return number
 
     def message(self, raw: RawMessage) -> None:
+        """Copy a message."""
         channel = self.channels.get(raw.channel)
         if channel is None:
             self.orphans += 1
@@ -149,6 +150,7 @@ class _Copy:
         self.counts[channel.topic] = self.counts.get(channel.topic, 0) + 1
 
     def metadata(self, name: str, values: dict[str, str], problems: list[str]) -> None:
+        """Copy a metadata record, if it is sound."""
         if name == CLOCK:
             try:
                 read_offsets(values)
@@ -183,7 +185,7 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
         raise RecordError(f"{out}: is the recording itself; give another name")
     output = Output(out, overwrite)
     try:
-        copy = _Copy(mcap_writer(output, f"haptic-nodes {versions()['haptic-nodes']}"), schemas, channels)
+        copy = Copy(mcap_writer(output, f"haptic-nodes {versions()['haptic-nodes']}"), schemas, channels)
         for record in _salvage(path, sound):
             if record.opcode == mcap_walk.MESSAGE and (raw := _sound(mcap_walk.parse_message, path, record, problems)):
                 copy.message(raw)

@@ -117,7 +117,9 @@ class Ros2(Node):
 
     # -- out ---------------------------------------------------------------------------------------------------------
 
-    def _open(self, parameters: Ros2Parameters) -> None:
+    def configure(self) -> None:
+        """Join the graph, which may take seconds, before the loop is waited for."""
+        parameters: Ros2Parameters = self.store.current
         namespace = f"/{self.setup.namespace}".rstrip("/")
         backend = choose(parameters.backend, self.setup.name)
         self._graph: Graph = join(backend, self.setup.name.rpartition("/")[2], namespace or "/")
@@ -283,12 +285,9 @@ class Ros2(Node):
         try:
             self._run: RunInfo = self._chain()
             self._roles = roles(self._run)
-            self._open(parameters)
             self._listen(parameters)
             self._serve(names, 1.0 / parameters.rate)
         finally:
-            if hasattr(self, "_graph"):
-                self._graph.close()
             self._context.destroy(linger=0)
 
     def _chain(self) -> RunInfo:
@@ -304,10 +303,16 @@ class Ros2(Node):
         while not self.stopping:
             left = following - time.monotonic()
             frames = self._listening.receive(max(0, min(50, int(left * 1e3 + 1.0))))
-            if frames is not None and (topic := names.get(frames[0])) is not None:
-                newest[topic] = frames[1]
-            if time.monotonic() >= following:
-                following = max(following + period, time.monotonic())
+            now = time.monotonic()
+            due = now >= following
+            # When it is time, whatever waits is taken first: what the graph gets is the newest.
+            while frames is not None:
+                if (topic := names.get(frames[0])) is not None:
+                    newest[topic] = frames[1]
+                frames = self._listening.receive(0) if due else None
+            if due:
+                # What is late by a period or more is left out: never more than the rate.
+                following = following + period if now < following + period else now + period
                 self._newest(newest)
                 newest.clear()
                 self._graph.take()
@@ -315,5 +320,6 @@ class Ros2(Node):
                 self.between_ticks(0)
 
     def finish(self) -> None:
-        """Stop listening."""
+        """Stop listening, and leave the graph."""
         self._listening.close()
+        self._graph.close()

@@ -26,6 +26,8 @@ from tests.support.launching import running
 from tests.support.rclpy_probe import PULL, PUSH
 from tests.support.setups import setup_of
 
+pytestmark = pytest.mark.realtime
+
 PYTHON = os.environ.get("RCLPY_PYTHON") or (sys.executable if find_spec("rclpy") else "")
 """A Python that has rclpy: this one, or the one that the variable names."""
 

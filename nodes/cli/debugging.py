@@ -1,0 +1,54 @@
+"""What ``haptic launch --debug`` says: the launch with all arguments filled in, and each process where it runs."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+
+import msgspec
+
+from nodes.launcher.child import PYTHON
+from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
+from nodes.launcher.supervisor import Supervisor
+from nodes.parameters.yaml_io import write_yaml
+
+
+class Debugging:
+    """Says of a launch what it is, and of each process when it is new.
+
+    Parameters
+    ----------
+    launch : Launch
+        With its arguments filled in.
+    say : callable
+        Takes one line for the user.
+    """
+
+    def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._pids: dict[str, int] = {}
+        usual, plain = RunSpec(), NodeSpec(kind="")
+        run = {name: value for name, value in msgspec.to_builtins(launch.run).items() if value != getattr(usual, name)}
+        nodes = {
+            node: {name: value for name, value in msgspec.to_builtins(spec).items() if value != getattr(plain, name)}
+            for node, spec in launch.nodes.items()
+        }
+        told = {"file": launch.path, "arguments": launch.arguments, "run": run, "nodes": nodes}
+        for line in write_yaml(told).splitlines():
+            say(line)
+
+    def __call__(self, supervisor: Supervisor) -> None:
+        """Say which processes are new."""
+        for name, child in supervisor.children.items():
+            process = child.process
+            if process is None or self._pids.get(name) == process.pid:
+                continue
+            self._pids[name] = process.pid
+            setup = child.setup
+            where = f"processors {', '.join(map(str, setup.scheduling.cpus)) or 'any'}"
+            how = f"FIFO {setup.scheduling.fifo}" if setup.scheduling.fifo else "no FIFO"
+            command = shlex.join([*PYTHON, "-m", "nodes", f"{setup.run_dir}/{name}.json"])
+            self._say(f"{name}: pid {process.pid}, {where}, {how}, tick {setup.tick}: {command}")
+            for topic, source in setup.sources.items():
+                self._say(f"  takes {topic} from {source}")
+            self._say(f"  publishes at {setup.publish}, answers at {setup.control}")

@@ -1,0 +1,89 @@
+"""What ``haptic topic pub`` may publish: a force and a target from outside; the loop's own topics belong to their nodes."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from typing import Any
+
+from messages.topics import LOOP
+from messages.types import Vector
+from nodes.cli.ask import ask, chosen_chain
+from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.client.launches import roles
+from nodes.launcher.runs import RunInfo
+from nodes.parameters.store import ParameterError, convert
+from nodes.parameters.yaml_io import parse_yaml
+from nodes.view.pointer import PointerWriter, pointer_file
+
+WRENCH, TARGET = "/external/wrench", "/external/target"
+"""A force on top of the law's [N], and where the hand of a virtual device is pulled to [m]."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "topic", help=f"{WRENCH} (a force on top of the law's) or {TARGET} (of a virtual device's hand)"
+    )
+    parser.add_argument(
+        "values", help="{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m; or the three numbers alone"
+    )
+    parser.add_argument("--rate", "-r", type=float, default=50.0, metavar="HZ", help="how often (default: %(default)g)")
+    parser.add_argument("--once", "-1", action="store_true", help="once, and end")
+    parser.add_argument("--times", "-t", type=int, default=0, metavar="N", help="so often, and end")
+
+
+def _vector(text: str, name: str) -> Vector:
+    try:
+        given = parse_yaml(text, "values")
+        if isinstance(given, dict):
+            if set(given) != {name}:
+                raise UsageError(f"{text}: expected {{{name}: [x, y, z]}}")
+            given = given[name]
+        found: Vector = convert(given, Vector, name)
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
+    return found
+
+
+def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
+    driver = roles(run).get("driver")
+    if driver is None:
+        raise UsageError(f"{run.run}: has no driver")
+    if arguments.topic == WRENCH:
+        force = _vector(arguments.values, "force")
+        return lambda: ask(run, driver, "external", force=list(force))
+    position = _vector(arguments.values, "position")
+    setup = run.nodes[driver]
+    try:
+        pointer = PointerWriter(pointer_file(setup.run_dir, setup.name))
+    except FileNotFoundError as error:
+        raise RefusedError(
+            f"{driver}: no hand can be dragged; give a sim_driver device.hand and pointer: {{}}"
+        ) from error
+    return lambda: pointer.write(position)
+
+
+def publish(arguments: argparse.Namespace) -> int:
+    """Publish until it was enough, Ctrl-C, or the end of the run."""
+    if arguments.topic not in (WRENCH, TARGET):
+        why = ": each tick has one, of its own node" if arguments.topic in LOOP else ""
+        raise UsageError(f"{arguments.topic} cannot be published from outside{why}; there are {WRENCH} and {TARGET}")
+    if not 0.0 < arguments.rate <= 1000.0:
+        raise UsageError(f"--rate {arguments.rate:g}: above 0, at most 1000 Hz")
+    run = chosen_chain(arguments)
+    send = _sender(run, arguments)
+    count, most = 0, 1 if arguments.once else arguments.times
+    following = time.monotonic()
+    try:
+        while run.lives and not (most and count >= most):
+            send()
+            count += 1
+            following += 1.0 / arguments.rate
+            time.sleep(max(0.0, following - time.monotonic()))
+    except KeyboardInterrupt:
+        # What is not renewed is gone by itself.
+        pass
+    answer(arguments.json, {"topic": arguments.topic, "published": count}, f"{arguments.topic}: published {count}")
+    return 0
