@@ -109,8 +109,11 @@ def fir(taps: Sequence[float], history: Sequence[float], head: int) -> float:
     return force
 
 
-def one_sided(force: float, normal: float, contact: bool, raw: bool, clamp: bool) -> float:
+def one_sided(force: float, normal: float, along: float, contact: bool, raw: bool, clamp: bool) -> float:
     """Contact conventions: no force outside a raw-history wall, and no pull towards the wall when clamped.
+
+    What pulls is the part of the force along the normal, not what its axes do each for themselves: on a surface that leans, a
+    force that draws the device along it has components against the normal's, and is none that pulls.
 
     Parameters
     ----------
@@ -118,12 +121,14 @@ def one_sided(force: float, normal: float, contact: bool, raw: bool, clamp: bool
         Force of the law on this axis [N].
     normal : float
         Component of the outward normal on this axis; 0 for a two-sided coupling.
+    along : float
+        The law's force along the normal, summed over all axes [N].
     contact : bool
         Whether the surface is touched.
     raw : bool
         Whether the history holds the raw distance (see `deflection`).
     clamp : bool
-        Whether a force into the wall is set to zero.
+        Whether the part of the force that leads into the wall is taken off.
 
     Returns
     -------
@@ -132,8 +137,8 @@ def one_sided(force: float, normal: float, contact: bool, raw: bool, clamp: bool
     """
     if raw and not contact:
         return 0.0
-    if clamp and force * normal < 0.0:
-        return 0.0
+    if clamp and along < 0.0:
+        return force - along * normal
     return force
 
 

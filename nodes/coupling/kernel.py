@@ -49,6 +49,7 @@ def _render(s: Any, taken: Any, contact: bool, force: Any) -> bool:
     """Render the force of one tick; whether it is finite."""
     raw, clamp, length = s.raw != 0, s.clamp != 0, s.length
     _note(s, True)
+    along = 0.0
     for i in range(3):
         force[_TO_FORCE + i] = 0.0
     for n in range(s.axes):
@@ -72,7 +73,11 @@ def _render(s: Any, taken: Any, contact: bool, force: Any) -> bool:
                     head,
                 )
             value = cross_fade(old, value, s.fade_done, s.fade_ramp)
-        force[_TO_FORCE + i] = one_sided(value, normal, contact, raw, clamp)
+        force[_TO_FORCE + i] = value
+        along += value * normal
+    for n in range(s.axes):
+        i = s.axis[n]
+        force[_TO_FORCE + i] = one_sided(force[_TO_FORCE + i], taken[_NORMAL + i], along, contact, raw, clamp)
     return math.isfinite(force[_TO_FORCE] + force[_TO_FORCE + 1] + force[_TO_FORCE + 2])
 
 

@@ -147,7 +147,7 @@ class Renderer:
         """Take one tick's deflection and render the force that answers it."""
         force = [0.0, 0.0, 0.0]
         position, surface, normals, contact = proxy.position, proxy.proxy, proxy.normal, proxy.contact
-        distance, raw, clamp, fades = proxy.distance, self.raw, self.clamp, self._fades
+        distance, raw, fades, along = proxy.distance, self.raw, self._fades, 0.0
         for n, i, history, law in self._lines:
             normal = normals[i]
             value = deflection(position[i], surface[i], distance, normal, contact, raw)
@@ -156,12 +156,19 @@ class Renderer:
             value = law.sum_of_taps(head) if law.plain else law.force()
             if fades:
                 value = fades[n].mix(value)
-            force[i] = one_sided(value, normal, contact, raw, clamp)
+            force[i] = value
+            along += value * normal
+        self._keep_one_sided(force, proxy, along)
         if fades and fades[0].over:
             self._end_fades()
         for waiting in self.standby:
             waiting.catch_up()
         return force[0], force[1], force[2]
+
+    def _keep_one_sided(self, force: list[float], proxy: Proxy, along: float) -> None:
+        normal, contact, raw, clamp = proxy.normal, proxy.contact, self.raw, self.clamp
+        for i in self.axes:
+            force[i] = one_sided(force[i], normal[i], along, contact, raw, clamp)
 
     def _end_fades(self) -> None:
         self._fades = []
@@ -213,13 +220,15 @@ class Renderer:
         """Replace a failed law by the fallback within the same tick."""
         self._end_fades()
         self.law = self.fallback
-        force = [0.0, 0.0, 0.0]
+        force, along = [0.0, 0.0, 0.0], 0.0
         for n, i in enumerate(self.axes):
             history = self.histories[n]
             if pushes is not None and history.pushes == pushes[n]:
                 history.push(self._deflection(proxy, i))
-            value = one_sided(self.law.axes[n].force(), proxy.normal[i], proxy.contact, self.raw, self.clamp)
+            value = self.law.axes[n].force()
             force[i] = value if math.isfinite(value) else 0.0
+            along += force[i] * proxy.normal[i]
+        self._keep_one_sided(force, proxy, along)
         for law in self.standby:
             law.catch_up()
         return force[0], force[1], force[2]

@@ -75,7 +75,10 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         callable
             From a device position [m] to proxy, normal, distance and contact.
         """
-        raise TypeError(f"surface kind {type(self).kind!r} does not define meeting()")
+        numbers = self.numbers(0.0)
+        if numbers is None:
+            raise TypeError(f"surface kind {type(self).kind!r} defines neither numbers() nor meeting()")
+        return meeting_of(numbers)
 
     def meeting_every(self, period: float) -> Callable[[Vector], Meeting]:
         """Build the question of the hot path, for a surface that goes by time.
@@ -90,8 +93,8 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         callable
             As `meeting` does, and what that gives where time does not matter.
         """
-        del period
-        return self.meeting()
+        numbers = numbers_of(self, period)
+        return self.meeting() if numbers is None else meeting_of(numbers)
 
     def numbers(self, period: float) -> Numbers | None:
         """Describe the surface by numbers, so that compiled ticks know it too.
@@ -150,55 +153,17 @@ class Free(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     kind: ClassVar[str] = "free"
 
-    def meeting(self) -> Callable[[Vector], Meeting]:
-        """Build the question of the hot path.
-
-        Returns
-        -------
-        callable
-            The proxy is the device position, always.
-        """
-        return meeting_of(self.numbers(0.0))
-
     def numbers(self, period: float) -> Numbers:
-        """Describe the surface by numbers.
-
-        Parameters
-        ----------
-        period : float
-            Any.
-
-        Returns
-        -------
-        Numbers
-            Nothing.
-        """
+        """Describe the surface by numbers."""
         del period
         return Numbers(FREE, array("d"), array("d"))
 
     def pushes(self) -> tuple[Axis, ...]:
-        """Tell along which axes it can push.
-
-        Returns
-        -------
-        tuple of str
-            None of them.
-        """
+        """Tell along which axes it can push."""
         return ()
 
     def on_axis(self, axis: Axis) -> AxisSurface:
-        """Reduce to one axis.
-
-        Parameters
-        ----------
-        axis : str
-            Any.
-
-        Returns
-        -------
-        AxisSurface
-            Nothing there.
-        """
+        """Reduce to one axis."""
         del axis
         return AxisSurface("free")
 
@@ -221,55 +186,17 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     position: float = 0.0
     normal: Literal[1, -1] = 1
 
-    def meeting(self) -> Callable[[Vector], Meeting]:
-        """Build the question of the hot path.
-
-        Returns
-        -------
-        callable
-            The proxy lies on the plane while the device is inside.
-        """
-        return meeting_of(self.numbers(0.0))
-
     def numbers(self, period: float) -> Numbers:
-        """Describe the surface by numbers.
-
-        Parameters
-        ----------
-        period : float
-            Any.
-
-        Returns
-        -------
-        Numbers
-            Axis, coordinate [m] and side.
-        """
+        """Describe the surface by numbers."""
         del period
         return Numbers(PLANE, array("d", (AXIS_INDEX[self.axis], self.position, self.normal)), array("d"))
 
     def pushes(self) -> tuple[Axis, ...]:
-        """Tell along which axes it can push.
-
-        Returns
-        -------
-        tuple of str
-            The one that it lies across.
-        """
+        """Tell along which axes it can push."""
         return (self.axis,)
 
     def on_axis(self, axis: Axis) -> AxisSurface:
-        """Reduce to one axis.
-
-        Parameters
-        ----------
-        axis : str
-            The axis that the scene computes.
-
-        Returns
-        -------
-        AxisSurface
-            The plane, or nothing on an axis that it does not lie across.
-        """
+        """Reduce to one axis."""
         return AxisSurface("plane", self.position, float(self.normal)) if axis == self.axis else AxisSurface("free")
 
 
@@ -285,55 +212,17 @@ class Anchor(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
     kind: ClassVar[str] = "anchor"
     position: Vector = ZERO
 
-    def meeting(self) -> Callable[[Vector], Meeting]:
-        """Build the question of the hot path.
-
-        Returns
-        -------
-        callable
-            The proxy is the point, always, and both sides touch.
-        """
-        return meeting_of(self.numbers(0.0))
-
     def numbers(self, period: float) -> Numbers:
-        """Describe the surface by numbers.
-
-        Parameters
-        ----------
-        period : float
-            Any.
-
-        Returns
-        -------
-        Numbers
-            The point [m].
-        """
+        """Describe the surface by numbers."""
         del period
         return Numbers(ANCHOR, array("d", self.position), array("d"))
 
     def pushes(self) -> tuple[Axis, ...]:
-        """Tell along which axes a device that is not there is pulled, wherever it moves.
-
-        Returns
-        -------
-        tuple of str
-            Those on which the point is not at 0.
-        """
+        """Tell along which axes a device that is not there is pulled, wherever it moves."""
         return tuple(axis for axis, i in AXIS_INDEX.items() if self.position[i] != 0.0)  # type: ignore[misc]
 
     def on_axis(self, axis: Axis) -> AxisSurface:
-        """Reduce to one axis.
-
-        Parameters
-        ----------
-        axis : str
-            The axis that the scene computes.
-
-        Returns
-        -------
-        AxisSurface
-            The point's coordinate.
-        """
+        """Reduce to one axis."""
         return AxisSurface("anchor", self.position[AXIS_INDEX[axis]])
 
 

@@ -323,7 +323,7 @@ def play(
             if done < ramp:
                 force = cross_fade(evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp)
                 done += 1
-            force = one_sided(force, contact.normal, touches, contact.raw, contact.clamp)
+            force = one_sided(force, contact.normal, force * contact.normal, touches, contact.raw, contact.clamp)
             if guard is not None:
                 if k > 0:
                     step = measured - before

@@ -107,7 +107,9 @@ def test_bits_of_the_nodes_kernels_by_hand(name: str) -> None:
         asked = fir(law.taps, history, head)
         if flat:
             asked += sections(flat, state, history[head], history[head + 1])
-        force = limit(one_sided(asked, normal, contact, here.raw, here.clamp), force, here.peak, here.slew)
+        force = limit(
+            one_sided(asked, normal, asked * normal, contact, here.raw, here.clamp), force, here.peak, here.slew
+        )
         assert (device.position, measured, newest, force) == (
             trace.position[k],
             trace.measured[k],

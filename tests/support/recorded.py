@@ -74,7 +74,7 @@ def drop(ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None)
             )
         stretch = deflection(x, proxy, distance, 1.0, contact, False)
         law = STIFFNESS * stretch + damping * (stretch - before) / PERIOD
-        force, before = one_sided(law, 1.0, contact, False, True), stretch
+        force, before = one_sided(law, 1.0, law, contact, False, True), stretch
         name = "pd" if switch is None or k < switch else "stiffer"
         yield FORCE, Force(seq=k, stamp=k * PERIOD, force=(0.0, 0.0, force), law=name)
         energy -= force * x

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -13,10 +12,10 @@ import msgspec
 from messages.types import ZERO, Vector
 from nodes.base.setup import Axis
 from nodes.compiled.layout import SHAPES
-from nodes.environment.meet import Numbers, meeting_of
+from nodes.environment.meet import Numbers
 from nodes.environment.shapes import scene
 from nodes.environment.shapes.scene import Friction, Solid
-from nodes.environment.surfaces import Meeting, Surface, parse_surface
+from nodes.environment.surfaces import Surface, parse_surface
 from nodes.parameters.store import ParameterError
 
 __all__ = [
@@ -91,18 +90,7 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         raise TypeError(f"{where}: surface kind {type(self).kind!r} does not define solids()")
 
     def check(self, where: str) -> None:
-        """Refuse what could not be touched.
-
-        Parameters
-        ----------
-        where : str
-            Path of the surface, for errors.
-
-        Raises
-        ------
-        ParameterError
-            Naming parameter, value and remedy.
-        """
+        """Refuse what could not be touched."""
         self.solids(where)
 
     def tables(self, where: str, period: float) -> tuple[array[float], array[float]]:
@@ -123,44 +111,12 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         solids = self.solids(where)
         return scene.scene_table(solids, self.tool_radius, period), scene.new_memory(len(solids))
 
-    def meeting_every(self, period: float) -> Callable[[Vector], Meeting]:
-        """Build the question of the hot path.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period, which viscous friction goes by [s].
-
-        Returns
-        -------
-        callable
-            From a device position [m] to proxy, normal, distance and contact; it remembers where the proxy was.
-        """
-        return meeting_of(self.numbers(period))
-
     def numbers(self, period: float) -> Numbers:
-        """Describe the surface by numbers.
-
-        Parameters
-        ----------
-        period : float
-            Sampling period, which viscous friction goes by [s].
-
-        Returns
-        -------
-        Numbers
-            Its tables.
-        """
+        """Describe the surface by numbers."""
         return Numbers(SHAPES, *self.tables("surface", period))
 
     def pushes(self) -> tuple[Axis, ...]:
-        """Tell along which axes it can push.
-
-        Returns
-        -------
-        tuple of str
-            All three.
-        """
+        """Tell along which axes it can push."""
         return ("x", "y", "z")
 
 
@@ -198,23 +154,7 @@ class OrientedPlane(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True
     normal: Vector = (0.0, 0.0, 1.0)
 
     def solids(self, where: str) -> list[Solid]:
-        """Make the plane.
-
-        Parameters
-        ----------
-        where : str
-            Path of the surface, for errors.
-
-        Returns
-        -------
-        list of Solid
-            One.
-
-        Raises
-        ------
-        ParameterError
-            When the normal has no direction.
-        """
+        """Make the plane."""
         if math.hypot(*self.normal) < 1e-6:
             raise ParameterError(f"{where}.normal: {list(self.normal)} has no direction")
         return [scene.plane(self.position, self.normal, self.rubs)]
@@ -236,18 +176,7 @@ class Ball(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     radius: Positive
 
     def solids(self, where: str) -> list[Solid]:
-        """Make the sphere.
-
-        Parameters
-        ----------
-        where : str
-            Path of the surface, for errors.
-
-        Returns
-        -------
-        list of Solid
-            One.
-        """
+        """Make the sphere."""
         del where
         return [scene.sphere(self.position, self.radius, self.rubs)]
 
@@ -271,18 +200,7 @@ class Box(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     rotation: Vector = ZERO
 
     def solids(self, where: str) -> list[Solid]:
-        """Make the box.
-
-        Parameters
-        ----------
-        where : str
-            Path of the surface, for errors.
-
-        Returns
-        -------
-        list of Solid
-            One.
-        """
+        """Make the box."""
         del where
         return [scene.box(self.position, self.size, self.rotation, self.rubs)]
 
@@ -355,23 +273,7 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     sides: Literal["outer", "both"] = "outer"
 
     def solids(self, where: str) -> list[Solid]:
-        """Read the file and make the solid.
-
-        Parameters
-        ----------
-        where : str
-            Path of the surface, for errors.
-
-        Returns
-        -------
-        list of Solid
-            One.
-
-        Raises
-        ------
-        ParameterError
-            When the file cannot be read or its triangles bound nothing.
-        """
+        """Read the file and make the solid."""
         # A scene of plain shapes needs no numpy.
         import numpy as np
 
@@ -397,23 +299,7 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
     shapes: Annotated[list[dict[str, Any]], msgspec.Meta(min_length=1, max_length=64)]
 
     def solids(self, where: str) -> list[Solid]:
-        """Make all of them.
-
-        Parameters
-        ----------
-        where : str
-            Path of the surface, for errors.
-
-        Returns
-        -------
-        list of Solid
-            One for each shape.
-
-        Raises
-        ------
-        ParameterError
-            When one is refused, or is no shape.
-        """
+        """Make all of them."""
         found = []
         for i, data in enumerate(self.shapes):
             at = f"{where}.shapes[{i}]"

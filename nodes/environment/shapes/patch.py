@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import MutableSequence, Sequence
 from math import sqrt
 
-from nodes.environment.shapes.tables import NEIGHBOURS, PATCH, RADIUS, SEEN, TRIANGLE, TRIANGLES
+from nodes.environment.shapes.tables import LIP, NEIGHBOURS, PATCH, RADIUS, SEEN, TRIANGLE, TRIANGLES
 from nodes.environment.shapes.triangle import nearest_on_triangle
 
 _SHALLOW = 1.0718
@@ -49,7 +49,7 @@ def nearer_in_patch(
     px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)
     least = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
     first, reach = least, _SHALLOW * least * least
-    bx, by, bz = px, py, pz
+    bx, by, bz, best = px, py, pz, face
     memory[SEEN] = float(face)
     seen, done = 1, 0
     while done < seen:
@@ -71,9 +71,13 @@ def nearer_in_patch(
             px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * int(other), x, y, z)
             away = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
             if away < least:
-                least, bx, by, bz = away, px, py, pz
+                least, bx, by, bz, best = away, px, py, pz, int(other)
     if least >= first - _NEARER:
         return False, 0.0, 0.0, 0.0
+    if least <= LIP:
+        # The device is on that triangle: what leads from one to the other is rounding, or nothing.
+        at, out = triangles + TRIANGLE * best, scene[RADIUS]
+        return True, bx + out * scene[at + 9], by + out * scene[at + 10], bz + out * scene[at + 11]
     out = scene[RADIUS] / least
     return True, bx + out * (bx - x), by + out * (by - y), bz + out * (bz - z)
 

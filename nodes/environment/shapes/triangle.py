@@ -120,7 +120,8 @@ def triangle_hit(
     closing = nx * sx + ny * sy + nz * sz
     after = before + closing
     if before >= radius - SKIN:
-        if after >= radius - TOLERANCE:
+        # Along the plane, or away from it, it is not met, however deep in the skin the step begins.
+        if closing >= 0.0 or after >= radius - TOLERANCE:
             return 2.0, nx, ny, nz
         part = max((radius - before) / closing, 0.0)
         if _within(scene, at, x + part * sx, y + part * sy, z + part * sz):

@@ -10,9 +10,11 @@ import pytest
 
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.mesh_file import LARGEST, read_triangles
+from nodes.environment.shapes.scene import mesh
 from nodes.environment.surfaces import parse_surface
 from nodes.parameters.store import ParameterError
 from sim.experiments.proxies import icosphere
+from sim.scene.touch import touch
 from tests.support.shapes import Array, box_triangles
 
 CUBE = box_triangles((0.02, 0.02, 0.02))
@@ -165,3 +167,24 @@ def test_every_triangle_is_in_its_boxes_and_knows_its_neighbours() -> None:
 def test_a_surface_that_cannot_be_is_refused_by_its_path(data: dict[str, object], told: str) -> None:
     with pytest.raises(ParameterError, match=told):
         parse_surface(data, "surface").check("surface")
+
+
+@pytest.mark.parametrize("tool", [0.0, 1e-3])
+@pytest.mark.parametrize("triangles", [CUBE, icosphere(1, 0.02)])
+def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: float) -> None:
+    """Where nothing leads from the surface to the device, and where a step leads along a face, within rounding of it."""
+    rng = np.random.default_rng(0)
+    marks = np.concatenate(
+        [triangles.reshape(-1, 3), triangles.mean(axis=1), 0.5 * (triangles[:, 0] + triangles[:, 1])]
+    )
+    scales = np.array([1.0, 1.0, 1.0, 0.9, 1.2, 1.0 - 1e-10, 1.0 + 1e-10])
+    path = marks[rng.integers(0, len(marks), 400)] * rng.choice(scales, 400)[:, None]
+    path[::40] = (0.0, 0.0, 0.05)
+    solids = [mesh(prepare_mesh(triangles, False, "file"))]
+    found = touch(solids, path, tool, interpreted=True)
+    assert np.isfinite(found.proxy).all()
+    # Never inside: outside of every face of a convex body, in the plane of at least one.
+    prepared = solids[0].mesh
+    assert prepared is not None
+    above = np.einsum("tij,ij->ti", found.proxy[:, None] - prepared.corners[None, :, 0], prepared.normals).max(axis=1)
+    assert above.min() > 0.0
