@@ -64,6 +64,8 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         Delay of the loop [ticks]; None for the measured one.
     device_delay : float
         Delay of the device itself, which the loop cannot measure: comes on top of the measured one [ticks].
+    tool_mass : float or None
+        Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
     """
 
     mass: Positive
@@ -71,11 +73,13 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     stiffness: NonNegative = 0.0
     delay: NonNegative | None = None
     device_delay: NonNegative = 0.0
+    tool_mass: Positive | None = None
 
     def at(self, period: float, measured: float) -> Plant:
         """Give the device in a loop of a period and a measured delay, as a law is judged on it."""
         delay = (measured if self.delay is None else self.delay) + self.device_delay
-        return Plant(period, self.mass, self.damping, delay, self.stiffness)
+        plant = Plant(period, self.mass, self.damping, delay, self.stiffness)
+        return plant if self.tool_mass is None else plant.with_tool(self.tool_mass)
 
 
 class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

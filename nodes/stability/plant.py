@@ -7,7 +7,7 @@ way, by the series of the matrix exponential, so that each can be tested against
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 __all__ = [
     "HeldPlant",
@@ -40,6 +40,26 @@ class Plant:
     damping: float
     delay: float = 0.0
     stiffness: float = 0.0
+
+    def with_tool(self, mass: float) -> Plant:
+        """Give the device as a coupling to a body that is free to move sees it: what deflects is the way between the two.
+
+        The force pushes both, so that way moves as one mass m μ/(m + μ). Of the device's damping and of its hand the device's
+        own part of that way, μ/(m + μ), counts twice: in how fast it is and in what that does. What is left out is that they
+        also pull on both together. Pressed on a wall the tool gives way no more, and the device alone is what counts.
+
+        Parameters
+        ----------
+        mass : float
+            Mass μ of the body [kg].
+
+        Returns
+        -------
+        Plant
+            Lighter than this one.
+        """
+        part = mass / (self.mass + mass)
+        return replace(self, mass=self.mass * part, damping=self.damping * part**2, stiffness=self.stiffness * part**2)
 
 
 @dataclass(frozen=True)

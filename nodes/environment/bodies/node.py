@@ -1,0 +1,114 @@
+"""The environment in which things move: it steps a MuJoCo scene by the loop's ticks, and answers with where the tool is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.types import ZERO, DeviceState, Proxy
+from nodes.base.follow import follow
+from nodes.base.node import Node
+from nodes.base.setup import Axis, Setup
+from nodes.environment.bodies.world import World
+from nodes.parameters.store import ParameterError, convert
+
+
+class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of an environment with things that move.
+
+    Attributes
+    ----------
+    scene : str
+        MJCF file; ``$(dirname)`` in a launch file is the folder that it stands in.
+    tool : str
+        Body of it that the coupling holds to the device.
+    """
+
+    scene: str
+    tool: str = "tool"
+
+
+class MujocoEnvironment(Node):
+    """Answers device states with where the tool is; it has a state, so every tick counts."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = MujocoParameters
+    publishes: ClassVar[tuple[str, ...]] = (topics.PROXY,)
+    listens_to: ClassVar[tuple[str, ...]] = (topics.DEVICE_STATE,)
+    answers: ClassVar[bool] = True
+
+    @classmethod
+    def check(cls, setup: Setup) -> None:
+        """Read the scene before anything is started."""
+        _world(convert(setup.parameters, MujocoParameters, setup.name), setup)
+        if list(setup.axes) != ["x", "y", "z"]:
+            raise ParameterError(
+                f"{setup.name}.tool: the tool moves in three axes, but run.axes is [{', '.join(setup.axes)}]; "
+                "name all three, or leave axes out"
+            )
+
+    @classmethod
+    def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
+        """Tell which axes the scene must compute."""
+        del parameters, name
+        return ("x", "y", "z")
+
+    def configure(self) -> None:
+        """Load the scene, measure its contacts, and say what the stability figures have to know."""
+        self._world = _world(self.store.current, self.setup)
+        told = ", ".join(f"{pair.geom} {pair.stiffness:.3g} N/m" for pair in self._world.stiffness()) or "none"
+        self.events.emit_each(
+            "bodies",
+            f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass); {self._world.steps} steps a tick; "
+            f"its contacts, measured: {told}",
+        )
+
+    def loop(self) -> None:
+        """Answer until stopped."""
+        self.state = "running"
+        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
+        take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
+        topic, simulated, world = self.setup.topic(topics.PROXY).encode(), self.clock.simulated, self._world
+        while not self.stopping:
+            state = take()
+            if state is not None and state.seq == self.answered:
+                # Asked again (lockstep): the scene is not stepped twice.
+                self.publisher.send_hop(topic, self.answer)
+            elif state is not None and (simulated or state.safety != "fault"):
+                seq = state.seq
+                if self.answered < 0:
+                    world.begin(state.position)
+                    world.skip_to(seq)
+                else:
+                    world.hand_over(state.force, seq - 1 - state.age, state.delay)
+                    world.advance(seq)
+                if world.diverged():
+                    world.begin(state.position)
+                    self.events.emit(
+                        "bodies",
+                        "the scene diverged and was put back to its beginning; a smaller option timestep may help",
+                    )
+                message = Proxy(
+                    seq=seq,
+                    stamp=state.stamp if simulated else self.clock.now(),
+                    position=state.position,
+                    proxy=world.tool_position,
+                    # The coupling holds the tool from all sides: no normal, and nothing to clamp.
+                    normal=ZERO,
+                    distance=0.0,
+                    contact=True,
+                    delay=state.delay,
+                )
+                self.answered, self.answer = seq, (payload := encode(message))
+                self.publisher.send(topic, payload)
+                self.ticks += 1
+            if self.events.waiting:
+                self.between_ticks(self.seq + 1)
+
+
+def _world(parameters: MujocoParameters, setup: Setup) -> World:
+    return World(Path(parameters.scene).expanduser(), parameters.tool, setup.period, setup.name)

@@ -1,0 +1,257 @@
+"""A MuJoCo scene that is stepped by the ticks of the loop: the tool feels what the device feels, at the same instants.
+
+The coupling is between two masses, the device and the tool. So the force that a law renders acts on the tool with the other
+sign, from when it acts on the device to when the next one does: between two steps of the scene no momentum is made or lost. A
+body that is led by a constraint (a mocap body and a weld) would be a coupling of its own in place of the law.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from messages.types import Vector
+from nodes.parameters.store import ParameterError
+
+EXTRA = "pip install 'haptic-nodes[mujoco]'"
+_MOST_STEPS = 1000
+_LIGHTEST = 1e-6
+
+_OF_CONTACT = ("solref", "solimp", "friction", "solmix", "priority", "condim")
+_LOADS = (0.5, 1.5)
+"""Two forces by which a contact is pressed [N]."""
+
+_FINE = 5e-4
+_PRESS = """<mujoco><option timestep="{step!r}" cone="{cone}" impratio="{ratio!r}" gravity="0 0 0"/><worldbody>
+<geom type="plane" size="1 1 0.1" {wall}/>
+<body pos="0 0 0.005"><joint type="slide" axis="0 0 1"/><geom type="sphere" size="0.005" mass="{mass!r}" {tip}/></body>
+</worldbody></mujoco>"""
+
+
+class PairStiffness(NamedTuple):
+    """What a contact of the tool is.
+
+    Attributes
+    ----------
+    geom : str
+        What the tool presses on, held where it is.
+    stiffness : float
+        Force over depth between two loads, measured [N/m].
+    """
+
+    geom: str
+    stiffness: float
+
+
+def load_mujoco(where: str) -> Any:
+    """Import MuJoCo, or say how it is had."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise ParameterError(f"{where}: {error}; install it with: {EXTRA}") from error
+    return mujoco
+
+
+class World:
+    """A scene and its tool.
+
+    Parameters
+    ----------
+    file : Path
+        MJCF.
+    tool : str
+        Body that is the tool: a child of the world on three slide joints.
+    period : float
+        Sampling period of the loop [s].
+    where : str
+        Path of the parameters, for errors.
+
+    Attributes
+    ----------
+    mass : float
+        Of the tool, with what is fixed to it [kg].
+    steps : int
+        Steps of the scene in a tick: its own step, made shorter so that a whole number fits.
+    resets : int
+        How often the scene diverged and was put back to its beginning.
+
+    Raises
+    ------
+    ParameterError
+        When MuJoCo is not installed, the file cannot be read, or the tool is none.
+    """
+
+    def __init__(self, file: Path, tool: str, period: float, where: str) -> None:
+        self._mujoco = mujoco = load_mujoco(f"{where}.scene")
+        try:
+            # Opened here: the words of the operating system are clearer.
+            with open(file, "rb"):
+                pass
+            self.model = mujoco.MjModel.from_xml_path(str(file))
+        except OSError as error:
+            raise ParameterError(f"{where}.scene: {file} cannot be read: {error.strerror}") from error
+        except ValueError as error:
+            raise ParameterError(f"{where}.scene: {file}: {' '.join(str(error).split())}") from error
+        self.data = mujoco.MjData(self.model)
+        self._tool, self._slides = self._find_tool(tool, file, where)
+        self.mass = float(self.model.body_subtreemass[self._tool])
+        if self.mass < _LIGHTEST:
+            raise ParameterError(
+                f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg"
+            )
+        self.steps = max(1, math.ceil(period / float(self.model.opt.timestep) - 1e-9))
+        if self.steps > _MOST_STEPS:
+            raise ParameterError(
+                f"{where}.scene: {file}: a step of {self.model.opt.timestep:g} s is {self.steps} a tick, at most "
+                f"{_MOST_STEPS}; raise option timestep"
+            )
+        self.model.opt.timestep = period / self.steps
+        # Forces handed to the device: when they take effect [steps], and what they are [N]. Before the first, none.
+        self._forces: deque[tuple[int, Vector]] = deque([(-1, (0.0, 0.0, 0.0))])
+        self._done = 0
+        self.resets = 0
+        mujoco.mj_forward(self.model, self.data)
+
+    def _find_tool(self, tool: str, file: Path, where: str) -> tuple[int, list[int]]:
+        model, mujoco = self.model, self._mujoco
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tool)
+        if body < 0:
+            names = [model.body(i).name for i in range(1, model.nbody)]
+            raise ParameterError(
+                f"{where}.tool: no body {tool!r} in {file}; its bodies are {', '.join(names) or 'none'}"
+            )
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        slides = [
+            i
+            for i in range(first, first + count)
+            if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE and not model.jnt_limited[i]
+        ]
+        axes = [tuple(model.jnt_axis[i].tolist()) for i in slides]
+        if count != 3 or axes != [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)] or model.body_parentid[body] != 0:
+            raise ParameterError(
+                f"{where}.tool: body {tool!r} must be a child of the world with three slide joints without limits, along x, y "
+                "and z: the device has three axes, and its own workspace"
+            )
+        return body, [int(model.jnt_qposadr[i]) for i in slides]
+
+    @property
+    def tool_position(self) -> Vector:
+        """Where the tool is now [m]."""
+        x, y, z = self.data.xpos[self._tool].tolist()
+        return x, y, z
+
+    def begin(self, position: Vector) -> None:
+        """Put the tool where the device is, at rest: a coupling that begins stretched would throw it."""
+        for at, wanted, now in zip(self._slides, position, self.tool_position, strict=True):
+            self.data.qpos[at] += wanted - now
+        self._mujoco.mj_forward(self.model, self.data)
+
+    def hand_over(self, force: Vector, tick: int, delay: float) -> None:
+        """Note a force that was handed to the device at a tick, and how much later it took effect [ticks]."""
+        when = (tick + delay) * self.steps
+        # To the nearest step; what took effect before the scene's present acts from now on.
+        self._forces.append((max(round(when), self._forces[-1][0]), force))
+
+    def advance(self, tick: int) -> None:
+        """Step the scene up to the time of a tick."""
+        model, data, step = self.model, self.data, self._mujoco.mj_step
+        push = data.xfrc_applied[self._tool]
+        forces = self._forces
+        while self._done < tick * self.steps:
+            while len(forces) > 1 and forces[1][0] <= self._done:
+                forces.popleft()
+            x, y, z = forces[0][1]
+            push[0], push[1], push[2] = -x, -y, -z
+            step(model, data)
+            self._done += 1
+        # Positions of bodies are those before the last step until they are computed anew.
+        self._mujoco.mj_kinematics(model, data)
+
+    def skip_to(self, tick: int) -> None:
+        """Take it that nothing happened up to a tick: a node that was killed goes on with the present."""
+        self._done = tick * self.steps
+
+    def diverged(self) -> bool:
+        """Tell whether the scene had to be put back to its beginning since the last call: MuJoCo does so by itself."""
+        kinds = self._mujoco.mjtWarning
+        found = sum(
+            int(self.data.warning[int(kind)].number)
+            for kind in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
+        )
+        new, self.resets = found > self.resets, found
+        return new
+
+    def save(self) -> bytes:
+        """Give the whole state, bit by bit, with the forces under way."""
+        import numpy as np
+
+        spec = self._mujoco.mjtState.mjSTATE_INTEGRATION
+        state = np.empty(self._mujoco.mj_stateSize(self.model, spec))
+        self._mujoco.mj_getState(self.model, self.data, state, spec)
+        rows = [[float(self._done), len(self._forces), 0.0, 0.0], *([when, *force] for when, force in self._forces)]
+        return np.concatenate([np.ravel(rows), state]).tobytes()
+
+    def restore(self, saved: bytes) -> None:
+        """Go on from a state that was saved."""
+        import numpy as np
+
+        numbers = np.frombuffer(saved)
+        count = int(numbers[1])
+        self._done = int(numbers[0])
+        rows = numbers[4 : 4 + 4 * count].reshape(-1, 4).tolist()
+        self._forces = deque((int(when), (x, y, z)) for when, x, y, z in rows)
+        spec = self._mujoco.mjtState.mjSTATE_INTEGRATION
+        self._mujoco.mj_setState(self.model, self.data, np.array(numbers[4 + 4 * count :]), spec)
+        self._mujoco.mj_forward(self.model, self.data)
+
+    def stiffness(self) -> list[PairStiffness]:
+        """Measure what the tool's contacts are in N/m: the parameters of a pair do not tell it.
+
+        The tool's first geom that touches is pressed by two loads on a wall that has each other geom's parameters, and is
+        let come to rest: what both give is the pair's static stiffness with that geom held.
+        """
+        model, mujoco = self.model, self._mujoco
+        of_tool = [i for i in range(model.ngeom) if int(model.body_rootid[model.geom_bodyid[i]]) == self._tool]
+        tip = next((i for i in of_tool if model.geom_contype[i] or model.geom_conaffinity[i]), None)
+        if tip is None:
+            return []
+        found: dict[str, float] = {}
+        for i in range(model.ngeom):
+            meets = (
+                model.geom_contype[i] & model.geom_conaffinity[tip]
+                or model.geom_contype[tip] & model.geom_conaffinity[i]
+            )
+            if i in of_tool or not meets:
+                continue
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, i) or f"geom {i}"
+            found[name] = self._pressed(tip, i)
+        return [PairStiffness(name, value) for name, value in found.items()]
+
+    def _pressed(self, tip: int, wall: int) -> float:
+        def contact(i: int) -> str:
+            """Attributes of a geom that say how it touches."""
+            found = {name: getattr(self.model, f"geom_{name}")[i] for name in _OF_CONTACT}
+            return " ".join(
+                f'{name}="{" ".join(map(repr, numbers.ravel().tolist()))}"' for name, numbers in found.items()
+            )
+
+        model = self._mujoco.MjModel.from_xml_string(
+            _PRESS.format(
+                step=min(self.model.opt.timestep, _FINE),
+                # A pyramid's slope is part of how stiff a contact is.
+                cone="elliptic" if self.model.opt.cone else "pyramidal",
+                ratio=float(self.model.opt.impratio),
+                wall=contact(wall),
+                tip=contact(tip),
+                mass=self.mass,
+            )
+        )
+        data = self._mujoco.MjData(model)
+        depths = []
+        for load in _LOADS:
+            data.qfrc_applied[0] = -load
+            self._mujoco.mj_step(model, data, round(1.0 / model.opt.timestep))
+            depths.append(-float(data.qpos[0]))
+        return (_LOADS[1] - _LOADS[0]) / max(depths[1] - depths[0], 1e-12)

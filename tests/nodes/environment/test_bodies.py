@@ -1,0 +1,179 @@
+"""Scenes in which things move: what acts on the tool and when, what its contacts are, what is refused, and that it repeats."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from messages.topics import DEVICE_STATE, PROXY, event
+from nodes.environment.bodies.world import World
+from nodes.launcher import launch_file
+from nodes.laws import CompiledLaw
+from nodes.parameters.store import ParameterError
+from nodes.recording.reader import Recording
+from nodes.stability.k_max import k_max
+from nodes.stability.plant import Plant
+from tests.support.launching import launch_json
+
+pytest.importorskip("mujoco", reason="things that move need MuJoCo: pip install 'haptic-nodes[mujoco]'")
+
+PERIOD, GAIN = 0.002, 2.0
+TOOL = """<body name="tool" pos="0 0 0.1" gravcomp="1"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
+<joint type="slide" axis="0 0 1"/><geom type="sphere" size="0.005" mass="0.05"/></body>"""
+
+
+def scene(folder: Path, bodies: str, option: str = 'timestep="0.0005"') -> Path:
+    path = folder / "scene.xml"
+    path.write_text(f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>", encoding="ascii")
+    return path
+
+
+def world(folder: Path, bodies: str = TOOL, option: str = 'timestep="0.0005"') -> World:
+    return World(scene(folder, bodies, option), "tool", PERIOD, "environment")
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.25, 0.5, 1.0, 1.75])
+def test_the_tool_feels_the_force_when_the_device_does(delay: float, tmp_path: Path) -> None:
+    """A force on the device from a delay after tick 0 on, taken back a tick later: the tool's momentum is its opposite."""
+    free = world(tmp_path)
+    free.begin((0.01, 0.02, 0.03))
+    assert free.tool_position == pytest.approx((0.01, 0.02, 0.03), abs=1e-15)
+    speed = []
+    for tick in range(1, 5):
+        free.hand_over((3.0, 0.0, -1.0) if tick == 1 else (0.0, 0.0, 0.0), tick - 1, delay)
+        free.advance(tick)
+        speed.append(free.data.qvel[:3].copy())
+    for tick, found in enumerate(speed, 1):
+        acted = PERIOD * (np.clip(tick - delay, 0.0, 1.0))
+        assert found == pytest.approx(-np.array([3.0, 0.0, -1.0]) * acted / 0.05, abs=1e-12)
+
+
+def test_a_state_that_was_saved_goes_on_to_the_bit(tmp_path: Path) -> None:
+    bodies = TOOL + '<geom type="plane" size="1 1 1" pos="0 0 0.09"/>'
+    one, other = world(tmp_path, bodies), world(tmp_path, bodies)
+    rng = np.random.default_rng(1)
+    forces = [tuple(row) for row in rng.normal(size=(60, 3)).tolist()]
+
+    def go(on: World, begin: int, end: int) -> None:
+        for tick in range(begin, end):
+            on.hand_over(forces[tick], tick - 1, 0.6)
+            on.advance(tick)
+
+    go(one, 1, 30)
+    other.restore(one.save())
+    go(one, 30, 60)
+    go(other, 30, 60)
+    assert one.data.qpos.tobytes() == other.data.qpos.tobytes()
+    assert one.data.qvel.tobytes() == other.data.qvel.tobytes()
+
+
+@pytest.mark.parametrize("contact", ["", 'solref="-20000 -200"', 'friction="0.2 0.005 0.0001"'])
+def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_path: Path) -> None:
+    """Measured in a scene of its own; felt in this one: how much deeper 1.5 N press the tool than 0.5 N."""
+    felt = world(tmp_path, TOOL + f'<geom name="floor" type="plane" size="1 1 1" {contact}/>')
+    (told,) = felt.stiffness()
+    felt.begin((0.0, 0.0, 0.0051))
+    heights = []
+    for part, load in enumerate((0.5, 1.5)):
+        for tick in range(500 * part + 1, 500 * part + 501):
+            felt.hand_over((0.0, 0.0, load), tick - 1, 0.0)
+            felt.advance(tick)
+        heights.append(felt.tool_position[2])
+    assert told.geom == "floor"
+    # In MuJoCo a contact grows stiffer with depth, and this one is pressed through other geoms: by up to a percent.
+    assert told.stiffness == pytest.approx(1.0 / (heights[0] - heights[1]), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "told"),
+    [
+        ("", "environment.tool: no body 'tool' in .*its bodies are none"),
+        (
+            '<body name="tool"><freejoint/><geom size="0.01"/></body>',
+            "must be a child of the world with three slide joints",
+        ),
+        (TOOL.replace('"0 1 0"', '"1 0 0"'), "three slide joints"),
+        (TOOL.replace('axis="0 0 1"', 'axis="0 0 1" range="0 1"'), "without limits"),
+        (TOOL.replace('mass="0.05"', 'mass="1e-9"'), "weighs 1e-09 kg"),
+        ('<geom type="sph"/>', "environment.scene: .*invalid keyword: 'sph'"),
+        (
+            '</worldbody><asset><texture name="t" type="2d" file="no.png"/></asset><worldbody>',
+            "environment.scene: .*no.png",
+        ),
+    ],
+)
+def test_a_scene_without_a_tool_is_refused(bodies: str, told: str, tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match=told):
+        world(tmp_path, bodies)
+
+
+def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ParameterError, match=r"environment.scene: .*none.xml cannot be read: No such file"):
+        World(tmp_path / "none.xml", "tool", PERIOD, "environment")
+    with pytest.raises(ParameterError, match="at most 1000; raise option timestep"):
+        world(tmp_path, TOOL, 'timestep="1e-6"')
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ParameterError, match=r"pip install 'haptic-nodes\[mujoco\]'"):
+        world(tmp_path)
+
+
+@pytest.mark.parametrize(("scenario", "moved"), [("puck_push", "puck"), ("knob_turn", "knob")])
+@pytest.mark.timeout(300)
+def test_a_launch_repeats_to_the_bit_from_its_recording(scenario: str, moved: str, tmp_path: Path) -> None:
+    """The forces that a recording holds lead the scene the same way again: nothing else comes in."""
+    figures = launch_json(tmp_path, scenario, "pace:=lockstep", "duration:=1.6", "apply:=next_tick")
+    recording = Recording(tmp_path / figures["recording"])
+    states, proxies = recording.messages(DEVICE_STATE), recording.messages(PROXY)
+    parameters = launch_file.read(scenario, {}).nodes["environment"].parameters
+    again = World(Path(parameters["scene"]), "tool", PERIOD, "environment")
+    before = np.array(again.data.body(moved).xpos), np.array(again.data.body(moved).xquat)
+    again.begin(states[0].position)
+    for state, proxy in zip(states, proxies, strict=False):
+        if state.seq:
+            again.hand_over(state.force, state.seq - 1 - state.age, state.delay)
+            again.advance(state.seq)
+        assert again.tool_position == proxy.proxy
+    # And it was moved: by more than a centimetre, or by more than a quarter of a radian.
+    way = np.linalg.norm(again.data.body(moved).xpos - before[0])
+    turn = 2.0 * np.arccos(min(1.0, abs(float(again.data.body(moved).xquat @ before[1]))))
+    assert way > 0.01 or turn > 0.25
+    told = next(one.reason for one in recording.messages(event("environment")) if one.kind == "bodies")
+    assert re.search(r"weighs 0.05 kg .* contacts, measured: \w+ 2.94e\+03 N/m", told)
+
+
+@pytest.mark.parametrize(("mass", "tool", "damping"), [(0.15, 0.05, 3.0), (0.1, 0.5, 1.0), (0.3, 0.02, 0.0)])
+def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> None:
+    """K_max of a spring and damper between both against the eigenvalues of two bodies and the last deflection."""
+    free = np.zeros((5, 5))
+    free[0, 1] = free[2, 3] = 1.0
+    free[1, 1] = -damping / mass
+    free[1, 4], free[3, 4] = 1.0 / mass, -1.0 / tool
+    tick = expm(PERIOD * free)
+
+    def radius(stiffness: float) -> float:
+        # The force is held during a tick: of the deflection now and of the one before.
+        pull = np.array([-(stiffness + GAIN / PERIOD), 0.0, stiffness + GAIN / PERIOD, 0.0, -GAIN / PERIOD])
+        whole = tick[:, :4] @ np.eye(4, 5) + np.outer(tick[:, 4], pull)
+        whole[4] = (-1.0, 0.0, 1.0, 0.0, 0.0)
+        return float(np.abs(np.linalg.eigvals(whole)).max())
+
+    low, high = 1.0, 1e5
+    while high - low > 1e-6 * high:
+        middle = 0.5 * (low + high)
+        # Both may drift together: without damping a double pole at 1, which rounding splits by 1e-8.
+        low, high = (middle, high) if radius(middle) < 1.0 + 1e-6 else (low, middle)
+    law = CompiledLaw((GAIN / PERIOD, -GAIN / PERIOD))
+    alone, seen = (
+        k_max(law, plant).h1_max_n_per_m
+        for plant in (Plant(PERIOD, mass, damping), Plant(PERIOD, mass, damping).with_tool(tool))
+    )
+    assert alone is not None
+    assert seen is not None
+    # Exact without damping; with it, what pulls on both together is left out.
+    assert seen == pytest.approx(low, rel=1e-4 if damping == 0.0 else 0.01)
+    assert seen < alone
