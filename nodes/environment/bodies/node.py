@@ -14,7 +14,7 @@ from messages.types import ZERO, DeviceState, Proxy
 from nodes.base.follow import follow
 from nodes.base.node import Node
 from nodes.base.setup import Axis, Setup
-from nodes.environment.bodies.world import World
+from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.parameters.store import ParameterError, convert
 
 
@@ -110,5 +110,5 @@ class MujocoEnvironment(Node):
                 self.between_ticks(self.seq + 1)
 
 
-def _world(parameters: MujocoParameters, setup: Setup) -> World:
-    return World(Path(parameters.scene).expanduser(), parameters.tool, setup.period, setup.name)
+def _world(parameters: MujocoParameters, setup: Setup) -> MovingScene:
+    return MovingScene(Path(parameters.scene).expanduser(), parameters.tool, setup.period, setup.name)

@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import expm
 
 from messages.topics import DEVICE_STATE, PROXY, event
-from nodes.environment.bodies.world import World
+from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.launcher import launch_file
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError
@@ -33,8 +33,8 @@ def scene(folder: Path, bodies: str, option: str = 'timestep="0.0005"') -> Path:
     return path
 
 
-def world(folder: Path, bodies: str = TOOL, option: str = 'timestep="0.0005"') -> World:
-    return World(scene(folder, bodies, option), "tool", PERIOD, "environment")
+def world(folder: Path, bodies: str = TOOL, option: str = 'timestep="0.0005"') -> MovingScene:
+    return MovingScene(scene(folder, bodies, option), "tool", PERIOD, "environment")
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25, 0.5, 1.0, 1.75])
@@ -59,7 +59,7 @@ def test_a_state_that_was_saved_goes_on_to_the_bit(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     forces = [tuple(row) for row in rng.normal(size=(60, 3)).tolist()]
 
-    def go(on: World, begin: int, end: int) -> None:
+    def go(on: MovingScene, begin: int, end: int) -> None:
         for tick in range(begin, end):
             on.hand_over(forces[tick], tick - 1, 0.6)
             on.advance(tick)
@@ -114,7 +114,7 @@ def test_a_scene_without_a_tool_is_refused(bodies: str, told: str, tmp_path: Pat
 
 def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ParameterError, match=r"environment.scene: .*none.xml cannot be read: No such file"):
-        World(tmp_path / "none.xml", "tool", PERIOD, "environment")
+        MovingScene(tmp_path / "none.xml", "tool", PERIOD, "environment")
     with pytest.raises(ParameterError, match="at most 1000; raise option timestep"):
         world(tmp_path, TOOL, 'timestep="1e-6"')
     monkeypatch.setitem(sys.modules, "mujoco", None)
@@ -130,7 +130,7 @@ def test_a_launch_repeats_to_the_bit_from_its_recording(scenario: str, moved: st
     recording = Recording(tmp_path / figures["recording"])
     states, proxies = recording.messages(DEVICE_STATE), recording.messages(PROXY)
     parameters = launch_file.read(scenario, {}).nodes["environment"].parameters
-    again = World(Path(parameters["scene"]), "tool", PERIOD, "environment")
+    again = MovingScene(Path(parameters["scene"]), "tool", PERIOD, "environment")
     before = np.array(again.data.body(moved).xpos), np.array(again.data.body(moved).xquat)
     again.begin(states[0].position)
     for state, proxy in zip(states, proxies, strict=False):

@@ -54,7 +54,7 @@ def load_mujoco(where: str) -> Any:
     return mujoco
 
 
-class World:
+class MovingScene:
     """A scene and its tool.
 
     Parameters
