@@ -1,0 +1,1 @@
+"""Two devices, coupled position to position by one law."""

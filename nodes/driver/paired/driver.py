@@ -1,0 +1,165 @@
+"""Two devices coupled position to position: one law between two hands.
+
+The position of the pair is that of the first device less that of the second; a force on the pair acts on the first, and its
+opposite on the second. So the deflection of the law is how far the hands are apart, and everything that holds for one device
+holds for the pair: history, swaps, limits, and energy, because F·(v₁ − v₂) is the power on both. Two equal devices of mass m
+and damping b are to the law one of m/2 and b/2, which is the `plant` of its stability figures.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from typing import Any, ClassVar
+
+import msgspec
+
+from messages.types import Vector
+from nodes.base.kinds import load, node_kinds
+from nodes.base.setup import Setup
+from nodes.driver.device import Device, DeviceLimits, Workspace
+from nodes.driver.node import Driver
+from nodes.driver.parameters import DriverParameters
+from nodes.parameters.store import ParameterError
+
+
+class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One of the two.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of driver.
+    parameters : dict
+        As that driver takes them.
+    """
+
+    kind: str
+    parameters: dict[str, Any] = {}
+
+
+class PairedDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the driver of a pair.
+
+    Attributes
+    ----------
+    first, second : PairedMember
+        The devices.
+    """
+
+    first: PairedMember
+    second: PairedMember
+
+
+class PairedDevice:
+    """Two devices as one.
+
+    Parameters
+    ----------
+    first, second : Device
+        They.
+    """
+
+    def __init__(self, first: Device, second: Device) -> None:
+        self.first, self.second = first, second
+        self.places: tuple[Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    @property
+    def limits(self) -> DeviceLimits:
+        """The lower of each limit; of the workspaces, all that one position less another can be."""
+        a, b = self.first.limits, self.second.limits
+        x, y, z = ((p[0] - q[1], p[1] - q[0]) for p, q in zip(a.workspace, b.workspace, strict=True))
+        workspace: Workspace = (x, y, z)
+        known = None not in (a.latency, b.latency)
+        return DeviceLimits(
+            peak_force=min(a.peak_force, b.peak_force),
+            continuous_force=min(a.continuous_force, b.continuous_force),
+            slew=min(a.slew, b.slew),
+            silence=min(a.silence, b.silence),
+            hold=max(a.hold, b.hold),
+            latency=max(a.latency or 0.0, b.latency or 0.0) if known else None,
+            opening=a.opening + b.opening,
+            closing=a.closing + b.closing,
+            workspace=workspace,
+        )
+
+    def open(self) -> None:
+        """Open both, or none."""
+        with ExitStack() as opened:
+            for device in (self.first, self.second):
+                opened.callback(device.close)
+                device.open()
+            opened.pop_all()
+
+    def read_position(self, seq: int) -> Vector:
+        """Tell how far they are apart; unknown where one of them is."""
+        a, b = self.first.read_position(seq), self.second.read_position(seq)
+        self.places = a, b
+        return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+    def write_force(self, force: Vector, seq: int, offset: float) -> None:
+        """Push the first, and the second the other way; where one does not know its place, neither."""
+        if not all(math.isfinite(x) for place in self.places for x in place):
+            force = (0.0, 0.0, 0.0)
+        x, y, z = force
+        self.first.write_force(force, seq, offset)
+        self.second.write_force((-x, -y, -z), seq, offset)
+
+    def close(self) -> None:
+        """Close both, whatever becomes of the first."""
+        try:
+            self.first.close()
+        finally:
+            self.second.close()
+
+
+class PairedDriver(Driver):
+    """A driver node with two devices."""
+
+    Parameters: ClassVar[type[msgspec.Struct]] = PairedDriverParameters
+
+    def _member(self, name: str) -> Driver:
+        parameters: PairedMember = getattr(self.store.current, name)
+        where = f"{self.setup.name}.{name}"
+        kinds = node_kinds()
+        if parameters.kind not in kinds:
+            raise ParameterError(f"{where}.kind: {parameters.kind!r} is no installed kind of driver")
+        factory = kinds[parameters.kind]
+        kind = load(factory)
+        if not issubclass(kind, Driver) or issubclass(kind, PairedDriver):
+            raise ParameterError(f"{where}.kind: {parameters.kind!r} drives no single device")
+        changed: dict[str, Any] = {"name": where, "kind": parameters.kind, "parameters": parameters.parameters}
+        # Each is called as one that is written in Python.
+        setup: Setup = msgspec.structs.replace(self.setup, factory=factory, tick="plain", **changed)
+        kind.check(setup)
+        return kind(setup)
+
+    def make_device(self) -> Device:
+        """Take hold of both, forces off."""
+        self._members = [self._member(name) for name in ("first", "second")]
+        with ExitStack() as held:
+            made = []
+            for member in self._members:
+                made.append(member.make_device())
+                held.callback(made[-1].close)
+            held.pop_all()
+        self.pair = PairedDevice(*made)
+        return self.pair
+
+    def operations(self) -> dict[str, Any]:
+        """Offer where each of the two is."""
+        return {
+            **super().operations(),
+            "places": lambda: {"first_m": self.pair.places[0], "second_m": self.pair.places[1]},
+        }
+
+    def condition(self) -> str:
+        """Say which of them keeps forces off, and why."""
+        told = ((name, device.condition()) for name, device in self._hardware())
+        return "; ".join(f"{name}: {condition}" for name, condition in told if condition)
+
+    def _hardware(self) -> list[tuple[str, Any]]:
+        from nodes.driver.hardware.mailbox import MailboxDevice
+
+        pair = (("first", self.pair.first), ("second", self.pair.second))
+        return [(name, device) for name, device in pair if isinstance(device, MailboxDevice)]

@@ -1,0 +1,161 @@
+"""The mapping into the scene: axes, power that is the same on both sides, limits, the clutch, the centre, the handle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from nodes.driver.device import DeviceLimits
+from nodes.driver.forcedimension.driver import inertia_in_scene
+from nodes.driver.hardware.mapping import Mapping, limits_in_scene, matrix
+from tests.support.devices import Bench, bench
+from tests.support.launching import wait_for
+
+UPRIGHT = ("+x", "+y", "+z")
+EPSILON = 1e-15  # of a few products of numbers near 1
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Iterator[Bench]:
+    with bench("touch_driver", tmp_path) as made:
+        yield made
+
+
+def test_axes_rotation_and_scale_are_one_matrix() -> None:
+    assert matrix(Mapping(), ("-z", "-x", "+y")) == ((0, 0, -1), (-1, 0, 0), (0, 1, 0))
+    turned = np.array(matrix(Mapping(rotation=(30.0, -20.0, 75.0), scale=2.5), UPRIGHT))
+    # A turn times the scale: Mᵀ M = s² 1.
+    assert turned.T @ turned == pytest.approx(2.5**2 * np.eye(3), abs=10 * EPSILON)
+    assert np.linalg.det(turned) > 0.0
+    # A quarter turn about z brings x to y, exactly.
+    assert matrix(Mapping(rotation=(0.0, 0.0, 90.0)), UPRIGHT) == ((0, -1, 0), (1, 0, 0), (0, 0, 1))
+
+
+@pytest.mark.parametrize("axes", [["+x", "+x", "+z"], ["+x", "+z", "+y"], ["-x", "+y", "+z"]])
+def test_a_mirror_or_a_missing_axis_is_refused(axes: list[str]) -> None:
+    with pytest.raises(msgspec.ValidationError, match=r"axes is .*: (each of x, y and z|a mirror)"):
+        msgspec.convert({"axes": axes}, Mapping)
+
+
+def test_power_is_the_same_on_both_sides(stand: Bench) -> None:
+    mapping = {"scale": 2.0, "rotation": [20.0, -35.0, 60.0], "centre": [0.1, 0.0, -0.05]}
+    stand.world.state.peak = 100.0
+    device = stand.device(mapping)
+    device.connect()
+    device.open()
+    centre = np.array(device.read_position(0))
+    assert centre == pytest.approx(mapping["centre"], abs=1e-12)
+    move = np.array([0.01, -0.02, 0.005])
+    stand.world.state.position[:] = list(move)
+    wait_for(lambda: device.read_position(0) != tuple(centre), "the sample after the move")
+    scene = np.array(device.read_position(0)) - centre
+    assert np.linalg.norm(scene) == pytest.approx(2.0 * np.linalg.norm(move), rel=1e-12)
+    force = np.array([0.3, 0.2, -0.4])
+
+    def arrives() -> bool:
+        device.write_force((0.3, 0.2, -0.4), 0, 0.0)
+        return any(stand.world.force())
+
+    wait_for(arrives, "the force")
+    assert np.linalg.norm(stand.world.force()) == pytest.approx(2.0 * np.linalg.norm(force), rel=1e-12)
+    # Work of a move: in newtons and metres of the scene, and of the arm.
+    assert np.array(stand.world.force()) @ move == pytest.approx(force @ scene, rel=1e-12)
+
+
+def test_limits_hold_in_every_direction() -> None:
+    box = ((-0.1, 0.1), (-0.2, 0.2), (-0.05, 0.15))
+    limits = DeviceLimits(peak_force=6.0, continuous_force=2.0, hold=0.05, workspace=box)
+    quarter = limits_in_scene(limits, m := Mapping(rotation=(0.0, 0.0, 90.0), scale=2.0), matrix(m, UPRIGHT))
+    assert (quarter.peak_force, quarter.continuous_force, quarter.hold) == (3.0, 1.0, 0.05)
+    assert quarter.workspace == ((-0.4, 0.4), (-0.2, 0.2), (-0.1, 0.3))
+    askew = Mapping(rotation=(0.0, 0.0, 45.0))
+    turn = np.array(matrix(askew, UPRIGHT))
+    lowered = limits_in_scene(limits, askew, matrix(askew, UPRIGHT))
+    # A force on all axes of the scene, each at its limit, is at most the limit on each axis of the device.
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1) * lowered.peak_force
+    assert np.abs(turn.T @ corners).max() == pytest.approx(6.0, rel=10 * EPSILON)
+    assert limits_in_scene(limits, c := Mapping(clutch=0, reach=0.3), matrix(c, UPRIGHT)).workspace[0] == (-0.4, 0.4)
+
+
+def test_the_clutch_holds_the_scene_and_the_force_comes_back_by_a_ramp(stand: Bench) -> None:
+    device = stand.device({"clutch": 1, "clutch_ramp": 10.0, "reach": 0.05})
+    device.connect()
+    device.open()
+    w = stand.world.state
+
+    def settles(wanted: tuple[float, float, float]) -> None:
+        def there() -> bool:
+            device.write_force((0.0, 0.0, 1.0), 0, 0.0)
+            return device.read_position(0) == pytest.approx(wanted, abs=1e-12)
+
+        wait_for(there, f"{wanted}, not {device.read_position(0)}")
+
+    def pushed() -> float:
+        device.write_force((0.0, 0.0, 1.0), 0, 0.0)
+        return stand.world.force()[2]
+
+    w.position[2] = 0.01
+    settles((0.0, 0.0, 0.01))
+    wait_for(lambda: pushed() == 1.0, "the force")
+    w.buttons = 0b10
+    wait_for(lambda: device.read_position(0) and device._box.held, "the clutch")
+    w.position[2] = 0.04
+    # The scene stands still, and the hand is free.
+    settles((0.0, 0.0, 0.01))
+    wait_for(lambda: pushed() == 0.0, "no force")
+    ticks = device.ticks
+    wait_for(lambda: device.ticks > ticks + 3, "samples of the new place")
+    w.buttons = 0
+    wait_for(lambda: device.read_position(0) and not device._box.held, "the clutch let go")
+    settles((0.0, 0.0, 0.01))
+    w.position[2] = 0.05
+    settles((0.0, 0.0, 0.02))
+    # By a ramp of 10 s: it has only begun.
+    wait_for(lambda: pushed() > 0.0, "it comes back")
+    assert stand.world.force()[2] < 1.0
+    # Another button is no clutch.
+    w.buttons = 0b101
+    w.position[2] = 0.06
+    settles((0.0, 0.0, 0.03))
+
+
+def test_the_centre_is_where_the_handle_stands(stand: Bench) -> None:
+    stand.world.state.position[:] = (0.03, -0.02, 0.01)
+    device = stand.device({"recentre": True, "centre": [0.0, 0.0, 0.1], "scale": 3.0})
+    device.connect()
+    device.open()
+    assert device.read_position(0) == pytest.approx((0.0, 0.0, 0.1), abs=1e-12)
+    stand.world.state.position[0] = 0.04
+    wait_for(lambda: device.read_position(0) == pytest.approx((0.03, 0.0, 0.1), abs=1e-12), "three times as far")
+    device.recentre()
+    assert device.read_position(0) == pytest.approx((0.0, 0.0, 0.1), abs=1e-12)
+
+
+def test_the_handle_turns_with_the_scene(stand: Bench) -> None:
+    # The handle is turned by 90° about the device's own first axis; the columns of a turn, row by row.
+    stand.world.state.turn[:] = [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0]
+    stand.world.state.buttons = 3
+    device = stand.device()
+    device.connect()
+    device.open()
+    handle = device.handle()
+    assert handle is not None
+    half = math.sqrt(0.5)
+    # HDAPI's +x is to the right: −y here.
+    assert handle.orientation == pytest.approx((0.0, -half, 0.0, half), abs=10 * EPSILON)
+    assert handle.buttons == 3
+
+
+def test_inertia_keeps_its_energy() -> None:
+    mapping = Mapping(rotation=(10.0, 20.0, 30.0), scale=2.0)
+    turn = matrix(mapping, UPRIGHT)
+    theirs = np.diag([0.1, 0.2, 0.3])
+    ours = np.array(inertia_in_scene(theirs.tolist(), turn))
+    velocity = np.array([0.3, -0.2, 0.1])
+    scene = np.array(turn) @ velocity
+    assert scene @ ours @ scene == pytest.approx(velocity @ theirs @ velocity, rel=10 * EPSILON)
