@@ -25,7 +25,7 @@ class DeviceKind:
     found : bool
         Whether what it needs is here.
     library : str or None
-        That; None for a device that needs nothing, or where it is missing.
+        That: where it is, or the name of what is missing; None for a device that needs nothing.
     searched : tuple of str
         Where it was looked for.
     checked : str
@@ -50,7 +50,9 @@ def devices() -> list[DeviceKind]:
     listed = [DeviceKind("sim_driver", True, None, (), "closed forms and lockstep runs (no hardware)")]
     for name, kind in sorted(real_kinds().items()):
         library, searched = kind.find(convert({}, kind.Parameters, name))
-        listed.append(DeviceKind(name, library is not None, library, searched, kind.checked))
+        # Of what is missing its name is told.
+        named = library or searched[-1].rpartition("/")[2]
+        listed.append(DeviceKind(name, library is not None, named, searched, kind.checked))
     return listed
 
 
