@@ -207,25 +207,30 @@ class Inverse3Device(MailboxDevice):
         assert socket is not None  # noqa: S101  # it is connected
         force, sample = (ctypes.c_double * 3)(), (ctypes.c_double * SAMPLE)()
         period, first = 1.0 / self._wants.servo_rate, True
-        due = time.monotonic()
+        due = begun = time.monotonic()
+        owed = False
         refused_since = math.inf
         while not self._ending.is_set():
             acts = code.mailbox_force(at, force)
             wanted = (force[0], force[1], force[2])
-            begun = time.monotonic()
+            begun = begun if owed else time.monotonic()
             try:
-                socket.send(command(self._id, wanted if acts else None, first))
+                # Whoever asked twice would be an answer behind from then on.
+                if not owed:
+                    socket.send(command(self._id, wanted if acts else None, first))
                 told = read(socket.recv(timeout=1.0))
             except TimeoutError:
                 self._failed(SLOW)
+                owed = True
                 continue
             except (ConnectionClosed, OSError):
                 self._failed(CLOSED, fatal=not self._ending.is_set())
                 return
             except ValueError:
                 self._failed(NO_STATE)
+                owed = False
                 continue
-            self.round_trip, first = time.monotonic() - begun, False
+            self.round_trip, first, owed = time.monotonic() - begun, False, False
             state = next((device.state for device in told.inverse3 if device.device_id == self._id), None)
             if state is None:
                 # What is zero may be left out of a state, but a state that is not there is no state of zeros.

@@ -88,6 +88,7 @@ class TouchDevice(MailboxDevice):
     UNIT: ClassVar[float] = 1e-3
     SERVO: ClassVar[Path] = Path(__file__).with_name("servo.c")
     Shared: ClassVar[type[Any]] = TouchServo
+    held: ClassVar[bool] = False
 
     def __init__(self, parameters: TouchDriverParameters) -> None:
         super().__init__(parameters)
@@ -102,6 +103,10 @@ class TouchDevice(MailboxDevice):
 
     def connect(self) -> None:
         """Load the vendor's library, take hold of the device, and read its limits; no force yet."""
+        if TouchDevice.held:
+            raise OSError(
+                "Touch: this process has one already, and HDAPI has one scheduler a process: give each a launch of its own"
+            )
         self._hd: Any = load_library(self._touch.library)
         name = self._touch.name or "(default)"
         device = self._hd.hdInitDevice(self._touch.name.encode() or None)
@@ -109,6 +114,7 @@ class TouchDevice(MailboxDevice):
         if device == INVALID_HANDLE:
             raise OSError(f"device {name}: hdInitDevice gave no handle; is it plugged in?")
         self._device = device
+        TouchDevice.held = True
         try:
             self._hd.hdDisable(FORCE_OUTPUT)
             self._check("forces cannot be switched off")
@@ -243,7 +249,7 @@ class TouchDevice(MailboxDevice):
             hd.hdUnschedule(self._scheduled)
             self._scheduled = None
         hd.hdDisableDevice(self._device)
-        self._device = None
+        self._device, TouchDevice.held = None, False
         self._errors()
 
 
