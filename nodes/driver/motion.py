@@ -27,11 +27,22 @@ def set_motion(s: Any, latency: float) -> list[array[float]]:
     `latency` is what is between handing a force over and its acting [ticks].
     """
     s.places_count = max(LEAST, round(RECENT / s.period))
-    line, part = line_of(latency) if latency else ([], 0.0)
-    kept = [array("d", [0.0]) * (3 * s.places_count), array("d", [0.0]) * (3 * len(line))]
-    s.places, s.lines = (numbers.buffer_info()[0] for numbers in kept)
-    s.line_length, s.line_part = len(line), part
+    places = array("d", [0.0]) * (3 * s.places_count)
+    s.places = places.buffer_info()[0]
     s.elapsed = 1
+    return [places, set_latency(s, latency)]
+
+
+def set_latency(s: Any, latency: float) -> array[float]:
+    """Lay down the forces under way, with those that are; the array, which must live as long as the state."""
+    line, part = line_of(latency) if latency else ([], 0.0)
+    length, before = len(line), s.line_length
+    kept = array("d", [0.0]) * (3 * length)
+    old = reals_at(s.lines, 3 * before)
+    for i in range(3):
+        for k in range(length):
+            kept[i * length + k] = old[i * before + min(k, before - 1)] if before else s.acting[i]
+    s.lines, s.line_length, s.line_part = kept.buffer_info()[0], length, part
     return kept
 
 

@@ -73,6 +73,8 @@ class Driver(Node):
         Whether the device lives in simulated time and can wait.
     device_module : str
         Module of the device's compiled calls (nodes/driver/calls.py); empty for a device written in Python, or in C.
+    movable : str
+        Which of its parameters change while it runs, for errors.
     driving : DriverState
         All that it keeps from tick to tick.
     """
@@ -83,6 +85,7 @@ class Driver(Node):
     virtual: ClassVar[bool] = False
     kernel_module: ClassVar[str] = "nodes.driver.kernel"
     device_module: ClassVar[str] = ""
+    movable: ClassVar[str] = "passivity"
 
     compiled: DriverTicks | None
     seq = _kept("asked")
@@ -354,7 +357,7 @@ class Driver(Node):
             self.store.current, passivity=None
         ):
             raise ParameterError(
-                f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs, all but passivity"
+                f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs, all but {self.movable}"
             )
         if self._report.own_guard:
             raise ParameterError(f"{self.setup.name}.passivity: the launch file's own guard is fixed while it runs")

@@ -1,7 +1,8 @@
 """What a page may ask for: what ``haptic param`` and ``haptic law`` can, the end of the run, a recording, and undo.
 
-On a virtual device whose launch file allows it (``pointer: {beyond: true}``) a page may also go past the edge of stability, and
-start the driver again when that has stopped the loop. The permission is read here from what the launch consists of.
+A virtual device can be given another delay; the coupling judges its law with that first. Where the launch file allows it
+(``pointer: {beyond: true}``) a page may also go past the edge of stability on such a device, and start the driver again when it
+has stopped the loop. The permission is read here from what the launch consists of.
 
 Each request becomes one control request to a node, which validates it as it does everybody's; its receipt or its refusal goes
 back to the page as it came. The page cannot name an operation, a file or a program.
@@ -28,6 +29,7 @@ from nodes.base.kinds import load
 from nodes.base.setup import Setup
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
+from nodes.parameters.store import convert
 
 TIMEOUT = 10.0
 """Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
@@ -51,10 +53,22 @@ def _publisher(run: RunInfo, topic: str) -> str:
     return next((name for name, setup in run.nodes.items() if topic in load(setup.factory).publishes), "")
 
 
+def _is_virtual(driver: Setup) -> bool:
+    return bool(getattr(load(driver.factory), "virtual", False))
+
+
 def _may_go_beyond(driver: Setup) -> bool:
     """Whether the driver is virtual, and its launch file lets a page drive it to its stop."""
     pointer = driver.parameters.get("pointer") or {}
-    return bool(getattr(load(driver.factory), "virtual", False) and pointer.get("beyond"))
+    return _is_virtual(driver) and bool(pointer.get("beyond"))
+
+
+def _has_delay(driver: Setup) -> bool:
+    """Whether the driver's device answers as late as it is told to, in time that passes by itself."""
+    if not _is_virtual(driver) or driver.pace != "realtime":
+        return False
+    parameters = convert(driver.parameters, load(driver.factory).Parameters, driver.name)
+    return hasattr(getattr(parameters, "device", None), "delay")
 
 
 class Commander:
@@ -73,6 +87,8 @@ class Commander:
         Whether pages may go past the edge of stability.
     again : bool
         Whether they may have the driver started again.
+    delays : bool
+        Whether they may turn the device's delay.
     """
 
     def __init__(self, run: RunInfo, again: bool = False) -> None:
@@ -86,6 +102,7 @@ class Commander:
         self.coupling = _publisher(run, FORCE)
         self.beyond = bool(self.driver) and _may_go_beyond(run.nodes[self.driver])
         self.again = again and self.beyond
+        self.delays = bool(self.driver and self.coupling) and _has_delay(run.nodes[self.driver])
 
     def _endpoint(self, node: str) -> str:
         if node not in self._run.nodes:
@@ -110,6 +127,7 @@ class Commander:
         known: dict[str, Callable[..., Any]] = {
             "set": self._set,
             "law": self._set_law,
+            "delay": self._set_delay,
             "switch": self._switch,
             "undo": self._undo_last,
             "again": self._start_again,
@@ -151,17 +169,50 @@ class Commander:
 
     def _set_law(self, field: str, value: Any, beyond: bool = False) -> dict[str, Any]:
         """Change one parameter of the active law; a preset that is used as it stands becomes a law of that name."""
-        if beyond and not self.beyond:
-            raise CommandError(
-                f"view: beyond: {self.driver} may not be driven past the edge of stability; only a virtual device may, and "
-                "only where its launch file says pointer: {beyond: true}"
-            )
-        force = {"force": True} if beyond else {}
+        force = self._forced(beyond)
         name = self.ask(self.coupling, "law.list")["active"]
         laws = self.ask(self.coupling, "param.get", name="laws")
         if isinstance(laws.get(name), dict):
             return self._change(self.coupling, {f"laws.{name}.{field}": value}, **force)
         return self._change(self.coupling, {f"laws.{name}": {"kind": name, field: value}}, **force)
+
+    def _forced(self, beyond: bool) -> dict[str, Any]:
+        """Add what a change past the edge of stability is asked with."""
+        if beyond and not self.beyond:
+            raise CommandError(
+                f"view: beyond: {self.driver} may not be driven past the edge of stability; only a virtual device may, and "
+                "only where its launch file says pointer: {beyond: true}"
+            )
+        return {"force": True} if beyond else {}
+
+    def device_delay(self) -> float | None:
+        """Ask how late the device answers [ticks]; None for one that nobody can tell."""
+        return float(self.ask(self.driver, "param.get", name="device.delay")) if self.delays else None
+
+    def _set_delay(self, ticks: float, beyond: bool = False) -> dict[str, Any]:
+        before = self.device_delay()
+        if before is None:
+            raise CommandError(
+                f"view: delay: {self.driver} is no virtual device in real time, so its delay is what it is"
+            )
+        receipt = self._answer_later(ticks, before, self._forced(beyond))
+        self._remember(self.driver, {"delay": before}, {"delay": ticks})
+        return {"node": self.driver, "values": {"delay": ticks}, "receipt": receipt}
+
+    def _answer_later(self, ticks: float, before: float, force: dict[str, Any]) -> Any:
+        """Have a virtual device answer later or sooner: first the coupling judges its law with that."""
+        path, plant = "plant.device_delay", self.ask(self.coupling, "param.get", name="plant")
+        declared = plant and plant["device_delay"]
+        if plant is not None:
+            later = max(0.0, round(declared + ticks - before, 9))
+            self.ask(self.coupling, "param.set", values={path: later}, **force)
+        try:
+            receipt = self.ask(self.driver, "param.set", values={"device.delay": ticks})
+        except CommandError:
+            if plant is not None:
+                self.ask(self.coupling, "param.set", values={path: declared}, force=True)
+            raise
+        return receipt
 
     def _start_again(self, stiffness: float) -> dict[str, Any]:
         """Have a virtual driver that has stopped the loop started again, with a wall that is stable."""
@@ -195,6 +246,8 @@ class Commander:
         node, before, values, _ = self._undo[-1]
         if set(before) == {"law"}:
             receipt = self.ask(node, "law.switch", law=before["law"])
+        elif set(before) == {"delay"}:
+            receipt = self._answer_later(before["delay"], values["delay"], {})
         else:
             receipt = self.ask(node, "param.set", values=before)
         self._undo.pop()

@@ -55,11 +55,11 @@ class Comparison:
     law : str
         Name of B; empty for none.
     later : float
-        How much later B answers than the launch's loop does [ticks].
+        How much later the device answers by now than the launch file says [ticks].
     """
 
     def __init__(self, run: RunInfo, driver: str, put: Callable[[str, dict[str, Any]], None]) -> None:
-        self._setups = run.nodes
+        self._setups, self._driver = run.nodes, driver
         self._put = put
         setup = run.nodes.get(driver)
         self._period = setup.period if setup else 1.0
@@ -80,11 +80,18 @@ class Comparison:
         """Whether this launch can be compared: a virtual device on one axis."""
         return self._kind in PLAYERS.names()
 
-    def choose(self, law: str, described: Mapping[str, Any], later: float = 0.0) -> None:
+    def choose(self, law: str, described: Mapping[str, Any]) -> None:
         """Play another law beside the launch, or none."""
-        self.law, self._described, self.later = law, described, later
+        self.law, self._described = law, described
         self._restart()
         self._put("beside", {"law": law})
+
+    def delayed(self, ticks: float) -> None:
+        """Take how late the device answers by now: with another delay B begins anew."""
+        later = ticks - float(self._setups[self._driver].parameters["device"].get("delay", 0.0))
+        if later != self.later:
+            self.later = later
+            self._restart()
 
     def _restart(self) -> None:
         self._targets: list[float] = []
@@ -145,7 +152,6 @@ class Comparison:
             "t": (begun + first) * self._period,
             "period": self._period,
             "late": late,
-            "later": self.later,
             "position": [round(float(x), 8) for x in position[first:]],
             "force": [round(float(f), 5) for f in force[first:]],
         }

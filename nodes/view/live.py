@@ -197,6 +197,8 @@ class LiveRun:
         elif isinstance(message, Event):
             if message.kind in ("device_force", "device_force_back"):
                 self._device = message.reason if message.kind == "device_force" else ""
+            # What the map is drawn for.
+            self.changed |= message.kind == "delay"
             if message.kind in ("safety", "stopped"):
                 self._told, span = told_stop(message.reason.partition(": ")[2] or message.reason)
                 self._stop = {"t": message.seq * self._period, "span_s": span}

@@ -7,6 +7,7 @@ kept with its time. Each page then has its own place in it.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from bisect import bisect_right
 from collections.abc import Callable
@@ -115,6 +116,7 @@ class ReplayPages:
         self.scenes, self.statuses, self.log, self.laws = Timeline(), Timeline(), Timeline(), Timeline()
         self._driver: dict[str, Any] = {}
         self._plant: Any = None
+        self._shape: dict[str, Any] = {}
         self._delay = 0.0
         self._read(recording)
         feed = self.live.feed
@@ -126,6 +128,7 @@ class ReplayPages:
             "has_hand": any(scene[16:19] != (0.0, 0.0, 0.0) for scene in self.scenes.items),
             "begin_s": self.begin,
             "end_s": self.begin + self.duration,
+            "shape": self._shape,
             "fields": all_law_fields(),
         }
         self.hello = msgspec.json.encode({"type": "hello", **self._facts.hello(), **told}).decode()
@@ -192,6 +195,15 @@ class ReplayPages:
                 self._read_coupling(name, parameters)
             elif "device" in parameters:
                 self._driver = parameters
+            elif "surface" in parameters and len(self._facts.axes) > 1:
+                self._read_shape(parameters)
+
+    def _read_shape(self, parameters: dict[str, Any]) -> None:
+        from nodes.view.shape import shape_of
+
+        # A shape that is not installed here, or a mesh whose file has gone: the flat views remain.
+        with contextlib.suppress(ParameterError, OSError):
+            self._shape = shape_of(parameters)
 
     def _read_coupling(self, name: str, parameters: dict[str, Any]) -> None:
         try:

@@ -21,7 +21,7 @@ from nodes.view.live import HISTORY, LiveRun, facts_of
 from nodes.view.pointer import pointer_file
 from nodes.view.server import PageServer
 from nodes.view.shared_hand import SharedHand
-from nodes.view.stability_map import MOST_DELAY, drawn_map
+from nodes.view.stability_map import drawn_map
 
 if TYPE_CHECKING:
     from nodes.view.foxglove import Bridge
@@ -139,6 +139,7 @@ class RunPages:
             "beyond": self._commander.beyond,
             "again": self._commander.again,
             "compares": self._comparison.there,
+            "delays": self._commander.delays,
             "shape": self._shape(),
         }
         self.live.board.put("hello", {**facts.hello(), **told, "fields": all_law_fields()})
@@ -160,7 +161,7 @@ class RunPages:
         if self.live.ended:
             raise CommandError(f"view: the run has ended: {self.live.ended}")
         if request.get("op") == "compare":
-            return self._compare(request.get("law"), request.get("late", 0.0))
+            return self._compare(request.get("law"))
         # Who stops the run does not stand in line behind a node that does not answer.
         thread = None if request.get("op") == "stop" else self._asking
         result = await asyncio.get_running_loop().run_in_executor(thread, self._commander.do, request)
@@ -169,7 +170,7 @@ class RunPages:
         self.live.changed = True
         return result
 
-    def _compare(self, law: Any, later: Any) -> dict[str, Any]:
+    def _compare(self, law: Any) -> dict[str, Any]:
         """Choose the law that is played beside the launch; an empty name for none."""
         laws = self._laws.get("laws", {})
         if not self._comparison.there:
@@ -178,10 +179,7 @@ class RunPages:
             )
         if law != "" and (not isinstance(law, str) or law not in laws):
             raise CommandError(f"view: compare: no law is named {str(law)[:100]!r}; there is: {', '.join(laws)}")
-        if not isinstance(later, int | float) or not 0.0 <= later <= MOST_DELAY:
-            raise CommandError(f"view: compare: late is {str(later)[:40]}, expected 0 to {MOST_DELAY:g} ticks")
-        self._comparison.choose(law, laws.get(law, {}), float(later))
-        self._mapped = ("", -1.0)
+        self._comparison.choose(law, laws.get(law, {}))
         return {"law": law}
 
     def bridge(self, port: int) -> int:
@@ -270,7 +268,8 @@ class RunPages:
         wanted = self._laws.get("active", "")
         described = self._laws.get("laws", {}).get(wanted)
         if self.server.pages and described is not None and time.monotonic() - self._mapped_at > MAP_PERIOD:
-            key, delay = repr((wanted, described, self._laws.get("plant"))), self._mapped[1]
+            judged = (wanted, described, self._laws.get("plant"), self._laws.get("device_delay"))
+            key, delay = repr(judged), self._mapped[1]
             # A delay that merely trembles draws no new map.
             if key != self._mapped[0] or abs(live.delay - delay) > 0.02 + 0.05 * delay:
                 self._mapped, self._mapped_at = (key, live.delay), time.monotonic()
@@ -302,23 +301,23 @@ class RunPages:
             parameters = self._commander.ask(node, "param.dump")
             chosen = {name: parameters.get(name) for name in ("ramp", "plant", "stability")}
             named = list(parameters.get("laws", {}))
+            chosen["device_delay"] = self._commander.device_delay()
             return {"node": node, **self._commander.ask(node, "law.list"), "named": named, **chosen}
 
         # A coupling that is being started again does not answer; its next receipt or status asks again.
         with contextlib.suppress(CommandError):
             self._laws = await asyncio.get_running_loop().run_in_executor(self._asking, ask)
+            if self._laws["device_delay"] is not None:
+                self._comparison.delayed(self._laws["device_delay"])
             self.live.board.put("laws", self._laws)
             if self._bridge is not None:
                 await asyncio.get_running_loop().run_in_executor(None, self._bridge.tell_parameters)
 
     async def _draw_map(self) -> None:
         described, delay = self._laws["laws"][self._laws["active"]], self.live.delay
-
-        driver = self._run.nodes[self._commander.driver].parameters
+        driver = dict(self._run.nodes[self._commander.driver].parameters)
+        if self._laws["device_delay"] is not None:
+            driver["device"] = {**driver["device"], "delay": self._laws["device_delay"]}
         draw = partial(drawn_map, described, self._period, self._laws.get("plant"), driver, delay)
         found = await asyncio.get_running_loop().run_in_executor(self._mapping, draw)
-        if self._comparison.law and self._comparison.later:
-            # Where the edge comes to when the answer is later: the map's second line.
-            late = partial(draw.func, *draw.args[:-1], delay + self._comparison.later)
-            found["later"] = (await asyncio.get_running_loop().run_in_executor(self._mapping, late)).get("edge")
         self.live.board.put("map", {"law": self._laws["active"], **found})

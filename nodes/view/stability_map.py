@@ -31,6 +31,9 @@ FARTHEST = 4096.0
 MOST_DELAY = 20.0
 """Longest delay that the margin is looked for [ticks]."""
 
+DELAYS = 25
+"""Points of the edge over the delay."""
+
 
 def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None:
     """Find the device that a map is drawn for."""
@@ -100,6 +103,18 @@ def delay_margin(law: Law, device: Plant) -> float | None:
     return None
 
 
+def _over_delay(law: Law, device: Plant, margin: float | None) -> list[list[float | None]]:
+    """Give the edge over the delay, to beyond where the present stiffness meets it: rows of delay, least and largest K."""
+    meets = device.delay + (MOST_DELAY if margin is None else margin)
+    # In powers of two, as with B.
+    far = min(MOST_DELAY, 2.0 ** math.ceil(math.log2(max(1.1 * meets, 2.0))))
+    found: list[list[float | None]] = []
+    for delay in np.linspace(0.0, far, DELAYS).tolist():
+        (row,) = _bounds(law, replace(device, delay=delay), [law.damping])  # type: ignore[attr-defined]
+        found.append([delay, *row[1:]])
+    return found
+
+
 def stability_map(law: Law, period: float, plant: PlantParameters, delay: float) -> dict[str, Any]:
     """Draw the (B, K) plane of a law's kind."""
     device = plant.at(period, delay)
@@ -129,7 +144,8 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     end = _end(law, device, near)
     if end > near:
         rows += _bounds(law, device, np.geomspace(near, end, FAR)[1:].tolist())
-    return found | {"b_n_s_per_m": b, "near": near, "edge": rows}
+    over = _over_delay(law, device, found["delay_margin_ticks"])
+    return found | {"b_n_s_per_m": b, "near": near, "edge": rows, "over_delay": over}
 
 
 def drawn_map(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Final
 
 import msgspec
@@ -14,6 +14,7 @@ from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.compiled.fields import NotCompilableError
 from nodes.driver.calls import Calls
 from nodes.driver.device import Device, DeviceLimits
+from nodes.driver.motion import set_latency
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
@@ -136,6 +137,11 @@ class SimDevice:
                 d.farthest = pointer.speed * setup.period
         self._clock = array("q", [0, 0])
 
+    def delay_by(self, ticks: float) -> None:
+        """Have every force from now on act so many ticks later; those under way arrive as they would have, none overtakes."""
+        for d in self._states:
+            d.delay = ticks
+
     @property
     def limits(self) -> DeviceLimits:
         """A virtual device bears everything; what its motor cannot give, the model saturates. Its delay is its latency."""
@@ -190,6 +196,7 @@ class SimDriver(Driver):
     Parameters: ClassVar[type[msgspec.Struct]] = SimDriverParameters
     virtual: ClassVar[bool] = True
     device_module: ClassVar[str] = "sim.device.kernel"
+    movable: ClassVar[str] = "device.delay and passivity"
 
     @classmethod
     def stand_in(
@@ -233,6 +240,26 @@ class SimDriver(Driver):
         parameters: SimDriverParameters = self.store.current
         self._sim = SimDevice(parameters.device, self.setup, parameters.hold, parameters.pointer, parameters.ends)
         return self._sim
+
+    def prepare(self, parameters: Any) -> Callable[[int], Any]:
+        """Prepare another delay of the virtual device; all else is as with every driver."""
+        now: SimDriverParameters = self.store.current
+        delay = parameters.device.delay
+        later = msgspec.structs.replace(now, device=msgspec.structs.replace(now.device, delay=delay))
+        if parameters.device == now.device or parameters != later:
+            return super().prepare(parameters)
+        if self.setup.pace == "lockstep":
+            raise ParameterError(
+                f"{self.setup.name}.device.delay: is fixed in lockstep; launch again, or use pace: realtime"
+            )
+
+        def apply(seq: int) -> dict[str, Any]:
+            self._sim.delay_by(delay)
+            self._kept[1] = set_latency(self.driving, delay)
+            self.events.emit("delay", f"the device answers {delay:g} ticks later from now on", always=True)
+            return {"seq": seq}
+
+        return apply
 
     @property
     def target(self) -> Vector:

@@ -4,10 +4,9 @@ import { fixed } from "./format.js";
 const KEPT = 8000;
 
 export class Beside {
-  constructor({ other, told, late }, ask) {
-    Object.assign(this, { other, told, late, ask, law: "", times: [], position: [], force: [] });
+  constructor({ other, told }, ask) {
+    Object.assign(this, { other, told, ask, law: "", times: [], position: [], force: [] });
     other.addEventListener("change", () => this.choose(other.value));
-    late.addEventListener("input", () => this.choose(this.law));
   }
 
   start(hello) {
@@ -17,7 +16,7 @@ export class Beside {
   }
 
   async choose(law) {
-    const answer = await this.ask({ op: "compare", law, late: Number(this.late.value) });
+    const answer = await this.ask({ op: "compare", law });
     if (!answer.ok) this.other.value = this.law;
   }
 
@@ -31,10 +30,9 @@ export class Beside {
   clear() { this.times = []; this.position = []; this.force = []; }
 
   // What has come before is replaced where it overlaps.
-  show({ law, t, period, position, force, later, why }) {
+  show({ law, t, period, position, force, why }) {
     if (law !== this.law) this.clear();
     this.law = this.other.value = law;
-    this.late.parentElement.hidden = !law;
     this.told.textContent = why ?? "";
     if (!position) return;
     while (this.times.length && this.times[this.times.length - 1] >= t - period / 2) { this.times.pop(); this.position.pop(); this.force.pop(); }
@@ -42,7 +40,7 @@ export class Beside {
     const over = this.times.length - KEPT;
     if (over > 0) for (const list of [this.times, this.position, this.force]) list.splice(0, over);
     const strongest = force.reduce((most, each) => Math.max(most, Math.abs(each)), 0);
-    this.told.textContent = `up to ${fixed(strongest, 2)} N${later ? `, ${fixed(later, 1)} T later` : ""}`;
+    this.told.textContent = `up to ${fixed(strongest, 2)} N`;
   }
 
   get on() { return this.law !== "" && this.times.length > 0; }

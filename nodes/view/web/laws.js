@@ -147,7 +147,8 @@ export class Laws {
     while (this.wanted.size) {
       const [[name, wanted]] = this.wanted;
       this.wanted.delete(name);
-      const answer = await this.send({ op: "law", field: name, ...wanted });
+      const { value, beyond } = wanted;
+      const answer = await this.send(name === "delay" ? { op: "delay", ticks: value, beyond } : { op: "law", field: name, ...wanted });
       if (!answer.ok && !this.wanted.has(name)) this.flash(name);
       await new Promise((done) => setTimeout(done, WAIT));
     }

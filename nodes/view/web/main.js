@@ -1,5 +1,6 @@
 // Wires the page: one connection, and what it brings to dial, scene, force, plots, law, map and log.
 import { Beside } from "./beside.js";
+import { Delay } from "./delay.js";
 import { Dial } from "./dial.js";
 import { Lag } from "./lag.js";
 import { Laws } from "./laws.js";
@@ -44,15 +45,16 @@ const plots = new Plots($("plots"), $("legend"), $("values"), (live) => {
   $("pause").setAttribute("aria-pressed", !live);
   $("pause").textContent = live ? "Pause" : "Paused";
 }, (t) => { if (hello?.replay) replay.go(t); });
-const map = new StabilityMap($("map"), $("margin"), $("far"), (stiffness, damping, beyond) => {
-  laws.change("stiffness", Number(stiffness.toPrecision(3)), beyond);
-  laws.change("damping", Number(damping.toPrecision(3)), beyond);
+const map = new StabilityMap($("map"), $("margin"), $("far"), (wanted, beyond) => {
+  for (const [name, value] of Object.entries(wanted)) laws.change(name, Number(value.toPrecision(3)), beyond);
 });
 const laws = new Laws({ picker: $("laws"), sliders: $("sliders"), ramp: $("ramp"), undo: $("undo"), refusal: $("refusal") }, ask);
 const dial = new Dial({ dial: $("dial"), hardness: $("hardness"), edge: $("edge"), beyond: $("beyond"), allowed: $("beyond-switch") },
   (stiffness, beyond) => laws.change("stiffness", stiffness, beyond));
+const delay = new Delay({ row: $("delay-row"), slider: $("delay"), told: $("delay-told"), beyond: $("beyond") },
+  (ticks, beyond) => laws.change("delay", ticks, beyond));
 
-const beside = scene.beside = new Beside({ other: $("other"), told: $("b-told"), late: $("late") }, ask);
+const beside = scene.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
 let overlaid = null;
 plots.over = () => overlaid ?? (beside.on ? beside : null);
 const sound = new Sound($("sound"));
@@ -84,7 +86,9 @@ const link = new Link({
     plots.start(store, found.axes, found.hand || found.has_hand);
     laws.start(found.fields, found.replay);
     dial.start(found);
+    delay.start(found);
     map.movable = !found.replay;
+    map.delays = found.delays;
     map.beyond = () => found.beyond && $("beyond").checked;
     beside.start(found);
     sound.start(store, found.axes[0]);
@@ -122,7 +126,7 @@ const link = new Link({
   },
   beside(found) { beside.show(found); },
   over(found) { overlaid = found; plots.dirty = true; },
-  map(found) { map.show(found); laws.edge = found.k_max_n_per_m ?? null; laws.fill(); turn(); },
+  map(found) { map.show(found, laws.state?.device_delay ?? 0); laws.edge = found.k_max_n_per_m ?? null; laws.fill(); turn(); },
   log(entry) {
     log.add(entry);
     if (entry.kind === "receipt") plots.mark(entry.t, entry.switched ? entry.law : "");
@@ -159,6 +163,7 @@ $("axis").addEventListener("change", () => lookAt($("axis").value));
 function turn() {
   const law = laws.state?.laws[laws.state.active];
   dial.show(law?.stiffness ?? null, laws.edge);
+  if (delay.offered && laws.state) delay.show(laws.state.device_delay, map.delayEdge());
 }
 
 // -- what a link carries, and the tour ----------------------------------------------------------------------------
@@ -168,15 +173,16 @@ $("lab").open = wanted.lab;
 
 // Once the laws are known: what the link says, one after the other.
 async function open() {
-  const { law, stiffness, beside: other } = wanted;
+  const { law, stiffness, delay: later, beside: other } = wanted;
   wanted = {};
   if (law && law !== laws.state.active) await laws.choose(law);
   if (stiffness) laws.change("stiffness", stiffness);
+  if (later && hello.delays) laws.change("delay", later);
   if (other && hello.compares) await beside.choose(other);
 }
 
 $("share").addEventListener("click", async () => {
-  const link = linkOf({ law: laws.state?.active, stiffness: dial.stiffness, beside: beside.law, lab: $("lab").open });
+  const link = linkOf({ law: laws.state?.active, stiffness: dial.stiffness, delay: delay.ticks, beside: beside.law, lab: $("lab").open });
   history.replaceState(null, "", link);
   await navigator.clipboard?.writeText(link).catch(() => {});
   $("share").textContent = "Copied";
@@ -185,6 +191,7 @@ $("share").addEventListener("click", async () => {
 
 const tour = new Tour({ tour: $("tour"), sentence: $("sentence"), act: $("tour-act"), leave: $("tour-leave"), begin: $("tour-begin") }, {
   dial,
+  delay,
   touched: () => scene.grip.used && scene.now?.contact === 1,
   stopped: () => stoppedAt !== null,
   rings: () => $("words").textContent.includes("rings"),
@@ -250,7 +257,7 @@ addEventListener("keydown", (event) => {
 let plotted = 0, read = 0;
 function draw(time) {
   const past = slow.window();
-  if (past) scene.show(slow.now(past.at));
+  if (past) { const then = slow.now(past.at); scene.show(then); space.show(then); }
   if ($("space").hidden) scene.draw(); else space.draw();
   // Half as often as the scene: nobody reads a plot faster.
   if (time - plotted > 30) {
@@ -265,4 +272,4 @@ requestAnimationFrame(draw);
 setInterval(() => { scene.tell(); space.tell(); }, 100);
 
 // For the console, and the tests.
-Object.assign(globalThis, { haptic: { lag, scene, space, strip, plots, dial, map, laws, slow, beside, sound, tour } });
+Object.assign(globalThis, { haptic: { lag, scene, space, strip, plots, dial, delay, map, laws, slow, beside, sound, tour } });

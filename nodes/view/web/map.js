@@ -3,7 +3,7 @@ import { digits, figure, fixed, step } from "./format.js";
 import { colour, onTheme } from "./theme.js";
 
 export class StabilityMap {
-  // `move` is called with stiffness and damping of where the dot is dragged to.
+  // `move` is called with what the dot is dragged to: stiffness and damping, or stiffness and delay of the device.
   constructor(canvas, words, button, move) {
     this.trail = [];
     this.move = move;
@@ -27,21 +27,37 @@ export class StabilityMap {
     canvas.addEventListener("pointerdown", (event) => {
       if (!this.frame || !this.movable) return;
       canvas.setPointerCapture(event.pointerId);
+      this.pulls = event.offsetX > this.frame.end ? "delay" : "damping";
       this.pull(event);
     });
     canvas.addEventListener("pointermove", (event) => { if (canvas.hasPointerCapture(event.pointerId)) this.pull(event); });
   }
 
   pull(event) {
-    const { left, bottom, top, end, right, most } = this.frame, within = (part) => Math.min(1, Math.max(0, part));
-    const damping = within((event.offsetX - left) / (end - left)) * right, stiffness = within((bottom - event.offsetY) / (bottom - top)) * most;
-    const row = this.map.edge.reduce((best, each) => (Math.abs(each[0] - damping) < Math.abs(best[0] - damping) ? each : best));
-    const edge = row[2] ?? Infinity, wanted = this.beyond() ? stiffness : Math.min(stiffness, 0.98 * edge);
-    this.move(Math.max(wanted, most / 200), damping, wanted >= edge);
+    const { left, bottom, top, end, right, most, begin, last, far } = this.frame, within = (part) => Math.min(1, Math.max(0, part));
+    const later = this.pulls === "delay";
+    if (later && !this.delays) return;
+    const own = this.map.delay_ticks - this.own, stiffness = within((bottom - event.offsetY) / (bottom - top)) * most;
+    const along = later ? Math.max(own, within((event.offsetX - begin) / (last - begin)) * far) : within((event.offsetX - left) / (end - left)) * right;
+    const row = (later ? this.map.over_delay : this.map.edge).reduce((best, each) => (Math.abs(each[0] - along) < Math.abs(best[0] - along) ? each : best));
+    const edge = row[2] ?? Infinity, wanted = Math.max(this.beyond() ? stiffness : Math.min(stiffness, 0.98 * edge), most / 200);
+    this.move({ stiffness: wanted, [this.pulls]: later ? along - own : along }, wanted >= edge);
   }
 
-  show(map) {
+  // The device's own delay at which the present stiffness meets the edge; null for one that is farther than the map.
+  delayEdge() {
+    const { map, own } = this;
+    if (!map?.over_delay || (map.stable && map.delay_margin_ticks === null)) return null;
+    if (map.stable) return own + map.delay_margin_ticks;
+    const k = map.k_n_per_m, rows = map.over_delay, n = rows.findIndex(([, , high]) => high !== null && high < k);
+    const part = n > 0 ? (rows[n - 1][2] - k) / (rows[n - 1][2] - rows[n][2]) : 0;
+    return n < 0 ? null : own - map.delay_ticks + (n ? rows[n - 1][0] + part * (rows[n][0] - rows[n - 1][0]) : 0);
+  }
+
+  // And how much of the delay is the device's own.
+  show(map, own = this.own) {
     const before = this.map;
+    this.own = own;
     this.map = map;
     if (before?.edge && map.edge && (before.k_n_per_m !== map.k_n_per_m || before.b_n_s_per_m !== map.b_n_s_per_m)) this.trail = [...this.trail.slice(-40), [before.b_n_s_per_m, before.k_n_per_m]];
     this.canvas.hidden = !map.edge;
@@ -84,7 +100,9 @@ export class StabilityMap {
     const rows = map.edge.filter(([b]) => this.whole || b <= map.near * 1.0001);
     const most = Math.max(map.k_n_per_m * 1.25, ...rows.map(([, , high]) => (high ?? 0) * 1.12));
     const right = this.whole ? Math.max(...rows.map(([b]) => b)) : map.near;
-    const left = 50, bottom = height - 30, top = 8, end = width - 10;
+    // Two panels over one K: what the damping does to the edge, and what the delay does.
+    const left = 50, bottom = height - 30, top = 8, end = left + Math.round((width - left) * 0.58), begin = end + 20, last = width - 10;
+    const over = map.over_delay, far = over.at(-1)[0], u = (delay) => begin + (delay / far) * (last - begin);
     const x = (b) => left + (b / right) * (end - left), y = (k) => bottom - (k / most) * (bottom - top);
     g.font = "12px system-ui, sans-serif";
     this.axes(g, x, y, right, most, { left, bottom, top, end });
@@ -101,11 +119,13 @@ export class StabilityMap {
     g.beginPath();
     stable.forEach(([b, , high], n) => g[n ? "lineTo" : "moveTo"](x(b), y(high ?? most)));
     g.stroke();
-    if (map.later) this.later(g, map.later.filter(([b]) => this.whole || b <= map.near * 1.0001), x, y, most);
-    this.frame = { left, bottom, top, end, right, most };
+    this.frame = { left, bottom, top, end, right, most, begin, last, far };
     this.regions(g, stable, x, y, right, most);
+    this.later(g, over, u, y);
     this.where(g, x, y);
-    this.point(g, x(Math.min(map.b_n_s_per_m, right)), y(map.k_n_per_m), map.k_max_n_per_m === null ? null : y(map.k_max_n_per_m));
+    const dot = y(map.k_n_per_m), b = x(Math.min(map.b_n_s_per_m, right)), margin = map.delay_margin_ticks;
+    this.point(g, b, dot, map.k_max_n_per_m === null ? null : [b, y(map.k_max_n_per_m)]);
+    this.point(g, u(Math.min(map.delay_ticks, far)), dot, map.stable ? [margin === null ? last : u(Math.min(far, map.delay_ticks + margin)), dot] : null);
   }
 
   regions(g, stable, x, y, right, most) {
@@ -116,16 +136,35 @@ export class StabilityMap {
     g.fillStyle = colour("good");
     g.fillText("rests", x(Math.min(b, right)), y((high ?? most) * 0.45));
     g.fillStyle = colour("bad");
-    if ((high ?? most) < 0.9 * most) g.fillText("sings", x(stable[Math.floor(stable.length * 0.3)][0]), y(0.94 * most) + 4);
+    if ((high ?? most) < 0.9 * most) g.fillText("sings", x(stable[Math.floor(stable.length * 0.35)][0]), y(0.94 * most) + 16);
   }
 
-  // The edge of B, which answers later.
-  later(g, rows, x, y, most) {
-    g.strokeStyle = colour("beside");
-    g.lineWidth = 1.8;
+  // The edge over the delay of the whole loop.
+  later(g, rows, u, y) {
+    const { bottom, top, begin, last, most, far } = this.frame, stable = rows.filter(([, low]) => low !== null);
+    g.save();
     g.beginPath();
-    rows.filter(([, low]) => low !== null).forEach(([b, , high], n) => g[n ? "lineTo" : "moveTo"](x(b), y(high ?? most)));
+    g.rect(begin, top, last - begin, bottom - top);
+    g.clip();
+    g.beginPath();
+    stable.forEach(([delay, , high], n) => g[n ? "lineTo" : "moveTo"](u(delay), y(high ?? 2 * most)));
+    g.strokeStyle = colour("good");
+    g.lineWidth = 2;
     g.stroke();
+    [...stable].reverse().forEach(([delay, low]) => g.lineTo(u(delay), y(low)));
+    g.closePath();
+    g.fillStyle = colour("safe");
+    g.fill();
+    g.restore();
+    g.strokeStyle = colour("grid");
+    g.fillStyle = colour("soft");
+    g.font = "12px system-ui, sans-serif";
+    g.lineWidth = 1;
+    g.strokeRect(begin, top, last - begin, bottom - top);
+    g.textAlign = "center";
+    for (const [delay, text] of nice(far, 3)) g.fillText(text, u(delay), bottom + 14);
+    g.textAlign = "right";
+    g.fillText("delay [ticks]", last, bottom + 27);
   }
 
   // Where one was.
@@ -148,7 +187,7 @@ export class StabilityMap {
       g.lineWidth = 1.5;
       g.beginPath();
       g.moveTo(u, v);
-      g.lineTo(u, edge);
+      g.lineTo(...edge);
       g.stroke();
       g.setLineDash([]);
     }

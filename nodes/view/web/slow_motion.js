@@ -25,15 +25,14 @@ export class SlowMotion {
 
   // What the scene shows at a time, put together from the bins.
   now(at) {
-    const { store, axis, surface } = this.run, letter = "xyz"[axis];
-    const n = Math.min(store.find(at), store.head - 1) % store.size;
-    const value = (name) => {
+    const { store, axis, surface } = this.run, n = Math.min(store.find(at), store.head - 1) % store.size;
+    const along = (name) => [..."xyz"].map((letter) => {
       const i = store.index(`${name}.${letter}`);
+      if (i < 0) return 0;
       // The stronger of a bin's two values: a spike is what is looked for here.
       const low = store.low[i][n], high = store.high[i][n];
       return Math.abs(low) > Math.abs(high) ? low : high;
-    };
-    const along = (name) => { const found = [0, 0, 0]; found[axis] = value(name); return found; };
+    });
     const position = along("position"), normal = [0, 0, 0];
     const distance = surface ? (position[axis] - surface.at) * surface.side : NaN;
     if (surface) normal[axis] = surface.side;

@@ -10,7 +10,7 @@ export class Tour {
   }
 
   steps() {
-    const { page } = this, { dial } = page;
+    const { page } = this, { dial, delay } = page, below = () => !page.stopped() && dial.edge !== null && dial.stiffness < dial.edge;
     const steps = [
       { text: "A computer pushes back 500 times a second, and that is a wall. Touch it: pull the handle into the grey.",
         done: () => page.touched() },
@@ -18,8 +18,8 @@ export class Tour {
         action: () => dial.set(dial.edge * 0.9), label: "Turn it up", done: () => dial.edge !== null && dial.stiffness > 0.7 * dial.edge },
       { text: "Each answer comes a little late, so too hard a wall pushes out more than was put in, and sings. Go past the edge and touch it.",
         action: () => dial.let(1.6), label: "Too hard", done: () => page.stopped() || (dial.isPast(dial.stiffness) && page.rings()), needs: dial.allowed.hidden === false },
-      { text: "The later the answer, the sooner it sings: in the map the edge comes down with the delay. Take the dot below it.",
-        action: () => page.calm(), label: "Back below the edge", done: () => !page.stopped() && dial.edge !== null && dial.stiffness < dial.edge },
+      { text: "The later the answer, the softer a wall has to be: in the map the edge comes down as the delay grows. Go back below it, then let the answer come later.",
+        action: () => (below() ? delay.set(0.5 * delay.most()) : page.calm()), label: "Later", done: () => below() && (!delay.offered || delay.ticks >= 0.3) },
       { text: "Another law bears more at the same delay. Put one beside yours: the same hand, felt twice.",
         action: () => page.compare(), label: "Compare", done: () => page.compared() },
     ];

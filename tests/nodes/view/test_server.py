@@ -229,6 +229,41 @@ def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> Non
         os.close(leader)
 
 
+def test_the_delay_is_the_device_s_own_and_the_law_is_judged_with_it(launch: Running) -> None:
+    with live(url_of(launch)) as page:
+
+        def ask(**request: Any) -> dict[str, Any]:
+            page.send(json.dumps({"id": 9, **request}))
+            return texts(page, "answer", id=9)
+
+        assert texts(page, "hello")["delays"]
+        sooner = texts(page, "map")
+        # Three quarters of the way: the coupling measures another delay at each moment.
+        ticks = round(0.75 * sooner["delay_margin_ticks"], 2)
+        assert ask(op="delay", ticks=ticks)["ok"]
+        assert launch.call("driver", "param.get", name="device.delay") == ticks
+        assert launch.call("coupling", "param.get", name="plant.device_delay") == ticks
+        found = wait_for(
+            lambda: (now := texts(page, "map")) and now["plant"]["device_delay"] == ticks and now, "the map"
+        )
+        assert found["k_max_n_per_m"] < sooner["k_max_n_per_m"]
+        # The edge over the delay comes down, and where it meets the present stiffness is the margin.
+        rows = [(delay, high) for delay, _, high in found["over_delay"] if high is not None]
+        meets = found["delay_ticks"] + found["delay_margin_ticks"]
+        assert all(high > found["k_n_per_m"] for delay, high in rows if delay < meets)
+        assert any(high < found["k_n_per_m"] for delay, high in rows if delay > meets)
+        # Past the edge only where that is asked for; refused, nothing has changed.
+        refused = ask(op="delay", ticks=8.0)
+        assert not refused["ok"]
+        assert "pole radius" in refused["error"]
+        assert launch.call("driver", "param.get", name="device.delay") == ticks
+        assert ask(op="undo")["ok"]
+        assert launch.call("driver", "param.get", name="device.delay") == 0.0
+        assert launch.call("coupling", "param.get", name="plant.device_delay") == 0.0
+        assert not ask(op="delay", ticks=-1.0)["ok"]
+        assert launch.call("coupling", "param.get", name="plant.device_delay") == 0.0
+
+
 def test_a_view_beside_a_launch_sees_the_same(launch: Running) -> None:
     with viewing(launch.folder, environment=launch.environment) as url, live(url) as page:
         assert texts(page, "hello")["hand"]

@@ -1,0 +1,54 @@
+// How late a virtual device answers: as far as the loop bears it, and past that only where the dial may go past, too.
+import { fixed } from "./format.js";
+
+const STEPS = 400, BELOW = 0.98, FARTHEST = 8, RESTS = 700;
+
+export class Delay {
+  // `change` is called with a delay of the device [ticks] and whether the loop swings at it.
+  constructor({ row, slider, told, beyond }, change) {
+    Object.assign(this, { row, slider, told, box: beyond, change, ticks: null, edge: null });
+    slider.addEventListener("input", () => {
+      this.turning = performance.now();
+      this.set((slider.value / STEPS) * this.most());
+    });
+    for (const event of ["change", "blur"]) slider.addEventListener(event, () => { this.turning = 0; });
+    beyond.addEventListener("change", () => {
+      if (!beyond.checked && this.isPast(this.ticks)) this.set(this.most());
+      this.fill();
+    });
+  }
+
+  start({ delays, rate_hz: rate }) { Object.assign(this, { offered: delays, period: 1000 / rate, ticks: null }); this.row.hidden = !delays; }
+
+  // What the device answers with now, and the delay of the device at which the law would swing: null for a far one.
+  show(ticks, edge) {
+    Object.assign(this, { ticks, edge });
+    if (performance.now() - (this.turning || 0) > RESTS) this.fill();
+  }
+
+  isPast(ticks) { return this.edge !== null && ticks >= this.edge; }
+
+  most() { return this.box.checked || this.edge === null ? FARTHEST : Math.max(0, Math.min(FARTHEST, BELOW * this.edge)); }
+
+  set(ticks) {
+    const wanted = Math.min(this.most(), Number(ticks.toFixed(2)));
+    this.write(wanted);
+    this.change(wanted, this.isPast(wanted));
+  }
+
+  fill() {
+    if (this.ticks === null) return;
+    const most = this.most();
+    this.slider.disabled = !most;
+    this.slider.value = most ? Math.round((STEPS * this.ticks) / most) : 0;
+    this.slider.style.setProperty("--safe-part", `${this.edge === null || !most ? 100 : Math.min(100, (100 * this.edge) / most)}%`);
+    this.write(this.ticks);
+  }
+
+  write(ticks) {
+    const edge = this.edge === null ? "" : this.isPast(ticks) ? `, past the edge at ${fixed(this.edge, 1)}` : ` of ${fixed(this.edge, 1)} to the edge`;
+    this.told.textContent = `${fixed(ticks, 1)} ticks${edge} (${fixed(ticks * this.period, 1)} ms)`;
+    this.told.classList.toggle("bad", this.isPast(ticks));
+    this.slider.setAttribute("aria-valuetext", this.told.textContent);
+  }
+}
