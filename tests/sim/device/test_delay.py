@@ -41,8 +41,10 @@ def test_what_the_driver_takes_to_be_under_way_goes_on_with_another_latency() ->
     length = state.line_length
     for force in (1.0, 2.0, 3.0):
         for i in range(3):
-            line = memoryview(kept[1])[i * length : (i + 1) * length]
+            own = slice(i * length, (i + 1) * length)
+            line = kept[1][own]
             through(line, force * (i + 1), state.line_part)
+            kept[1][own] = line
     later = set_latency(state, 3.5)
     assert (state.line_length, state.line_part) == (5, 0.5)
     # Newest first; what is older than was kept is the oldest that was.
