@@ -51,6 +51,7 @@ def _hold(page: Any, far: float) -> None:
 
 
 def _touch(page: Any) -> None:
+    page.evaluate("haptic.beside.choose('')")
     _hold(page, 0.9)
     wait_for(lambda: page.evaluate("haptic.scene.now.force[0] < -0.5"), "a touch")
     page.wait_for_timeout(800.0)

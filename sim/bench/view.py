@@ -101,6 +101,7 @@ def _with_page(
         _drag(page, seconds)
         ended = time.monotonic()
         delays["hand_to_picture_s"] += [ms / 1e3 for ms in page.evaluate("haptic.lag.all")]
+        delays["hand_to_force_s"] += [ms / 1e3 for ms in page.evaluate("haptic.lag.forces")]
         delays["switch_s"] += [page.evaluate(SWITCH, name) / 1e3 for name in ("multi_term", "pd")]
         if picture is not None:
             _drag(page, 1.0, picture)
@@ -116,7 +117,12 @@ def loop_cost(
 ) -> dict[str, Any]:
     """Run one launch and open a page in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
-    delays: dict[str, list[float]] = {"first_picture_s": [], "switch_s": [], "hand_to_picture_s": []}
+    delays: dict[str, list[float]] = {
+        "first_picture_s": [],
+        "switch_s": [],
+        "hand_to_picture_s": [],
+        "hand_to_force_s": [],
+    }
     # As ``haptic view`` opens one: a browser, too, keeps off the processor of the loop.
     with Running("touch_wall", f"rate:={rate}") as launch, off(launch.run.processors), browsing() as browser:
         for _ in range(rounds):
@@ -211,9 +217,11 @@ def run(arguments: argparse.Namespace) -> int:
         f"p99 {figures['p99_ratio']:.2f} ({figures['p99_spread']:.2f}); messages lost by the recording {figures['lost']}"
     )
     kept, switch, hand = figures["memory"], figures["switch_s"] * 1e3, figures["hand_to_picture_s"] * 1e3
+    force = figures["hand_to_force_s"] * 1e3
     lines.append(
-        f"first picture {figures['first_picture_s']:.2f} s after the URL, the hand in {hand:.0f} ms, "
-        f"a switch shown in {switch:.0f} ms; memory "
+        f"first picture {figures['first_picture_s']:.2f} s after the URL; from the hand to the force {force:.0f} ms, "
+        f"to the picture {hand:.0f} ms; "
+        f"a switch is shown in {switch:.0f} ms; memory "
         f"{kept['after_one_minute_mb']:.1f} MB after one minute, {kept['at_the_end_mb']:.1f} MB after {arguments.minutes:g}"
     )
     answer(arguments.json, figures, "\n".join(lines))

@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
+import signal
+import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.launching import Running, wait_for
+from tests.support.launching import HAPTIC, Running, wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -68,6 +71,45 @@ def url_of(launch: Running) -> str:
         return str(json.loads(lines[0])["url"]) if lines else ""
 
     return str(wait_for(first, "the URL"))
+
+
+@contextlib.contextmanager
+def viewing(launch_folder: Path, *words: str, environment: Any = None, stderr: Any = None) -> Iterator[str]:
+    """Run ``haptic view`` for the length of a with block.
+
+    Parameters
+    ----------
+    launch_folder : Path
+        Its working directory.
+    *words : str
+        Its arguments.
+    environment : mapping of str to str, optional
+        Its variables.
+    stderr : file, optional
+        Its standard error.
+
+    Yields
+    ------
+    str
+        The page's URL.
+    """
+    process = subprocess.Popen(
+        [*HAPTIC, "view", "--json", *words],
+        cwd=launch_folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        yield json.loads(process.stdout.readline())["url"]
+    finally:
+        process.send_signal(signal.SIGINT)
+        rest = process.stdout.read()
+        process.stdout.close()
+        assert process.wait(30.0) == 0
+        assert json.loads(rest.splitlines()[-1])
 
 
 def shown(page: Page, selector: str) -> str:

@@ -102,7 +102,7 @@ const link = new Link({
   frame(frame) {
     if (!store) return;
     store.add(frame);
-    lag.arrive(frame.now.target);
+    lag.arrive(frame, { axis: scene.axis, index: store.index(`target.${"xyz"[scene.axis]}`) });
     sound.hear();
     if (!slow.on) { scene.show(frame.now); space.show(frame.now); }
     replay.at(frame.now.t);
@@ -112,6 +112,7 @@ const link = new Link({
   status(found) {
     status.show(found);
     if (lag.median !== null) status.row("hand → picture", `${Math.round(lag.median)} ms`);
+    if (lag.force !== null) status.row("hand → force", `${Math.round(lag.force)} ms`);
     const stopped = found.safety === "stopped";
     map.stop(stopped);
     if (stopped && found.stop && stoppedAt !== found.stop.t && !hello?.replay) watchSlowly(found.stop);

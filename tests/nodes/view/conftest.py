@@ -1,4 +1,4 @@
-"""One browser for the tests of a module."""
+"""One browser for all tests of the page that a worker runs: it takes longer to start than a page to open."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
     with chromium() as found:
         yield found

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import yaml
 
 from messages.topics import DEVICE_STATE
+from nodes.launcher import launch_file
 from nodes.laws.parse import parse_law
 from nodes.recording.reader import Recording
 from sim.scene.beside import play_beside
 from tests.support.browser import OpenPage, needs_browser, url_of
-from tests.support.launching import Running, running, wait_for
+from tests.support.launching import Running, launch_json, running, wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -55,8 +58,8 @@ def test_b_is_drawn_and_felt_beside_a(page: Page) -> None:
     assert np.all(np.diff(times) > 0.0)
 
 
-def test_b_has_the_bits_of_a_separate_run(launch: Running) -> None:
-    """Played on as the targets come, or all at once: the same; and the scene of the launch file, with its own law."""
+def test_b_has_the_bits_of_a_separate_run(launch: Running, tmp_path: Path) -> None:
+    """Played on as the targets come, or all at once: the same; and what four processes render of that hand, with that law."""
     setups = launch.run.nodes
     targets = [0.0] * 20 + [0.024] * 300 + [0.0] * 80
     law: dict[str, Any] = {"kind": "pd", "stiffness": 2500.0, "damping": 3.0}
@@ -66,8 +69,18 @@ def test_b_has_the_bits_of_a_separate_run(launch: Running) -> None:
     for all_of_it, some in zip(whole, part, strict=True):
         assert np.array_equal(all_of_it[:250], some)
     assert whole[1].min() < -0.3
-    other = play_beside(setups, {**law, "stiffness": 500.0}, targets, (0.0, 0.0), 0.23)
-    assert not np.array_equal(whole[0], other[0])
+    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
+    driver, coupling = (content["nodes"][name]["parameters"] for name in ("driver", "coupling"))
+    driver["safety"]["ramp"] = 0.0
+    driver["device"]["delay"] = 0.23
+    driver["device"]["hand"]["path"] = [[k * 0.002, target] for k, target in enumerate(targets)]
+    coupling.update(law="alone", laws={"alone": law}, stability="off")
+    (tmp_path / "alone.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    words = (str(tmp_path / "alone.yaml"), "pace:=lockstep", "duration:=0.8", "--tick", "plain")
+    figures = launch_json(tmp_path, *words)
+    states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
+    assert [state.position[0] for state in states[:400]] == whole[0].tolist()
+    assert [state.force[0] for state in states[1:401]] == whole[1].tolist()
 
 
 def test_the_sound_is_the_force(browser: Browser, launch: Running) -> None:

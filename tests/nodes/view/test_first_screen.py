@@ -157,6 +157,58 @@ def test_a_refused_slider_goes_back_to_what_renders(page: Page, launch: Running)
     launch.call("coupling", "param.set", values={"laws.pd.stiffness": before})
 
 
+def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch: Running) -> None:
+    launch.call("coupling", "law.switch", law="pd")
+    wait_for(lambda: page.evaluate("haptic.delay.edge !== null && haptic.delay.ticks === 0"), "the edge over the delay")
+    script = """part => { const slider = document.getElementById("delay");
+      slider.value = 400 * part;
+      for (const kind of ["input", "change"]) slider.dispatchEvent(new Event(kind)); }"""
+    before = float(page.evaluate("haptic.dial.edge"))
+    page.evaluate(script, 0.4)
+    turned = wait_for(
+        lambda: float(launch.call("driver", "param.get", name="device.delay")), "the device answers later"
+    )
+    wait_for(lambda: page.evaluate("haptic.map.own") == turned, "the map for that delay")
+    assert page.evaluate("haptic.dial.edge") < before, "the edge has come down"
+    assert "ticks of" in shown(page, "#delay-told")
+    # The dot of the right-hand panel stands at the delay of the whole loop, and is a handle.
+    wait_for(
+        lambda: page.evaluate("haptic.map.frame.far") > page.evaluate("haptic.map.map.delay_ticks"), "it is inside"
+    )
+    box: Any = page.locator("#map").bounding_box()
+    at = """() => { const { map: { delay_ticks: d, k_n_per_m: k }, frame } = haptic.map;
+      const { begin, last, far, bottom, top, most } = frame;
+      return [begin + d / far * (last - begin), bottom - k / most * (bottom - top), haptic.map.own * (last - begin) / far]; }"""
+    u, v, own = page.evaluate(at)
+    page.mouse.move(box["x"] + u, box["y"] + v)
+    page.mouse.down()
+    page.mouse.move(box["x"] + u - own, box["y"] + v, steps=3)
+    page.mouse.up()
+    wait_for(lambda: float(launch.call("driver", "param.get", name="device.delay")) < 0.3 * turned, "dragged back")
+    launch.call("driver", "param.set", values={"device.delay": 0.0})
+    launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
+
+
+def test_a_finger_is_a_hand(browser: Browser, launch: Running) -> None:
+    phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+    with OpenPage(browser, url_of(launch), **phone) as page:
+        wait_for(lambda: abs(target(page)) < 1e-4 and launch.ticks() > 1300, "the hand rests")
+        x, y = handle(page)
+        finger = page.context.new_cdp_session(page)
+
+        def touch(kind: str, *points: tuple[float, float]) -> None:
+            there = [{"x": u, "y": v} for u, v in points]
+            finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": there})
+
+        touch("touchStart", (x, y))
+        for k in range(1, 9):
+            touch("touchMove", (x + 15.0 * k, y))
+        wait_for(lambda: target(page) > 5e-3, "it follows the finger")
+        assert page.evaluate("scrollY") == 0
+        touch("touchEnd")
+        wait_for(lambda: abs(target(page)) < 1e-4, "it is let go")
+
+
 def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(page: Page, launch: Running) -> None:
     launch.call("coupling", "law.switch", law="pd")
     wait_for(lambda: page.evaluate("haptic.dial.edge") is not None, "the edge")

@@ -27,7 +27,7 @@ from nodes.view.live import SILENT_NODE
 from nodes.view.replay import ReplayPages
 from sim.drill.drill import scene as drill_scene
 from tests.support import ROOT
-from tests.support.browser import url_of
+from tests.support.browser import url_of, viewing
 from tests.support.launching import HAPTIC, Running, haptic, launch_json, running, wait_for
 
 
@@ -170,28 +170,6 @@ def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
 def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
     told = haptic(tmp_path, "view", "--address", "0.0.0.0", "--port", "8080", code=2).stderr  # noqa: S104
     assert "ssh -L 8080:127.0.0.1:8080" in told
-
-
-@contextlib.contextmanager
-def viewing(launch_folder: Path, *words: str, environment: Any = None, stderr: Any = None) -> Iterator[str]:
-    """Run ``haptic view`` for the length of a with block."""
-    process = subprocess.Popen(
-        [*HAPTIC, "view", "--json", *words],
-        cwd=launch_folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=stderr,
-        text=True,
-    )
-    assert process.stdout is not None
-    try:
-        yield json.loads(process.stdout.readline())["url"]
-    finally:
-        process.send_signal(signal.SIGINT)
-        rest = process.stdout.read()
-        process.stdout.close()
-        assert process.wait(30.0) == 0
-        assert json.loads(rest.splitlines()[-1])
 
 
 def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> None:

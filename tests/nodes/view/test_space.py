@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
+from messages.topics import DEVICE_STATE
 from nodes.launcher import launch_file
-from tests.support.browser import OpenPage, needs_browser, shown, url_of
+from nodes.recording.reader import Recording
+from tests.support.browser import OpenPage, needs_browser, shown, url_of, viewing
 from tests.support.launching import Running, running, wait_for
 
 if TYPE_CHECKING:
@@ -29,11 +31,11 @@ def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     ball = {"kind": "sphere", "position": CENTRE, "radius": RADIUS, "friction": {"static": 0.3}}
     content["nodes"]["environment"]["parameters"]["surface"] = ball
     (folder / "ball.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    with running(folder, str(folder / "ball.yaml"), "--view", "--without", "logger") as found:
+    with running(folder, str(folder / "ball.yaml"), "--view") as found:
         yield found
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def page(browser: Browser, launch: Running) -> Iterator[Page]:
     with OpenPage(browser, url_of(launch)) as found:
         wait_for(lambda: found.evaluate("haptic.space.pixels > 0"), "the picture")
@@ -88,6 +90,7 @@ def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch
     same = page.evaluate("haptic.scene.now.position[2] === haptic.space.now.position[2]")
     assert same
     wait_for(lambda: "mm" in shown(page, "#reading"), "the flat view's figures")
+    page.select_option("#axis", "3-D")
 
 
 def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
@@ -102,3 +105,23 @@ def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
     before = page.locator("#space").screenshot()
     page.evaluate("haptic.space.turn.yaw += 0.5")
     wait_for(lambda: page.locator("#space").screenshot() != before, "the camera turns")
+
+
+def test_a_recording_is_looked_at_in_three_dimensions_too(browser: Browser, launch: Running) -> None:
+    """The same shape as over the launch, and the poses that were recorded; the run goes on meanwhile."""
+    folder = launch.folder
+    path = next((folder / "recordings").glob("*.mcap"))
+    with viewing(folder, "--replay", str(path)) as url, OpenPage(browser, url) as page:
+        wait_for(lambda: page.evaluate("haptic.space.pixels > 0"), "the picture")
+        assert page.locator("#space").is_visible()
+        with OpenPage(browser, url_of(launch)) as running_page:
+            wait_for(lambda: running_page.evaluate("haptic.space.pixels > 0"), "the picture")
+            same = [each.evaluate("JSON.stringify(haptic.space.shape)") for each in (page, running_page)]
+        assert same[0] == same[1]
+        states = {state.seq: state.position for state in Recording(path).messages(DEVICE_STATE)}
+        moment = "({ t: haptic.space.now.t, position: [...haptic.space.now.position] })"
+        page.evaluate("document.getElementById('play').click()")
+        now = wait_for(lambda: page.evaluate(f"haptic.space.now && {moment}"), "a pose")
+        # One picture of the scene for 60 in a second: its pose is that of one of the ticks just before.
+        near = [states[seq] for seq in range(max(0, round(now["t"] / 0.002) - 20), round(now["t"] / 0.002) + 1)]
+        assert tuple(now["position"]) in near
