@@ -29,6 +29,8 @@ from typing import Any, Final
 
 import msgspec
 
+from messages.errors import HapticError
+
 ROOT: Final = Path(__file__).parents[2]
 """Where the packages are installed: sources are named from here."""
 
@@ -40,7 +42,7 @@ _BARE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _SEALS: Final = fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE
 
 
-class CacheRefusedError(OSError):
+class CacheRefusedError(HapticError, OSError):
     """A folder that compiled code is not taken from, or that cannot be had; the text says why."""
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from messages.errors import HapticError
 from messages.topics import DEVICE_STATE, FORCE
 from messages.types import DeviceState
 from nodes.laws import CompiledLaw, Law
@@ -43,7 +44,7 @@ _RESIDUAL = 0.1
 """Largest residual of the fit, as a part of the swing."""
 
 
-class CannotTellError(ValueError):
+class CannotTellError(HapticError, ValueError):
     """The recorded contact says nothing of K_max; the text says why."""
 
 
