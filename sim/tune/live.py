@@ -9,6 +9,7 @@ rest. It takes forces again once the soft spring holds the device; where that ex
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -25,6 +26,11 @@ HOLDS = 3
 """How often the far end of the soft spring is put where the device is, which still creeps towards it."""
 TRIAL = "trial"
 """Name that the coupling gets for the law on trial."""
+MOVES, STANDS = 0.5, 0.1
+"""A knock has moved the device when its position went so far, and has not when less than that [parts of the knock]."""
+UNMOVED = (
+    "the position did not follow a knock: the encoder is stuck, or the device is held fast; nothing was verified by it"
+)
 STOPPED = "the driver stopped the loop"
 """How a verdict of the driver's own begins."""
 
@@ -66,7 +72,7 @@ class Trials:
     ) -> None:
         self._loop, self._held, self._say = loop, held, say
         self._taps, self._knock, self._load = list(taps), knock, load
-        self._near, self._sign, self._rearm = 0, -1.0, rearm
+        self._near, self._sign, self._rearm, self._stirs = 0, -1.0, rearm, math.inf
         # A launch that has a guard of its own keeps it.
         self._own = ask(loop.run, loop.driver, "param.get", name="passivity")
         self._guarded = not (self._own and self._own["guard"] == "on")
@@ -78,7 +84,10 @@ class Trials:
         self._near = plan.near
         try:
             self.hold()
-            return climb(plan, self._verdict, steps)
+            found = climb(plan, self._verdict, steps)
+            if not math.isfinite(self._stirs):
+                raise RefusedError(f"{loop.driver}: {UNMOVED}")
+            return found
         finally:
             if self._guarded:
                 with undisturbed():
@@ -128,6 +137,7 @@ class Trials:
             # Afresh: every knock has the whole allowance.
             ask(loop.run, loop.driver, "param.set", values={"passivity": self._allowance})
         position, why, disturbed = self._window(factor)
+        self._expect_motion(position, factor, bool(why or disturbed))
         verdict = judge(position, self._sign * self._knock, factor)
         if disturbed and verdict is None:
             verdict = KnockVerdict(factor, 0.0, False, disturbed)
@@ -141,6 +151,14 @@ class Trials:
             disturbed = disturbed or f"the law overran its time budget: {left} rendered"
         loop.wait(WINDOW // 2)
         return verdict, disturbed
+
+    def _expect_motion(self, position: Array, factor: float, ended: bool) -> None:
+        """Refuse positions that stand still after a knock: a law at least as stiff as one that moved the device moves it."""
+        moved = float(np.ptp(position)) / self._knock if len(position) else 0.0
+        if moved >= MOVES:
+            self._stirs = min(self._stirs, factor)
+        elif moved < STANDS and factor >= self._stirs and not ended:
+            raise RefusedError(f"{self._loop.driver}: at {factor:.3f} times the law {UNMOVED}")
 
     def _start_again(self, why: str) -> None:
         """Let the driver take forces again, when the soft spring holds the device where it came to lie."""

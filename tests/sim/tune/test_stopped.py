@@ -1,4 +1,4 @@
-"""A trial that the driver stops for good: a verdict, and a launch that takes forces again afterwards."""
+"""Trials that end otherwise: the driver stops the loop, or the position does not follow."""
 
 from __future__ import annotations
 
@@ -103,3 +103,20 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
             back = [one for one in states if state.seq <= one.seq < state.seq + ramp]
             # Two roundings.
             assert all(abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15) for one in back)
+
+
+def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> None:
+    """A position that stands still has nothing left of any knock: every law came to rest, and the stiffest was delivered."""
+    scene = json.loads(json.dumps(SCENE))
+    driver = scene["nodes"]["driver"]
+    driver["kind"] = "faulty_driver"
+    driver["parameters"]["order"] = "order"
+    (tmp_path / "order").write_text("0.0")
+    (tmp_path / "held.yaml").write_text(json.dumps(scene))
+    designed(tmp_path, [800.0, -700.0])
+    with running(tmp_path, "held.yaml") as launch:
+        done = launch.haptic("tune", "--steps", "verify", code=1)
+        assert launch.call("coupling", "law.list")["active"] == "pd"
+        launch.finish(signal.SIGINT)
+    assert "the encoder is stuck" in done.stdout
+    assert not (tmp_path / "tuning" / "tuned.yaml").exists()
