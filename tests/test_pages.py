@@ -31,6 +31,7 @@ SHORTER = {
     "haptic launch --list": "",
     "haptic launch --show-args": "",
     "haptic bench loop": "--rounds 1 --seconds 0.2 --ticks 200",
+    "haptic study detail": "duration:=1",
     "haptic study proxies": "--finest 3 --ticks 300 --steps 20000",
     "haptic bench listeners": "--rounds 1 --seconds 0.3",
     "haptic bench ros2": "--rounds 1 --seconds 0.4",

@@ -67,7 +67,10 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
 
 
 def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
-    """Give each axis its own device: the first has the beginning and the hand's path, z has the weight, or the first."""
+    """Give each axis its own device: the first has the beginning and the hand's path, z has the weight, or the first.
+
+    What the model says of an axis by itself goes before that.
+    """
     down = "z" if "z" in axes else axes[0]
     hand = model.hand
     still = None if hand is None else msgspec.structs.replace(hand, path=[(0.0, 0.0)], repeat=None)
@@ -76,7 +79,7 @@ def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
             model,
             gravity=model.gravity if axis == down else None,
             **({} if axis == axes[0] else {"position": 0.0, "velocity": 0.0, "hand": still}),
-        )
+        ).along(axis)
         for axis in axes
     ]
 
@@ -223,11 +226,18 @@ class SimDriver(Driver):
         """Check that it begins inside its workspace, and that a pointer has a hand to drag."""
         super().check(setup)
         parameters: SimDriverParameters = convert(setup.parameters, cls.Parameters, setup.name)
-        begin = parameters.device.position
-        low, high = parameters.ends[AXIS_INDEX[setup.axes[0]]]
-        if not low <= begin <= high:
+        for axis, device in zip(setup.axes, along(parameters.device, setup.axes), strict=True):
+            low, high = parameters.ends[AXIS_INDEX[axis]]
+            if not low <= device.position <= high:
+                field = "position" if axis == setup.axes[0] else f"axes.{axis}.position"
+                raise ParameterError(
+                    f"{setup.name}.device.{field}: {device.position:g} m, expected {low:g} to {high:g} m, as safety.workspace "
+                    "says"
+                )
+        if missing := sorted(set(parameters.device.axes) - set(setup.axes)):
             raise ParameterError(
-                f"{setup.name}.device.position: {begin:g} m, expected {low:g} to {high:g} m, as safety.workspace says"
+                f"{setup.name}.device.axes.{missing[0]}: the scene computes {', '.join(setup.axes)} only; name it in "
+                "run.axes, or leave it out here"
             )
         if parameters.pointer is not None and parameters.device.hand is None:
             raise ParameterError(

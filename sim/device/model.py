@@ -12,12 +12,13 @@ one-process simulator compiles the same functions. They use only `math`, and wha
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
 
 import msgspec
 
 from nodes.parameters.checked import check_fields
+from nodes.parameters.store import convert
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -314,6 +315,8 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Delay from sample to applied force [ticks], beside the one of ``apply: next_tick``.
     hand : Hand or None
         A hand that holds the device.
+    axes : dict of str to dict
+        What is different along an axis of the scene: the other fields, by name of the axis; of a hand, only what differs.
     """
 
     mass: Positive
@@ -326,9 +329,41 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     peak_force: Positive | None = None
     delay: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0
     hand: Hand | None = None
+    axes: dict[Literal["x", "y", "z"], dict[str, Any]] = {}
 
     def __post_init__(self) -> None:
         check_fields(self, "device")
+        for axis, changes in self.axes.items():
+            if not changes or "axes" in changes:
+                raise ValueError(f"axes.{axis} is {changes!r}: expected fields of a device, but axes")
+            self.along(axis)
+
+    def along(self, axis: str) -> DeviceModel:
+        """Give the device as it is along one axis.
+
+        Parameters
+        ----------
+        axis : str
+            ``x``, ``y`` or ``z``.
+
+        Returns
+        -------
+        DeviceModel
+            This one, with what is different there.
+        """
+        changes = self.axes.get(axis)  # type: ignore[call-overload]
+        everywhere = msgspec.structs.replace(self, axes={})
+        if changes is None:
+            return everywhere
+        fields = msgspec.to_builtins(everywhere)
+        hand = changes.get("hand")
+        merged = {**(fields["hand"] or {}), **hand} if isinstance(hand, Mapping) else fields["hand"]
+        made: DeviceModel = convert(
+            {**fields, **changes, **({} if hand is None and "hand" in changes else {"hand": merged})},
+            DeviceModel,
+            f"device.axes.{axis}",
+        )
+        return made
 
     @property
     def moving_mass(self) -> float:

@@ -22,7 +22,7 @@ from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
 from nodes.stability.plant import Plant
-from sim.device.driver import NO_END, SimDriverParameters
+from sim.device.driver import NO_END, SimDriverParameters, along
 from sim.scene.loop import Given, PlannedSwap, Scene, SceneSurface, Trace, run
 
 
@@ -166,7 +166,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
     swaps = sorted(coupling.schedule, key=lambda swap: swap.at)
     return LaunchedScene(
         scene=Scene(
-            device=driver.device,
+            device=along(driver.device, launch.run.axes)[0],
             surface=_surface(environment.surface, f"{environment_name}.surface", axis),
             period=period,
             raw=coupling.history == "position",

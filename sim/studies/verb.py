@@ -13,6 +13,7 @@ from nodes.cli.dispatch import dispatch
 STUDIES: dict[str, str] = {
     "analyse": "sim.studies.analyse",
     "design": "sim.studies.design",
+    "detail": "sim.studies.detail",
     "edge": "sim.studies.edge",
     "chart": "sim.studies.chart",
     "failures": "sim.studies.failures",

@@ -1,0 +1,308 @@
+"""Level of detail that proves itself: the same path through finer and coarser descriptions of a shape, forces compared.
+
+A mesh is decimated, cut into convex pieces, replaced by a primitive, and in the end by a plane; friction is left out. Each
+level meets the device on the path of a real run; what it renders is compared with the finest. The coarsest whose force differs
+by no more than the device can tell, or than a stated part of the largest force, is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.environment.shapes.mesh import PreparedMesh, prepare_mesh
+from nodes.environment.shapes.scene import SLIPPERY, Solid, capsule, mesh, plane, sphere
+from nodes.environment.shapes.tables import BOX, MESH, PLANE
+from nodes.parameters.store import ParameterError
+from sim.scene.touch import call_times, touch
+
+Array = NDArray[np.float64]
+
+_GRIDS = (24, 16, 12, 8)
+"""Cells along the longest side to which a mesh's corners are drawn together."""
+
+_PIECES = (8, 4, 2, 1)
+_FEWEST = 8
+"""Points that a primitive is fitted to, at least."""
+
+_PLACE = 10
+"""Ticks in a row without a difference that end a place."""
+
+_TIMED = 2000
+
+
+@dataclass(frozen=True)
+class Level:
+    """One description of a scene, and what it does.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    solids : int
+        Of how many shapes.
+    triangles : int
+        Of how many triangles, all of its meshes together.
+    force_n : float
+        Largest difference of the force from the finest's [N].
+    rms_n : float
+        Its root mean square over ticks in contact with either [N].
+    proxy_um : float
+        Largest distance of its proxy from the finest's [µm].
+    places : int
+        How many separate stretches of the path have a difference above the limit.
+    call_us, call_p99_us : float
+        Time of a call: median and 99th percentile [µs].
+    enough : bool
+        Whether its force stays within the limit.
+    """
+
+    name: str
+    solids: int
+    triangles: int
+    force_n: float
+    rms_n: float
+    proxy_um: float
+    places: int
+    call_us: float
+    call_p99_us: float
+    enough: bool
+
+
+@dataclass(frozen=True)
+class Detail:
+    """What a scene needs.
+
+    Attributes
+    ----------
+    levels : tuple of Level
+        From the finest, which is the first, to the coarsest.
+    limit_n : float
+        Difference of the force that counts as none [N].
+    force_step_n : float
+        The device's own force step: stiffness times encoder step [N].
+    largest_n : float
+        Largest force of the finest level [N].
+    left_out : tuple of str
+        Levels that could not be made, and why.
+    """
+
+    levels: tuple[Level, ...]
+    limit_n: float
+    force_step_n: float
+    largest_n: float
+    left_out: tuple[str, ...]
+
+    @property
+    def coarsest(self) -> Level:
+        """The last level that is enough."""
+        return [level for level in self.levels if level.enough][-1]
+
+
+def detail(
+    solids: Sequence[Solid],
+    path: Array,
+    tool_radius: float,
+    period: float,
+    stiffness: float,
+    resolution: float,
+    fraction: float,
+    step: Callable[[str], None] = lambda _: None,
+) -> Detail:
+    """Play one path through all levels of detail of a scene.
+
+    Parameters
+    ----------
+    solids : sequence of Solid
+        The finest description.
+    path : ndarray, shape (ticks, 3)
+        Device positions [m].
+    tool_radius : float
+        Of the ball that touches [m].
+    period : float
+        Sampling period [s].
+    stiffness : float
+        Force over deflection [N/m].
+    resolution : float
+        Encoder step of the device [m].
+    fraction : float
+        Part of the largest force that counts as no difference.
+    step : callable, optional
+        Is called with the name of each level.
+
+    Returns
+    -------
+    Detail
+        All levels.
+
+    Raises
+    ------
+    ValueError
+        When the path never touches anything.
+    """
+    finest = touch(solids, path, tool_radius, period)
+    if not finest.contact.any():
+        raise ValueError("the path touches nothing: let it run longer, or lead the hand further")
+    largest = float(stiffness * np.linalg.norm(finest.proxy - path, axis=1)[finest.contact].max())
+    limit = max(stiffness * resolution, fraction * largest)
+    # Points of the surface, not of the tool's centre.
+    touched = (finest.proxy - tool_radius * finest.normal)[finest.contact]
+    levels, left_out = [], []
+    for name, made in _levels(solids, touched, finest.normal[finest.contact]):
+        step(name)
+        if isinstance(made, str):
+            left_out.append(f"{name}: {made}")
+            continue
+        found = touch(made, path, tool_radius, period)
+        either = finest.contact | found.contact
+        away = np.linalg.norm(
+            np.where(found.contact[:, None], found.proxy, path) - np.where(finest.contact[:, None], finest.proxy, path),
+            axis=1,
+        )
+        difference = stiffness * away
+        times = 1e6 * call_times(made, path, tool_radius, period, _TIMED)
+        levels.append(
+            Level(
+                name,
+                len(made),
+                sum(len(solid.mesh.corners) for solid in made if solid.mesh is not None),
+                float(difference.max()),
+                float(np.sqrt(np.mean(difference[either] ** 2))),
+                float(1e6 * away.max()),
+                _places(difference > limit),
+                float(np.median(times)),
+                float(np.percentile(times, 99)),
+                bool(difference.max() <= limit),
+            )
+        )
+    return Detail(tuple(levels), limit, stiffness * resolution, largest, tuple(left_out))
+
+
+def _places(over: NDArray[np.bool_]) -> int:
+    at = np.flatnonzero(over)
+    return 0 if not len(at) else 1 + int((np.diff(at) > _PLACE).sum())
+
+
+def _levels(solids: Sequence[Solid], touched: Array, normals: Array) -> Iterator[tuple[str, list[Solid] | str]]:
+    """Give the levels from the finest on: each its name, and its shapes or why there is none."""
+    rough = any(solid.friction != SLIPPERY for solid in solids)
+    yield "as it is", list(solids)
+    if rough:
+        yield "without friction", [_slippery(solid) for solid in solids]
+    meshes = [solid for solid in solids if solid.kind == MESH]
+    if len(solids) == 1 and meshes:
+        found = meshes[0].mesh
+        assert found is not None  # noqa: S101  # it is one
+        for cells in _GRIDS:
+            yield from _decimated(found, cells, meshes[0])
+        for pieces in _PIECES:
+            yield f"{pieces} convex piece{'s' if pieces > 1 else ''}", _pieces(found, pieces, meshes[0])
+    points = np.concatenate(
+        [solid.mesh.corners.reshape(-1, 3) for solid in meshes if solid.mesh is not None] or [touched]
+    )
+    friction = solids[0].friction
+    # Each once: how many triangles meet in a corner says nothing about where the shape is.
+    points = np.unique(points, axis=0)
+    if len(points) >= _FEWEST:
+        if meshes:
+            yield "box", [_box(points)._replace(friction=friction)]
+            yield "capsule", [_capsule(points)._replace(friction=friction)]
+        if not (len(solids) == 1 and solids[0].kind == PLANE):
+            yield "sphere", [_sphere(points)._replace(friction=friction)]
+    if len(solids) > 1 or solids[0].kind != PLANE:
+        normal = normals.mean(axis=0)
+        yield "plane", [plane(tuple(touched.mean(axis=0).tolist()), tuple(normal.tolist()), friction)]
+
+
+def _slippery(solid: Solid) -> Solid:
+    return solid._replace(friction=SLIPPERY)
+
+
+def _decimated(found: PreparedMesh, cells: int, whole: Solid) -> Iterator[tuple[str, list[Solid] | str]]:
+    """Draw corners in one cell of a grid together, and leave out the triangles that this flattens."""
+    corners = found.corners
+    low = corners.reshape(-1, 3).min(axis=0)
+    size = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / cells
+    cell = np.floor((corners.reshape(-1, 3) - low) / size).astype(np.int64)
+    _, ids, counts = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    ids = ids.ravel()
+    means = np.stack([np.bincount(ids, corners.reshape(-1, 3)[:, k]) for k in range(3)], axis=1) / counts[:, None]
+    faces = ids.reshape(-1, 3)
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    # What is folded flat has each triangle twice, back to back: both go.
+    key = np.sort(faces, axis=1)
+    _, at, times = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+    faces = faces[times[at.ravel()] == 1]
+    name = f"decimated to {len(faces)} triangles"
+    if len(faces) >= len(corners):
+        return
+    try:
+        yield name, [mesh(prepare_mesh(means[faces], not found.closed, "detail"), whole.friction)]
+    except ParameterError as error:
+        yield name, f"is no solid any more: {error}"
+
+
+def _hull(points: Array) -> Array:
+    """Triangles of a convex hull, looking outwards; shape (n, 3, 3)."""
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(points)
+    triangles = points[hull.simplices]
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    inward = np.einsum("ij,ij->i", across, hull.equations[:, :3]) < 0.0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return np.asarray(triangles, dtype=np.float64)
+
+
+def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
+    """Halve the triangles along their longest side until there are so many parts, and take each one's convex hull."""
+    parts = [found.corners]
+    while len(parts) < count:
+        halves = []
+        for part in parts:
+            centres = part.mean(axis=1)
+            axis = int(np.argmax(np.ptp(centres, axis=0)))
+            order = np.argsort(centres[:, axis], kind="stable")
+            halves += [part[order[: len(order) // 2]], part[order[len(order) // 2 :]]]
+        parts = halves
+    made = []
+    for part in parts:
+        try:
+            made.append(
+                mesh(prepare_mesh(_hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"), whole.friction)
+            )
+        except (ParameterError, ValueError, RuntimeError) as error:
+            return f"a piece is flat: {' '.join(str(error).split())[:120]}"
+    return made
+
+
+def _sphere(points: Array) -> Solid:
+    """Fit by linear least squares to |x|² = 2 x·c + (r² − c²)."""
+    solution = np.linalg.lstsq(
+        np.column_stack([2.0 * points, np.ones(len(points))]), np.sum(points**2, axis=1), rcond=None
+    )[0]
+    centre = solution[:3]
+    return sphere(tuple(centre.tolist()), float(np.sqrt(max(solution[3] + centre @ centre, 1e-12))))
+
+
+def _main_axes(points: Array) -> tuple[Array, Array, Array]:
+    """Middle, directions of the principal axes as rows, and half the extent along each [m]."""
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    along = points @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    return 0.5 * (low + high) @ axes, axes, 0.5 * (high - low)
+
+
+def _box(points: Array) -> Solid:
+    middle, axes, half = _main_axes(points)
+    return Solid(BOX, (*middle.tolist(), *axes.ravel().tolist(), *half.tolist()))
+
+
+def _capsule(points: Array) -> Solid:
+    middle, axes, half = _main_axes(points)
+    radius = float(0.5 * (half[1] + half[2]))
+    end = max(float(half[0]) - radius, 1e-6) * axes[0]
+    return capsule(tuple((middle - end).tolist()), tuple((middle + end).tolist()), radius)

@@ -1,0 +1,94 @@
+"""Level of detail: what a box or a ball of triangles needs is found, and no less is called enough."""
+
+from __future__ import annotations
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from nodes.cli.main import main
+from nodes.environment.shapes.mesh import prepare_mesh
+from nodes.environment.shapes.scene import SLIPPERY, Friction, mesh
+from sim.experiments.detail import Detail, detail
+from sim.experiments.proxies import icosphere, ring
+from tests.support.shapes import Array, box_triangles, turned
+
+# The first run on a machine compiles the geometry.
+pytestmark = pytest.mark.timeout(900)
+
+PERIOD, STIFFNESS, RESOLUTION = 1e-3, 1000.0, 1e-5
+
+
+def judged(triangles: Array, path: Array, friction: Friction = SLIPPERY, fraction: float = 0.0) -> Detail:
+    return detail(
+        [mesh(prepare_mesh(triangles, False, "file"), friction)], path, 0.0, PERIOD, STIFFNESS, RESOLUTION, fraction
+    )
+
+
+def over_an_edge() -> Array:
+    """Lead over the top of a box 20 mm high, 1 mm deep, around an edge and down a side, from outside and back."""
+    corners = np.array(
+        [
+            [0.0, 0.0, 0.02],
+            [0.0, 0.0, 0.009],
+            [0.021, 0.004, 0.009],
+            [0.021, 0.004, 0.012],
+            [0.019, 0.004, 0.005],
+            [0.03, 0, 0],
+        ]
+    )
+    return np.concatenate([np.linspace(a, b, 60) for a, b in itertools.pairwise(corners)])
+
+
+def test_a_box_of_triangles_needs_a_box() -> None:
+    turn = (0.3, -0.2, 0.5)
+    found = judged(turned(box_triangles((0.04, 0.06, 0.02)), *turn), turned(over_an_edge(), *turn))
+    # 1 mm deep, and rounding; no part of the force was allowed.
+    assert found.largest_n == pytest.approx(1.0, rel=1e-3)
+    assert found.limit_n == found.force_step_n == STIFFNESS * RESOLUTION
+    assert found.coarsest.name == "box"
+    levels = {level.name: level for level in found.levels}
+    # Corners by singular values: to the digits of a length of a few centimetres, times some.
+    assert levels["box"].proxy_um < 1e-6
+    assert levels["1 convex piece"].proxy_um < 1e-6
+    for name in ("sphere", "capsule", "plane"):
+        assert not levels[name].enough
+        assert levels[name].places >= 1
+    assert all(0.0 < level.call_us <= level.call_p99_us for level in found.levels)
+
+
+@pytest.mark.parametrize(("halvings", "needs"), [(4, "sphere"), (1, "1 convex piece")])
+def test_a_ball_needs_a_sphere_once_its_triangles_are_fine(halvings: int, needs: str) -> None:
+    """An edge of length a lies a²/8r below the sphere: of 5120 triangles 20 µm, of 80 more than a millimetre; 4 mm is deep."""
+    on, out = ring(400, 0.2, PERIOD, 0.05)
+    depth = np.minimum(np.arange(400) / 20.0, 1.0)[:, None] * 4e-3 - 1e-4
+    found = judged(icosphere(halvings, 0.05), on - depth * out, fraction=0.1)
+    assert found.coarsest.name == needs
+    assert not next(level for level in found.levels if level.name == "plane").enough
+
+
+def test_friction_that_is_felt_is_needed() -> None:
+    found = judged(box_triangles((0.04, 0.06, 0.02)), over_an_edge(), Friction(0.3, 0.3))
+    smooth = next(level for level in found.levels if level.name == "without friction")
+    assert not smooth.enough
+    # Drawn along 1 mm deep, it trails by 0.3 of that.
+    assert smooth.force_n >= 0.3 * STIFFNESS * 1e-3 * 0.99
+    assert found.coarsest.name == "box"
+
+
+def test_a_path_in_the_air_is_refused() -> None:
+    with pytest.raises(ValueError, match="touches nothing"):
+        judged(box_triangles((0.04, 0.06, 0.02)), np.full((10, 3), 0.1))
+
+
+def test_the_study_leads_a_real_run_through_the_levels(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "detail", "rough_plane", "duration:=1.2", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert [level["name"] for level in told["levels"]] == ["as it is", "without friction"]
+    assert told["needs"] == "as it is"
+    # A Touch X's encoder step, times the stiffness.
+    assert told["force_step_n"] == pytest.approx(800.0 * 2.3e-5)
+    assert main(["study", "detail", "floor_drop"]) == 2
+    assert "has one level of detail" in capsys.readouterr().err
