@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -60,7 +61,7 @@ def draw(number: int, seed: int, held: bool, ranges: Range | None = None) -> Dev
         return math.exp(rng.uniform(math.log(low), math.log(high)))
 
     hand = None
-    model = {
+    model: dict[str, Any] = {
         "mass": logarithmic(*ranges.mass),
         "damping": logarithmic(*ranges.damping),
         "friction": float(rng.uniform(*ranges.friction)),

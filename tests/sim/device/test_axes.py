@@ -22,7 +22,11 @@ AXES: dict[str, dict[str, Any]] = {
 
 def setup(axes: list[str], device: dict[str, Any]) -> Setup:
     return Setup(
-        **dict.fromkeys(("run", "run_dir", "factory", "publish", "control"), ""),
+        run="",
+        run_dir="",
+        factory="",
+        publish="",
+        control="",
         name="driver",
         kind="sim_driver",
         period=PERIOD,
