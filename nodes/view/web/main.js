@@ -102,7 +102,7 @@ const link = new Link({
   frame(frame) {
     if (!store) return;
     store.add(frame);
-    lag.arrive(frame, { axis: scene.axis, index: store.index(`target.${"xyz"[scene.axis]}`) });
+    lag.arrive(frame, scene.axis, store.index(`target.${"xyz"[scene.axis]}`));
     sound.hear();
     if (!slow.on) { scene.show(frame.now); space.show(frame.now); }
     replay.at(frame.now.t);
