@@ -88,7 +88,7 @@ def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Runn
     page.mouse.down()
     wait_for(lambda: page.evaluate("haptic.scene.held !== null"), "it is taken")
     assert abs(float(page.evaluate("haptic.scene.held"))) < 5e-4, "taken beside its middle it stays where it is"
-    page.mouse.move(x + 60.0, y, steps=4)
+    page.mouse.move(x + 60.0, y)
     moved = wait_for(lambda: (found := target(page)) > 5e-4 and found, "it follows")
     wait_for(lambda: page.evaluate("haptic.lag.forces.length > 0"), "hand to force is measured")
     assert 0.0 <= page.evaluate("haptic.lag.force") <= page.evaluate("haptic.lag.median"), (
