@@ -80,7 +80,7 @@ class Forwarder(Node):
             return False
         port.send(*frames)
         self.received += 1
-        self.ticks += 1
+        self.counters.ticks += 1
         return True
 
     def loop(self) -> None:

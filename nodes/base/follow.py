@@ -1,4 +1,4 @@
-"""Following the ticks of another node: newest message wins, gaps and restarts are counted, never hidden."""
+"""Answering the ticks of another node: newest message wins, gaps and restarts are counted, never hidden."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from nodes.base.node import IDLE_MS, Node
 M = TypeVar("M", bound=Message)
 
 
-def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> Callable[[], M | None]:
-    """Follow one loop topic for a node that answers it.
+def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> Callable[[], M | None]:
+    """Follow one loop topic.
 
     In real time a message that is older than a period when it arrives is skipped if a newer one is already there: a
     node that was stalled goes on with the present, not with what piled up. In lockstep every message is taken.
     """
-    topic = node.setup.topic(topic)
     expected = topic.encode()
     ticks = node.make_compiled()
+    counters = node.counters
     realtime, period = node.setup.pace == "realtime", node.setup.period
     next_frame, decode, clock = inbox.next_frame, decoder.decode, time.monotonic
     waker = node.waker
@@ -32,16 +32,15 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
         while (frames := inbox.receive(0)) is not None:
             newer = node.take(decoder, frames, expected)
             if newer is not None:
-                node.skipped += 1
+                counters.skipped += 1
                 message = newer
         inbox.set_timeout(patience)
         return message
 
-    def out_of_order(seq: int) -> None:
-        last = node.followed
+    def out_of_order(seq: int, last: int) -> None:
         missing = seq - last - 1
         if missing > 0 and last >= 0:
-            node.gaps = min(node.gaps + missing, MAX_COUNT)
+            counters.gaps = min(counters.gaps + missing, MAX_COUNT)
         elif seq < last:
             node.events.emit("restart", f"{topic} went back from tick {last} to {seq}")
 
@@ -69,11 +68,37 @@ def follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) -> 
             return None
         if realtime and clock() + node.clock.offset - message.stamp > period:
             message = newest(message)
-        node.seq = seq = message.seq
-        if seq != node.followed + 1:
-            out_of_order(seq)
-        node.followed = seq
+        seq, last = message.seq, counters.seq
+        if seq != last + 1:
+            out_of_order(seq, last)
+        counters.seq = seq
         return message
 
     inbox.set_timeout(patience)
     return take if ticks is None else ticks.in_front_of(take)
+
+
+def answer_ticks(
+    node: Node, message: type[M], topic: str, answers_on: str, respond: Callable[[M], bytes | None]
+) -> None:
+    """Answer each tick of a loop topic until stopped: with what `respond` gives, where it gives something."""
+    inbox = node.inbox
+    assert inbox is not None  # noqa: S101  # every kind that listens has one
+    node.state = "running"
+    take = _follow(node, inbox, Decoder(message), node.setup.topic(topic))
+    send, send_again = node.publisher.send, node.publisher.send_hop
+    to, counters, events = node.setup.topic(answers_on).encode(), node.counters, node.events
+    while not node.stopping:
+        taken = take()
+        if taken is not None:
+            if taken.seq == counters.answered:
+                # Asked again (lockstep, after a lost answer): the same answer, to who waits for it. Neither memory nor
+                # listeners may see the tick twice.
+                send_again(to, node.answer)
+            elif (payload := respond(taken)) is not None:
+                counters.answered, node.answer = taken.seq, payload
+                # Before it is sent: whoever has the answer and asks for the count finds it there.
+                counters.ticks += 1
+                send(to, payload)
+        if events.waiting:
+            node.between_ticks(counters.seq + 1)

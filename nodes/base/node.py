@@ -24,7 +24,7 @@ from nodes.base import realtime
 from nodes.base.events import Clock, Events
 from nodes.base.handover import Changes
 from nodes.base.setup import Axis, Setup
-from nodes.compiled.layout import Counted
+from nodes.compiled.layout import Counted, Counters
 from nodes.parameters.store import ParameterError, ParameterStore
 
 if TYPE_CHECKING:
@@ -58,20 +58,16 @@ class Node:
         The loop topics that the kind binds and takes; ``"*"`` listens to everything.
     answers : bool
         Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only what comes on top.
-    followed : int
-        The tick taken last by a node that follows another one's; -1 before the first.
-    answered, answer : int, bytes
-        The tick answered last, and what was sent; -1 before the first.
+    answer : bytes
+        What was sent for the tick answered last.
     kernel_module : str
         Module of the compiled ticks of the kind (nodes/compiled); empty when it has none. Not inherited.
     kernel : callable or None
         They, where the launch asks for them and they could be had.
     ticks_compiled : int
         How many of the ticks they did.
-    seq : int
-        The tick that the node is at.
-    ticks, gaps, skipped : int
-        Ticks handled so far, ticks missing in what it follows, and messages left out for newer ones.
+    counters : Counters
+        How far it is; of a node with compiled ticks its whole state, which they change where it stands.
     clock, events, changes : Clock, Events, Changes
         The run's time; what it has to say beside its ticks; how its parameters change.
     compiled : CompiledTicks or None
@@ -108,14 +104,13 @@ class Node:
         self.stop_reason = ""
         self.stopping = self.failing = False
         self.started = threading.Event()
-        self.seq = self.ticks = self.gaps = self.skipped = 0
+        self.counters = self.make_counters()
         self.clock = Clock(setup, lambda: self.counted().seq)
         self.events = Events(setup.name, self.clock, lambda: self.counted().seq)
         self.changes = Changes(setup, self.store, self.events.notify, lambda: self.state not in ("finished", "failed"))
         self.inbox: Subscription | None = None
         self.links: Links | None = None
         self.sent = self.received = 0
-        self.followed = self.answered = -1
         self.answer = b""
         self.kept = self.store.current
         self.resumed_at = -1
@@ -141,15 +136,37 @@ class Node:
         del setup
 
     @classmethod
-    def modules(cls) -> set[str]:
-        """Tell what is compiled for the kind.
+    def kernel_of(cls, parameters: Mapping[str, Any]) -> str:
+        """Name the module of the compiled ticks of a node.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Of the node, as written.
+
+        Returns
+        -------
+        str
+            Its name; empty where there is none.
+        """
+        del parameters
+        return cls.kernel_module
+
+    @classmethod
+    def modules(cls, parameters: Mapping[str, Any]) -> set[str]:
+        """Tell what is compiled for a node.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Of the node, as written.
 
         Returns
         -------
         set of str
             Modules of nodes/compiled.
         """
-        return {cls.kernel_module} - {""}
+        return {cls.kernel_of(parameters)} - {""}
 
     @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
@@ -336,15 +353,15 @@ class Node:
 
     # -- what every node can use -------------------------------------------------------------------------------------
 
-    def ticking(self) -> CompiledTicks | None:
-        """Give the compiled ticks while they go on: the node itself knows then only what was before; from any thread.
+    def make_counters(self) -> Any:
+        """Make what counts the node's ticks.
 
         Returns
         -------
-        CompiledTicks or None
-            Those that go on now; None between them.
+        Counters
+            Or a struct with the same fields, in which compiled ticks go on.
         """
-        return self.compiled if self.compiled is not None and self.compiled.inside else None
+        return Counters()
 
     def counted(self) -> Counted:
         """Tell how far the node is, compiled ticks that still go on included; from any thread.
@@ -354,8 +371,8 @@ class Node:
         Counted
             Its tick, how many there were, and what was missed.
         """
-        ticking = self.ticking()
-        return Counted(self.seq, self.ticks, self.gaps, self.skipped) if ticking is None else ticking.counted()
+        counters = self.counters
+        return Counted(max(counters.seq, 0), counters.ticks, counters.gaps, counters.skipped)
 
     def set_clock(self, offset: float, error: float) -> None:
         """Take over how far this host's clock is from the launcher's, as the launcher has measured it.
@@ -378,7 +395,7 @@ class Node:
             from nodes.compiled.library import obtain
 
             try:
-                self.kernel = obtain(self.kernel_module)
+                self.kernel = obtain(self.kernel_of(self.setup.parameters))
             except NotCompilableError as error:
                 self.events.emit("tick", f"plain: {error}")
 
@@ -444,7 +461,8 @@ class Node:
         except MessageRefusedError as error:
             self.events.refuse(str(error))
             return None
-        self.received += 1
+        # Those that answer ticks count them, and what was skipped.
+        self.received += not self.answers
         return message
 
     def out_of_step(self, frame: bytes, topic: bytes) -> None:
@@ -501,8 +519,8 @@ class Node:
             State and counters.
         """
         seq, ticks, gaps, skipped = self.counted()
-        answered, sampled = (ticks, 0) if self.answers else (0, ticks - self.ticks)
-        mailed = 0 if self.compiled is None else self.compiled.state.mailed
+        mailed = self.counters.mailed
+        sent, received = (ticks, ticks + skipped) if self.answers else (0, 0)
         usage = resource.getrusage(resource.RUSAGE_SELF)
         return NodeStatus(
             seq=seq,
@@ -512,8 +530,8 @@ class Node:
             state=self.state,
             pid=os.getpid(),
             ticks=ticks,
-            sent=self.sent + mailed + answered + sampled,
-            received=self.received + answered + sampled + skipped - self.skipped,
+            sent=self.sent + mailed + sent,
+            received=self.received + received,
             refused=self.events.refused,
             skipped=skipped,
             gaps=min(gaps, MAX_COUNT),

@@ -312,7 +312,7 @@ def _compiled_tick() -> Diagnosis:
     for factory in node_kinds().values():
         # A kind that cannot be imported is named under "other packages".
         with contextlib.suppress(ParameterError):
-            modules |= load(factory).modules()
+            modules |= load(factory).modules({})
     try:
         missing = sorted(module for module in modules if find(module) is None)
     except CacheRefusedError as error:

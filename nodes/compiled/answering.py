@@ -19,18 +19,14 @@ import msgspec
 from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
 from messages.transport.sockets import Publisher, Subscription
-from messages.types import MAX_COUNT
 from nodes.compiled.fields import key_blocks
-from nodes.compiled.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, Counted
+from nodes.compiled.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, NEVER
 from nodes.compiled.library import Kernel, functions
 
 M = TypeVar("M")
 
 LOCKSTEP_TICKS: Final = 256
 """After how many ticks a kernel stops in lockstep. In real time each stop costs a tick or two at 8 kHz: it does not."""
-
-NEVER: Final = 2**62
-"""A tick that does not come."""
 
 WAIT_MS: Final = 100
 """Longest wait for a message before it looks [ms]."""
@@ -44,14 +40,8 @@ class AnsweringNode(Protocol):
     publisher: Publisher
     clock: Any
     events: Any
-    seq: int
-    followed: int
-    answered: int
-    gaps: int
-    skipped: int
-    received: int
+    counters: Any
     answer: bytes
-    ticks: int
     ticks_compiled: int
 
 
@@ -64,38 +54,31 @@ class CompiledTicks:
         The node; its sockets exist.
     kernel : callable
         What does the ticks.
-    state : ctypes.Structure
-        What the node and its kernel share, of nodes/compiled/layout.py.
     expected, topic : str
         What it listens to, and what it answers on: topics inside the chain.
-    period : float
-        Sampling period T [s].
-    realtime : bool
-        Whether the run is paced.
 
     Attributes
     ----------
     state : ctypes.Structure
-        The same.
+        The node's state, in which the kernel ticks.
     inside : bool
-        Whether the kernel ticks now: what the node itself knows is then as old as its last stop.
+        Whether the kernel ticks now.
     """
 
-    def __init__(
-        self, node: AnsweringNode, kernel: Kernel, state: Any, expected: str, topic: str, period: float, realtime: bool
-    ) -> None:
+    def __init__(self, node: AnsweringNode, kernel: Kernel, expected: str, topic: str) -> None:
         assert node.inbox is not None  # noqa: S101  # every kind that answers has one
         self._node, self._kernel, self._inbox = node, kernel, node.inbox
-        self.state = state
+        self.state = state = node.counters
         self.inside = False
         self._mailing = threading.Lock()
         self._at = ctypes.addressof(state)
+        realtime = node.setup.pace == "realtime"
         self._most = NEVER if realtime else LOCKSTEP_TICKS
         for name, address in functions().items():
             setattr(state, name, address)
         state.inbox = node.inbox.lend()
         state.hop, state.aside, state.batch = node.publisher.lend()
-        state.realtime, state.period = int(realtime), period
+        state.realtime, state.period, state.until = int(realtime), node.setup.period, NEVER
         self._kept: list[Any] = []
         keys = key_blocks(LOOP[topic])
         expected, topic = node.setup.topic(expected), node.setup.topic(topic)
@@ -139,22 +122,13 @@ class CompiledTicks:
     # -- what a kind of node defines ---------------------------------------------------------------------------------
 
     def load_state(self) -> bool:
-        """Bring the kernel's side up to date, before its ticks."""
+        """Tell the kernel what it must know before its ticks; whether they are its own."""
         return True
 
-    def store_state(self, done: int) -> None:
-        """Bring the node's side up to date, after compiled ticks."""
+    def store_state(self) -> None:
+        """Do what follows from compiled ticks."""
 
     # -- for other threads, while the kernel ticks --------------------------------------------------------------------
-
-    def counted(self) -> Counted:
-        """Tell how far the kernel is; at tick 0 before the first."""
-        state = self.state
-        return Counted(max(state.seq, 0), state.ticks, state.gaps, state.skipped)
-
-    def progress(self) -> dict[str, Any]:
-        """Tell what the kernel knows better than the node of what its progress tells."""
-        return {}
 
     def mail(self, topic: bytes, payload: bytes) -> bool:
         """Have the kernel send a message that is not part of a tick; whether it will, or the loop has to be called for it."""
@@ -178,21 +152,20 @@ class CompiledTicks:
     # -- the border --------------------------------------------------------------------------------------------------
 
     def go(self) -> int:
-        """Let the kernel tick until it stops; the number of ticks done."""
-        node, state = self._node, self.state
+        """Let the kernel tick until it stops; what it tells."""
+        state = self.state
         state.upstream = state.skipping = 0
-        state.skipped = node.skipped
+        before = state.ticks
         self.inside = True
         try:
-            done = self._kernel(self._at)
+            told = self._kernel(self._at)
         finally:
             self.inside = False
-        node.received += state.skipped - node.skipped
-        node.skipped = state.skipped
+        self._node.ticks_compiled += state.ticks - before
         self.take_mail()
         if state.upstream:
-            node.events.waiting = True
-        return done
+            self._node.events.waiting = True
+        return told
 
     def take_mail(self) -> None:
         """Put a message that the kernel was to send, and did not, into the outbox: before all that was posted after it."""
@@ -216,21 +189,10 @@ class CompiledTicks:
                 return take()
             node.publisher.flush()
             inbox.set_timeout(WAIT_MS)
-            state.most = self._most
-            state.seq, state.ticks, state.clock_offset = node.followed, node.ticks, node.clock.offset
-            state.gaps = node.gaps
-            done = self.go()
-            went_on = state.seq != node.followed
-            if went_on:
-                node.seq = node.followed = node.answered = state.seq
-                node.gaps = min(state.gaps, MAX_COUNT)
-            if done:
+            state.most, state.clock_offset = self._most, node.clock.offset
+            if self.go():
                 node.answer = self.last_sent()
-                node.ticks = state.ticks
-                node.ticks_compiled += done
-            if went_on:
-                # Also when all that was done is the bridge over a gap.
-                self.store_state(done)
+            self.store_state()
             if not state.frames:
                 return None
             inbox.put_back(self._frames())

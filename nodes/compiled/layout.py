@@ -5,8 +5,11 @@ Addresses are whole numbers: a kernel knows nothing of Python's objects. Whoever
 
 from __future__ import annotations
 
-from ctypes import Structure, c_double, c_int64
+from ctypes import c_double, c_int64
 from typing import Any, Final, NamedTuple
+
+NEVER: Final = 2**62
+"""A tick that does not come."""
 
 LONGEST_OUT: Final = 1024
 """Room for one message sent [bytes]; the longest is under 600."""
@@ -23,15 +26,6 @@ LONGEST_MAIL: Final = 4096
 LONGEST_TEXT: Final = 128
 """Longest text in a message sent, encoded [bytes]."""
 
-LEAVING: Final = 8
-"""Room for laws that fade out together."""
-
-FREE: Final = 0
-PLANE: Final = 1
-ANCHOR: Final = 2
-SHAPES: Final = 3
-"""Kinds of surface, as kernels take them."""
-
 REALS: Final = 32
 WHOLES: Final = 16
 """Room for a message's numbers, read or to be written."""
@@ -47,6 +41,14 @@ class Counted(NamedTuple):
     ticks: int
     gaps: int
     skipped: int
+
+
+class Counters:
+    """The same of a node without compiled ticks, and -1 for the tick before the first."""
+
+    def __init__(self) -> None:
+        self.seq = self.answered = -1
+        self.ticks = self.gaps = self.skipped = self.mailed = 0
 
 
 _ADDRESSES: Final = [
@@ -88,15 +90,14 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("text_size", c_int64),
     ("batch", c_int64),
     ("realtime", c_int64),
-    # how many ticks that the driver left out it can bear
-    ("bears_gap", c_int64),
     ("period", c_double),
     ("clock_offset", c_double),
     # how many ticks at most before the kernel stops, and before which tick
     ("most", c_int64),
     ("until", c_int64),
-    # what goes on from tick to tick
+    # what goes on from tick to tick: the tick taken last, and of who answers ticks the one answered last, -1 before the first
     ("seq", c_int64),
+    ("answered", c_int64),
     ("gaps", c_int64),
     # messages left out for newer ones; whether one was just now
     ("skipped", c_int64),
@@ -123,57 +124,3 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("out_wholes", c_int64 * WHOLES),
 ]
 """The part that all nodes have."""
-
-
-class EnvironmentState(Structure):
-    """The environment's side of the border: the surface that it answers with."""
-
-    _fields_ = [
-        *LOOP,
-        # FREE, PLANE, ANCHOR or SHAPES, its numbers, what its proxy remembers, and the answer of the last tick
-        ("kind", c_int64),
-        ("table", c_int64),
-        ("table_count", c_int64),
-        ("memory", c_int64),
-        ("memory_count", c_int64),
-        ("met", c_double * 7),
-    ]
-
-
-class CouplingState(Structure):
-    """The coupling's side of the border: the law that renders, and the histories that it reads."""
-
-    _fields_ = [
-        *LOOP,
-        ("raw", c_int64),
-        ("clamp", c_int64),
-        ("revision", c_int64),
-        ("delay", c_double),
-        # axes of the scene, and per axis the history and the state of the sections
-        ("axes", c_int64),
-        ("axis", c_int64 * 3),
-        ("length", c_int64),
-        ("history", c_int64 * 3),
-        ("head", c_int64 * 3),
-        ("pushes", c_int64 * 3),
-        ("sections_state", c_int64 * 3),
-        ("taps", c_int64),
-        ("taps_count", c_int64),
-        ("sections", c_int64),
-        ("sections_count", c_int64),
-        # the cross-fade under way, 0 ticks for none: its length, how much of it is done, and the laws that leave, those of the
-        # axis n from n LEAVING on
-        ("fade_ramp", c_int64),
-        ("fade_done", c_int64),
-        ("leaving", c_int64),
-        ("leaving_weight", c_double * (3 * LEAVING)),
-        ("leaving_taps", c_int64 * (3 * LEAVING)),
-        ("leaving_taps_count", c_int64 * (3 * LEAVING)),
-        ("leaving_sections", c_int64 * (3 * LEAVING)),
-        ("leaving_sections_count", c_int64 * (3 * LEAVING)),
-        ("leaving_state", c_int64 * (3 * LEAVING)),
-        # what a tick overwrites, for one that must be undone
-        ("undo", c_int64),
-        ("undo_count", c_int64),
-        ("oldest", c_double * 3),
-    ]

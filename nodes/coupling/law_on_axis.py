@@ -10,16 +10,14 @@ import math
 from array import array
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import cast
+from typing import Any, TypeAlias, cast
 
-from nodes.kernels import cross_fade, push, sections, warm_up
+from nodes.coupling.state import LEAVING, CouplingState
+from nodes.kernels import push, sections, warm_up
 from nodes.laws import CompiledLaw
 
 UNROLLED_TAPS = 30
 """Up to so many taps a written-out sum is fastest, beyond it numpy's multiply and running sum: ``haptic bench taps``."""
-
-MAX_LEAVING = 8
-"""Laws that may fade out together when swaps come faster than their ramps; then some are joined, to bound a tick's work."""
 
 
 class History:
@@ -29,24 +27,43 @@ class History:
     ----------
     length : int
         How many ticks it remembers.
+    state : CouplingState, optional
+        Where its head stands; a state of its own when left out.
+    n : int
+        Number of its axis among those of the scene.
 
     Attributes
     ----------
     values : array of float, shape (2 * length,)
         The ring [m].
-    head : int
-        Index of the newest value.
-    pushes : int
-        Values pushed so far.
     known : int
         How many of the newest values can be relied on: all, but for a snapshot.
     """
 
-    def __init__(self, length: int) -> None:
+    def __init__(self, length: int, state: Any = None, n: int = 0) -> None:
+        state = CouplingState() if state is None else state
+        self._heads, self._counts, self._n = state.head, state.pushes, n
         self.length = self.known = length
         self.values = array("d", [0.0]) * (2 * length)
-        self.head = 0
-        self.pushes = 0
+        state.history[n] = self.values.buffer_info()[0]
+
+    @property
+    def head(self) -> int:
+        """Index of the newest value."""
+        return int(self._heads[self._n])
+
+    @head.setter
+    def head(self, value: int) -> None:
+        self._heads[self._n] = value
+
+    @property
+    def pushes(self) -> int:
+        """Values pushed so far."""
+        return int(self._counts[self._n])
+
+    @pushes.setter
+    def pushes(self, value: int) -> None:
+        self._counts[self._n] = value
 
     def push(self, value: float) -> None:
         """Put the newest deflection in front."""
@@ -57,15 +74,6 @@ class History:
         """Take it that the deflection has always been the same."""
         for i in range(len(self.values)):
             self.values[i] = value
-
-    def bridge(self, value: float, missing: int) -> None:
-        """Fill ticks that were lost by a straight line up to the newest deflection, which is not yet pushed.
-
-        Laws assume evenly spaced deflections; leaving ticks out would read as a jump in velocity.
-        """
-        before = self.values[self.head]
-        for i in range(max(1, missing + 1 - self.length), missing + 1):
-            self.push(before + (value - before) * i / (missing + 1))
 
     def snapshot(self) -> History:
         """Copy the history from another thread than the one that pushes."""
@@ -130,10 +138,10 @@ class LawOnAxis:
     ----------
     taps : tuple of float, shape (n + 1,)
         Its taps [N/m].
-    coefficients : tuple of float, shape (4 * s,)
-        Of its sections: see `nodes.kernels.sections`.
+    numbers, coefficients : array of float, shapes (n + 1,) and (4 * s,)
+        The taps once more, and the coefficients of its sections (see `nodes.kernels.sections`), as compiled ticks take them.
     state : array of float, shape (2 * s,)
-        State of the sections [N]; a compiled tick goes on from it.
+        State of the sections [N].
     plain : bool
         Whether it is nothing but taps.
     sum_of_taps : callable
@@ -149,7 +157,8 @@ class LawOnAxis:
         if len(law.taps) > history.length:
             raise ValueError(f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory")
         self._history = history
-        self.coefficients = tuple(c for section in law.sections for c in section)
+        self.numbers = array("d", law.taps)
+        self.coefficients = array("d", [c for section in law.sections for c in section])
         self.state = array("d", [0.0]) * (2 * len(law.sections))
         self._pushes = history.pushes
         self.taps = law.taps
@@ -178,24 +187,25 @@ class LawOnAxis:
                 sections(self.coefficients, self.state, history.values[at], history.values[at + 1])
         self._pushes = history.pushes
 
-    def seen(self) -> None:
-        """Note that the sections have seen all that was pushed (loop's thread)."""
-        self._pushes = self._history.pushes
+    def see(self, head: int) -> None:
+        """Let the sections see a deflection."""
+        if self.state:
+            values = self._history.values
+            sections(self.coefficients, self.state, values[head], values[head + 1])
 
     def own(self, history: History) -> float:
         """Call the law's own code once."""
         return 0.0 if self._own is None else self._own(history.values, history.head)
 
-    def force(self) -> float:
-        """Render the newest deflection; once per tick."""
-        history = self._history
-        head = history.head
+    def force(self, head: int) -> float:
+        """Render the newest deflection, which is at `head`; once per tick."""
         force = self.sum_of_taps(head)
         if self.state:
-            force = force + sections(self.coefficients, self.state, history.values[head], history.values[head + 1])
-            self._pushes = history.pushes
+            values = self._history.values
+            force = force + sections(self.coefficients, self.state, values[head], values[head + 1])
+            self._pushes = self._history.pushes
         if self._own is not None:
-            force = force + self._own(history.values, head)
+            force = force + self._own(self._history.values, head)
         return force
 
     def present(self) -> float:
@@ -204,7 +214,11 @@ class LawOnAxis:
         return force + self.own(self._history)
 
 
-def _joined(shares: list[tuple[LawOnAxis, float]]) -> list[tuple[LawOnAxis, float]]:
+Share: TypeAlias = tuple[LawOnAxis, float]
+"""A law and its part in the force."""
+
+
+def _joined(shares: list[Share]) -> list[Share]:
     """Bound the number of laws: those of taps alone add up to one of taps; beyond that the least give way to the most."""
     plain = [(law, share) for law, share in shares if law.plain]
     if len(plain) > 1:
@@ -212,7 +226,7 @@ def _joined(shares: list[tuple[LawOnAxis, float]]) -> list[tuple[LawOnAxis, floa
         shares = [(law, share) for law, share in shares if not law.plain]
         shares.append((plain[0][0].of_taps(weighted_taps([(law.taps, share / total) for law, share in plain])), total))
     shares.sort(key=lambda share: share[1], reverse=True)
-    while len(shares) > MAX_LEAVING:
+    while len(shares) > LEAVING:
         _, least = shares.pop()
         shares[0] = (shares[0][0], shares[0][1] + least)
     return shares
@@ -235,46 +249,8 @@ def weighted_taps(laws: list[tuple[tuple[float, ...], float]]) -> tuple[float, .
     return tuple(total)
 
 
-class Fade:
-    """A cross-fade under way on one axis.
-
-    Parameters
-    ----------
-    leaving : list of tuple of LawOnAxis and float
-        The laws that leave and their weights, which add up to 1: several when a swap came during another's fade.
-    ramp : int
-        Length [ticks].
-
-    Attributes
-    ----------
-    leaving : list of tuple of LawOnAxis and float
-        The same.
-    ramp, done : int
-        Its length, and how much of it is done [ticks].
-    """
-
-    def __init__(self, leaving: list[tuple[LawOnAxis, float]], ramp: int) -> None:
-        self.leaving = leaving
-        self.ramp = ramp
-        self.done = 0
-
-    def mix(self, new: float) -> float:
-        """Blend the leaving laws into the new one's force; once per tick."""
-        old = 0.0
-        for law, weight in self.leaving:
-            old += weight * law.force()
-        force = cross_fade(old, new, self.done, self.ramp)
-        self.done += 1
-        return force
-
-    def shares(self, new: LawOnAxis) -> list[tuple[LawOnAxis, float]]:
-        """Tell what the force of the last tick was mixed of, to let just that fade out."""
-        weight = min(self.done / self.ramp, 1.0)
-        shares = [(law, share * (1.0 - weight)) for law, share in self.leaving] + [(new, weight)]
-        shares = [share for share in shares if share[1] > 0.0]
-        return shares if len(shares) <= MAX_LEAVING else _joined(shares)
-
-    @property
-    def over(self) -> bool:
-        """Whether the new law has all the weight."""
-        return self.done >= self.ramp
+def shares_of(leaving: Sequence[Share], new: LawOnAxis, weight: float) -> list[Share]:
+    """Tell what the force of the last tick was mixed of: `weight` of the law that came, to let just that mixture fade out."""
+    shares = [*((law, share * (1.0 - weight)) for law, share in leaving), (new, weight)]
+    shares = [share for share in shares if share[1] > 0.0]
+    return shares if len(shares) <= LEAVING else _joined(shares)

@@ -14,16 +14,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 import msgspec
 
 from messages import topics
-from messages.codec import Decoder, encode
+from messages.codec import encode
 from messages.types import Force, Proxy, Receipt, Vector
-from nodes.base.follow import follow
+from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.compiled.layout import NEVER
 from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.state import CouplingState
 from nodes.coupling.time_budget import Budget
 from nodes.kernels import SMOOTHING
 from nodes.parameters.store import ParameterError, convert
@@ -63,28 +65,24 @@ class Coupling(Node):
 
     # -- off the hot path --------------------------------------------------------------------------------------------
 
+    def make_counters(self) -> Any:
+        """Make its state."""
+        return CouplingState(seq=-1, answered=-1)
+
     def configure(self) -> None:
         """Compile the laws and the schedule, and load what later requests will need."""
         parameters: CouplingParameters = self.store.current
         self._realtime = self.setup.pace == "realtime"
-        self._delay = _least_delay(self.setup)
-        self._revision = 0
+        self.counters.delay = _least_delay(self.setup)
         self._failed_text = ""
         self._book = LawBook(self.setup.name, self.setup.period)
         self._judgement = Judgement(self.setup.name, self.setup.period, self._book)
         self._book.check(parameters)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
-        if self.kernel is None:
-            self._renderer = Renderer(axes, parameters.memory)
-        else:
-            from nodes.compiled.layout import CouplingState
-            from nodes.coupling.compiled_tick import SharedHistory
-
-            self._shared = CouplingState()
-            self._renderer = Renderer(axes, parameters.memory, lambda memory, n: SharedHistory(memory, self._shared, n))
+        self._renderer = Renderer(axes, parameters.memory, self.counters)
         for reason in self._book.unfit(parameters):
             self.events.emit_each("law", f"{reason}; it cannot be switched to")
-        for text in self._judgement.at_start(parameters, self._delay):
+        for text in self._judgement.at_start(parameters, self._felt_delay):
             self.events.emit_each("stability", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
@@ -98,7 +96,7 @@ class Coupling(Node):
         )
         if parameters.figures or parameters.plant is not None:
             # Importing numpy takes tens of milliseconds with the interpreter's lock: now, not while the wall is felt.
-            self._book.figures_of(parameters, self._renderer.law.compiled, self._delay)
+            self._book.figures_of(parameters, self._renderer.law.compiled, self._felt_delay)
 
     def _take_schedule(self, schedule: list[Scheduled]) -> None:
         self._schedule = schedule
@@ -122,8 +120,7 @@ class Coupling(Node):
         return changed
 
     def _settle(self, parameters: CouplingParameters, fallback: ActiveLaw) -> None:
-        self._renderer.raw = parameters.history == "position"
-        self._renderer.clamp = parameters.clamp
+        self.counters.raw, self.counters.clamp = parameters.history == "position", parameters.clamp
         self._renderer.fallback = fallback
         self._budget = self._budget_of(parameters)
 
@@ -139,8 +136,7 @@ class Coupling(Node):
     @property
     def _felt_delay(self) -> float:
         """Delay of the loop as measured by now [ticks]; from any thread."""
-        ticking = self.ticking()
-        return self._delay if ticking is None else float(ticking.state.delay)
+        return float(self.counters.delay)
 
     def _judge(
         self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool
@@ -275,13 +271,13 @@ class Coupling(Node):
             "to": law.name,
             "force_step_n": force_step,
             "ramp": ramp,
-            "revision": self._revision,
+            "revision": self.counters.revision,
         }
 
     def _file_receipt(
         self, seq: int, action: str, old: ActiveLaw, new: ActiveLaw, reason: str, force_step: float = 0.0, ramp: int = 0
     ) -> None:
-        self._revision += 1
+        self.counters.revision += 1
         receipt = Receipt(
             seq=seq,
             stamp=self.clock.now(),
@@ -291,7 +287,7 @@ class Coupling(Node):
             force_step=force_step,
             ramp=ramp,
             reason=reason[:4000],
-            revision=self._revision,
+            revision=self.counters.revision,
         )
         self.events.publish(self.setup.topic(topics.RECEIPT), receipt)
 
@@ -309,19 +305,23 @@ class Coupling(Node):
             else:
                 self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
 
+    def next_swap(self) -> int:
+        """Tell the tick of the next swap that is scheduled; one that does not come for none."""
+        return self._schedule[0][0] if self._schedule else NEVER
+
     def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
         """Make the compiled ticks."""
         from nodes.coupling.compiled_tick import CouplingTicks
 
-        return CouplingTicks(self, kernel, self._shared)
+        return CouplingTicks(self, kernel, self._renderer)
 
     # -- the tick ----------------------------------------------------------------------------------------------------
 
-    def _fall_back(self, proxy: Proxy, reason: str, pushes: list[int] | None = None) -> Vector:
+    def _fall_back(self, proxy: Proxy, reason: str, due: int = 0) -> Vector:
         failed = self._renderer.law
-        if not failed.watched and pushes is not None:
+        if not failed.watched and due:
             reason = f"a law that was fading out {reason}"
-        force = self._renderer.fall_back(proxy, pushes)
+        force = self._renderer.fall_back(proxy, due)
         self._failed_text = failed.text
         self._file_receipt(proxy.seq, "fallback", failed, self._renderer.law, reason)
         self.events.emit_each(
@@ -331,51 +331,32 @@ class Coupling(Node):
 
     def _watched(self, proxy: Proxy) -> Vector:
         """Render with a law that has code of its own, which may raise or take its time."""
-        pushes = self._renderer.pushes()
+        due = self._renderer.due()
         served = self.changes.serving.seconds()
         self._budget.start()
         try:
             force = self._renderer.render(proxy)
         except Exception as error:  # noqa: BLE001  # a law from another package may raise anything
-            return self._fall_back(proxy, f"raised {type(error).__name__}: {error}", pushes)
+            return self._fall_back(proxy, f"raised {type(error).__name__}: {error}", due)
         over = self._budget.overrun(excused=self.changes.serving.seconds() - served)
         return self._fall_back(proxy, over) if over else force
 
+    def _answer(self, proxy: Proxy) -> bytes:
+        seq, s, renderer = proxy.seq, self.counters, self._renderer
+        last = s.answered
+        if 0 <= last < seq - 1:
+            renderer.bridge(proxy, seq - last - 1)
+        elif last < 0 < seq:
+            renderer.begin(proxy)
+        if self._schedule:
+            self._follow_schedule(seq)
+        s.delay += (proxy.delay - s.delay) * SMOOTHING
+        force = self._watched(proxy) if renderer.watched else renderer.render(proxy)
+        if not math.isfinite(force[0] + force[1] + force[2]):
+            force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
+        stamp = proxy.stamp if self.clock.simulated else self.clock.now()
+        return encode(Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=s.revision))
+
     def loop(self) -> None:
         """Answer until stopped."""
-        self.state = "running"
-        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        take = follow(self, self.inbox, Decoder(Proxy), topics.PROXY)
-        topic, send, simulated = self.setup.topic(topics.FORCE).encode(), self.publisher.send, self.clock.simulated
-        send_again = self.publisher.send_hop
-        renderer, finite = self._renderer, math.isfinite
-        while not self.stopping:
-            proxy = take()
-            if proxy is not None:
-                seq = proxy.seq
-                last = self.answered
-                if seq == last:
-                    # Asked again (lockstep, after a stall or a lost answer): the same answer, to who waits for it. Neither the
-                    # history nor those who listen may see the tick twice.
-                    send_again(topic, self.answer)
-                else:
-                    if 0 <= last < seq - 1:
-                        renderer.bridge(proxy, seq - last - 1)
-                    elif last < 0 < seq:
-                        renderer.begin(proxy)
-                    if self._schedule:
-                        self._follow_schedule(seq)
-                    self.answered = seq
-                    self._delay += (proxy.delay - self._delay) * SMOOTHING
-                    force = self._watched(proxy) if renderer.watched else renderer.render(proxy)
-                    if not finite(force[0] + force[1] + force[2]):
-                        force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
-                    stamp = proxy.stamp if simulated else self.clock.now()
-                    payload = self.answer = encode(
-                        Force(seq=seq, stamp=stamp, force=force, law=renderer.name, revision=self._revision)
-                    )
-                    # Before it is sent: whoever has the answer and asks for the count finds it there.
-                    self.ticks += 1
-                    send(topic, payload)
-            if self.events.waiting:
-                self.between_ticks(self.seq + 1)
+        answer_ticks(self, Proxy, topics.PROXY, topics.FORCE, self._answer)

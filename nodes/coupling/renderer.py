@@ -6,11 +6,15 @@ Everything here runs on the loop's thread but the making and warming up of a law
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from array import array
+from collections.abc import Sequence
+from typing import Any
 
 from messages.types import Proxy, Vector
-from nodes.coupling.law_on_axis import Fade, History, LawOnAxis
-from nodes.kernels import deflection, one_sided, push
+from nodes.coupling.law_on_axis import History, LawOnAxis, Share, shares_of
+from nodes.coupling.render import Port, make_render
+from nodes.coupling.state import SLOTS, CouplingState
+from nodes.kernels import deflection
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError
 
@@ -72,11 +76,13 @@ class Renderer:
         The axes that the scene computes: 0, 1, 2.
     memory : int
         Ticks of deflection that are kept.
-    make : callable, optional
-        Makes the history of an axis from `memory` and its number among those of the scene.
+    state : CouplingState, optional
+        Where all of it stands; one of its own when left out.
 
     Attributes
     ----------
+    state : CouplingState
+        The same.
     axes : list of int
         The same.
     histories : list of History
@@ -91,41 +97,35 @@ class Renderer:
         What renders when that fails; set before the first tick.
     standby : list of ActiveLaw
         Laws that will take over later and whose sections run along until then.
-    raw, clamp : bool
-        Contact conventions: see nodes/kernels.py.
     """
 
     fallback: ActiveLaw
 
-    def __init__(
-        self, axes: Sequence[int], memory: int, make: Callable[[int, int], History] = lambda memory, _: History(memory)
-    ) -> None:
+    def __init__(self, axes: Sequence[int], memory: int, state: Any = None) -> None:
+        s = self.state = CouplingState() if state is None else state
         self.axes = list(axes)
-        self.histories = [make(memory, n) for n in range(len(self.axes))]
+        s.axes, s.axis[:], s.length, s.clamp = len(self.axes), (*axes, 0, 0)[:3], memory, 1
+        self.histories = [History(memory, s, n) for n in range(len(self.axes))]
         self.standby: list[ActiveLaw] = []
-        self._fades: list[Fade] = []
+        self._leaving: list[list[Share]] = []
         self.watched = False
         self.name = ""
-        self.raw = False
-        self.clamp = True
+        rings = [history.values for history in self.histories]
+        laws = self._laws = [[] for _ in self.axes]  # type: list[list[LawOnAxis]]
 
-    @property
-    def fades(self) -> list[Fade]:
-        """The cross-fade under way, axis by axis; empty without one."""
-        return self._fades
+        def ring(s: Any, n: int) -> array[float]:
+            del s
+            return rings[n]
 
-    def went_on(self, faded: int) -> None:
-        """Note what compiled ticks did: histories and sections are theirs too, and the fades have come so far [ticks]."""
-        for n, axis in enumerate(self._law.axes):
-            axis.seen()
-            if self._fades:
-                self._fades[n].done = faded
-                for leaving, _ in self._fades[n].leaving:
-                    leaving.seen()
-        if self._fades and self._fades[0].over:
-            self._end_fades()
-        for waiting in self.standby:
-            waiting.catch_up()
+        def force_of(s: Any, n: int, m: int, history: Any, head: int) -> float:
+            del s, history
+            return laws[n][m].force(head)
+
+        def see(s: Any, n: int, m: int, history: Any, head: int) -> None:
+            del s, history
+            laws[n][m].see(head)
+
+        self._render, self._bridge = make_render(Port(ring, force_of, see))
 
     @property
     def law(self) -> ActiveLaw:
@@ -137,70 +137,78 @@ class Renderer:
         self._law = law
         self.name = law.name
         self.watched = law.watched
-        # Together, as a tick needs them.
-        self._lines = list(zip(range(len(self.axes)), self.axes, self.histories, law.axes, strict=True))
+        self._store_laws()
 
-    def _deflection(self, proxy: Proxy, i: int) -> float:
-        return deflection(proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, self.raw)
+    def _store_laws(self) -> None:
+        """Put what renders into its slots, for interpreted and compiled ticks."""
+        s = self.state
+        s.leaving = len(self._leaving[0]) if self._leaving else 0
+        states = 0
+        for n, law in enumerate(self._law.axes):
+            shares = [(law, 0.0), *(self._leaving[n] if self._leaving else [])]
+            self._laws[n][:] = [share[0] for share in shares]
+            for slot, (one, weight) in enumerate(shares, SLOTS * n):
+                s.taps[slot], s.taps_count[slot] = one.numbers.buffer_info()
+                s.sections[slot], s.sections_count[slot] = one.coefficients.buffer_info()[0], len(one.state) // 2
+                s.sections_state[slot], s.weight[slot] = one.state.buffer_info()[0], weight
+                states += len(one.state)
+        self._undo = array("d", [0.0]) * states
+        s.undo, s.undo_count = self._undo.buffer_info()
+
+    def due(self) -> int:
+        """Tell which number the next deflection has in each history."""
+        return int(self.state.pushes[len(self.axes) - 1]) + 1
 
     def render(self, proxy: Proxy) -> Vector:
         """Take one tick's deflection and render the force that answers it."""
         force = [0.0, 0.0, 0.0]
-        position, surface, normals, contact = proxy.position, proxy.proxy, proxy.normal, proxy.contact
-        distance, raw, fades, along = proxy.distance, self.raw, self._fades, 0.0
-        for n, i, history, law in self._lines:
-            normal = normals[i]
-            value = deflection(position[i], surface[i], distance, normal, contact, raw)
-            head = history.head = push(history.values, history.head, history.length, value)
-            history.pushes += 1
-            value = law.sum_of_taps(head) if law.plain else law.force()
-            if fades:
-                value = fades[n].mix(value)
-            force[i] = value
-            along += value * normal
-        self._keep_one_sided(force, proxy, along)
-        if fades and fades[0].over:
-            self._end_fades()
-        for waiting in self.standby:
-            waiting.catch_up()
+        self._render(
+            self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, force, self.due()
+        )
+        if self._leaving or self.standby:
+            self.went_on()
         return force[0], force[1], force[2]
 
-    def _keep_one_sided(self, force: list[float], proxy: Proxy, along: float) -> None:
-        normal, contact, raw, clamp = proxy.normal, proxy.contact, self.raw, self.clamp
-        for i in self.axes:
-            force[i] = one_sided(force[i], normal[i], along, contact, raw, clamp)
+    def went_on(self) -> None:
+        """Do what follows from ticks: a fade that is over ends, and laws that stand by see what was pushed."""
+        if self._leaving and self.state.fade_ramp == 0:
+            self._end_fade()
+        for waiting in self.standby:
+            waiting.catch_up()
 
-    def _end_fades(self) -> None:
-        self._fades = []
+    def _end_fade(self) -> None:
+        self._leaving, self.state.fade_ramp = [], 0
         self.watched = self._law.watched
+        self._store_laws()
 
     def begin(self, proxy: Proxy) -> None:
         """Take it that the device was at rest before the first tick that is seen, when the run is under way already.
 
         Nobody knows better in place of a node that was killed; from a history of zeros the first tick would be a jump.
         """
-        for n, i in enumerate(self.axes):
-            self.histories[n].fill(self._deflection(proxy, i))
+        raw = self.state.raw != 0
+        for i, history in zip(self.axes, self.histories, strict=True):
+            history.fill(
+                deflection(proxy.position[i], proxy.proxy[i], proxy.distance, proxy.normal[i], proxy.contact, raw)
+            )
         for law in (self.law, *self.standby):
             law.warm_up(self.histories)
 
     def bridge(self, proxy: Proxy, missing: int) -> None:
         """Fill lost ticks by a straight line up to the present one, which is not yet rendered."""
-        for n, i in enumerate(self.axes):
-            self.histories[n].bridge(self._deflection(proxy, i), missing)
-            self.law.axes[n].catch_up()
-            for leaving, _ in self._fades[n].leaving if self._fades else ():
-                leaving.catch_up()
+        self._bridge(self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, missing)
 
     def swap(self, law: ActiveLaw, ramp: int) -> float:
         """Let another law take over from the next tick on; all or nothing."""
         law.catch_up()
         if law.watched:
             law.attempt(self.histories)
+        s = self.state
+        weight = min(s.fade_done / s.fade_ramp, 1.0) if s.fade_ramp else 1.0
         steps = []
         leaving = []
         for n, (before, after) in enumerate(zip(self.law.axes, law.axes, strict=True)):
-            shares = self._fades[n].shares(before) if self._fades else [(before, 1.0)]
+            shares = shares_of(self._leaving[n] if self._leaving else [], before, weight)
             steps.append(after.present() - sum(share * part.present() for part, share in shares))
             leaving.append(shares)
         step = math.hypot(*steps)
@@ -209,33 +217,24 @@ class Renderer:
                 f"law {law.name!r}: a force step of {step} N; its taps are too large for the present deflection"
             )
         watched = self.watched
-        self._fades = [Fade(shares, ramp) for shares in leaving] if ramp > 0 else []
+        self._leaving = leaving if ramp > 0 else []
+        s.fade_ramp, s.fade_done = ramp, 0
         self.law = law
-        if self._fades:
-            # As long as the laws that leave run their own code.
-            self.watched = self.watched or watched
+        # As long as the laws that leave run their own code.
+        self.watched = self.watched or (watched and ramp > 0)
         return step
 
-    def fall_back(self, proxy: Proxy, pushes: Sequence[int] | None = None) -> Vector:
-        """Replace a failed law by the fallback within the same tick."""
-        self._end_fades()
-        self.law = self.fallback
-        force, along = [0.0, 0.0, 0.0], 0.0
-        for n, i in enumerate(self.axes):
-            history = self.histories[n]
-            if pushes is not None and history.pushes == pushes[n]:
-                history.push(self._deflection(proxy, i))
-            value = self.law.axes[n].force()
-            force[i] = value if math.isfinite(value) else 0.0
-            along += force[i] * proxy.normal[i]
-        self._keep_one_sided(force, proxy, along)
+    def fall_back(self, proxy: Proxy, due: int = 0) -> Vector:
+        """Replace a failed law by the fallback within the same tick; its deflection is pushed where it was not."""
+        self._law = self.fallback
+        self.name = self.fallback.name
+        self._end_fade()
+        force = [0.0, 0.0, 0.0]
+        self._render(self.state, proxy.position, proxy.proxy, proxy.normal, proxy.distance, proxy.contact, force, due)
         for law in self.standby:
             law.catch_up()
-        return force[0], force[1], force[2]
-
-    def pushes(self) -> list[int]:
-        """Tell how many deflections each axis has taken."""
-        return [history.pushes for history in self.histories]
+        x, y, z = (value if math.isfinite(value) else 0.0 for value in force)
+        return x, y, z
 
     def snapshots(self) -> list[History]:
         """Copy the histories from another thread."""

@@ -10,7 +10,6 @@ import msgspec
 
 from messages import topics
 from nodes.compiled.answering import WAIT_MS, CompiledTicks
-from nodes.compiled.layout import Counted
 from nodes.compiled.library import Kernel
 from nodes.driver.calls import DeviceCalls
 from nodes.driver.device import Device
@@ -38,7 +37,7 @@ class DriverTicks(CompiledTicks):
 
     def __init__(self, node: Any, kernel: Kernel, device: Device) -> None:
         s: Any = node.driving
-        super().__init__(node, kernel, s, topics.FORCE, topics.DEVICE_STATE, s.period, bool(s.realtime))
+        super().__init__(node, kernel, topics.FORCE, topics.DEVICE_STATE)
         self._driver = node
         self._device = DeviceCalls(device, lambda: node.target)
         s.device_read, s.device_write, s.device_context = self._device.calls
@@ -54,10 +53,6 @@ class DriverTicks(CompiledTicks):
         s.most = 0
         self.go()
 
-    def counted(self) -> Counted:
-        """Tell how far it is; of a driver, the tick that was sampled last."""
-        return super().counted()._replace(seq=self.state.asked)
-
     def run(self, s: Any) -> int:
         """Tick until something waits; why it ended, as of nodes/driver/tick.py."""
         node = self._driver
@@ -69,9 +64,8 @@ class DriverTicks(CompiledTicks):
         node.publisher.flush()
         if not s.realtime:
             self._inbox.set_timeout(WAIT_MS)
-        before, s.frames = s.ticks, 0
+        s.frames = 0
         why = self.go()
-        node.ticks_compiled += s.ticks - before
         if why == SILENT or s.seq >= s.until:
             self.payload = self.last_sent()
         elif why == UNREAD:

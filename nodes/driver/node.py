@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -23,6 +23,7 @@ from nodes.base import realtime
 from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.base.standstill import LastResort
+from nodes.compiled.layout import NEVER, Counted
 from nodes.driver.calls import numbers_of
 from nodes.driver.device import Device
 from nodes.driver.external import give
@@ -55,13 +56,9 @@ SOFT_STOP = STOP_TIME + 1.0
 """After so long on the way down to zero force the device is taken to hang [s]."""
 
 
-NEVER = 2**62
-"""A tick that does not come."""
-
-
 def _kept(name: str) -> Any:
     """Let a counter that every node has stand in the driver's state."""
-    return property(lambda node: getattr(node.driving, name), lambda node, value: setattr(node.driving, name, value))
+    return property(lambda node: getattr(node.counters, name), lambda node, value: setattr(node.counters, name, value))
 
 
 class Driver(Node):
@@ -88,9 +85,6 @@ class Driver(Node):
     movable: ClassVar[str] = "passivity"
 
     compiled: DriverTicks | None
-    seq = _kept("asked")
-    ticks = _kept("ticks")
-    skipped = _kept("skipped")
     sent = _kept("states_sent")
     received = _kept("taken")
 
@@ -100,16 +94,24 @@ class Driver(Node):
         cls.kernel_module = Driver.kernel_module
 
     def __init__(self, setup: Setup) -> None:
-        self.driving: Any = DriverState()
-        self._report = DriverReport(self.driving)
         self._payload = b""
         super().__init__(setup)
+        self.driving = self.counters
+        self._report = DriverReport(self.driving)
         self.events.interrupt = self._interrupt
 
+    def make_counters(self) -> Any:
+        """Make its state."""
+        return DriverState()
+
+    def counted(self) -> Counted:
+        """Tell how far it is: the tick that was sampled last."""
+        return super().counted()._replace(seq=self.driving.asked)
+
     @classmethod
-    def modules(cls) -> set[str]:
-        """Tell what is compiled for the kind: the tick, and its device where it has compiled calls of its own."""
-        return {cls.kernel_module, cls.device_module} - {""}
+    def modules(cls, parameters: Mapping[str, Any]) -> set[str]:
+        """Tell what is compiled for a driver: the tick, and its device where it has compiled calls of its own."""
+        return super().modules(parameters) | {cls.device_module} - {""}
 
     @classmethod
     def check(cls, setup: Setup) -> None:

@@ -125,7 +125,6 @@ _COUNTERS = (
     "belated",
     "heard",
     "patient",
-    "answered",
     "has_following",
     "written",
     "age",

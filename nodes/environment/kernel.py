@@ -1,11 +1,10 @@
-"""The environment's tick, compiled."""
+"""The environment's tick, compiled; shapes/kernel.py is for shapes, whose geometry takes long to compile."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-# Registers the geometry with numba.
-import nodes.environment.shapes.compiled as _registered
 from messages.types import DeviceState, Proxy
 from nodes.compiled.fields import fields_of, slot
 from nodes.compiled.kernels.encode import make_encode
@@ -14,13 +13,14 @@ from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at,
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_match, make_scan
 from nodes.compiled.kernels.sources import kernel, record_of
-from nodes.compiled.layout import TEXTS, EnvironmentState
-from nodes.environment.meet import meet
+from nodes.compiled.layout import TEXTS
+from nodes.environment.meet import meet_flat, meet_plane
+from nodes.environment.state import EnvironmentState
 from nodes.kernels import plane_distance
 
-del _registered
 kernel(plane_distance)
-kernel(meet)
+kernel(meet_plane)
+kernel(meet_flat)
 _look = record_at(record_of(EnvironmentState))
 _scan = make_scan(DeviceState)
 # In a fault the position is no new one. A message without the word is of an active driver.
@@ -35,52 +35,54 @@ _TO_STAMP, _TO_POSITION, _TO_PROXY, _TO_NORMAL, _TO_DISTANCE, _TO_DELAY = (
 )
 
 
-@compilable
-def _meet(s: Any, taken: Any, out: Any) -> bool:
-    """Write where the proxy is, and whether there is contact."""
-    contact = meet(
-        s.kind,
-        reals_at(s.table, s.table_count),
-        reals_at(s.memory, s.memory_count),
-        taken[_POSITION],
-        taken[_POSITION + 1],
-        taken[_POSITION + 2],
-        s.met,
-    )
-    for i in range(3):
-        out[_TO_POSITION + i] = taken[_POSITION + i]
-        out[_TO_PROXY + i] = s.met[i]
-        out[_TO_NORMAL + i] = s.met[3 + i]
-    out[_TO_DISTANCE] = s.met[6]
-    return contact
+def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) -> Callable[[int], int]:
+    """Make the ticks of an environment that meets its surface so."""
+
+    @compilable
+    def ticks(address: int) -> int:
+        s = _look(address)
+        done = 0
+        taken, out = s.reals, s.out_reals
+        while done < s.most:
+            if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, taken, s.wholes):
+                break
+            seq = s.wholes[_SEQ]
+            if not in_order(s, seq) or (s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)):
+                break
+            if overtaken(s, taken[_STAMP]):
+                continue
+            s.frames = 0
+            s.gaps += seq - s.seq - 1
+            s.seq = s.answered = seq
+            table, memory = reals_at(s.table, s.table_count), reals_at(s.memory, s.memory_count)
+            x, y, z = taken[_POSITION], taken[_POSITION + 1], taken[_POSITION + 2]
+            s.out_wholes[_TO_SEQ] = seq
+            s.out_wholes[_TO_CONTACT] = 1 if meet(s.kind, table, memory, x, y, z, s.met) else 0
+            for i in range(3):
+                out[_TO_POSITION + i] = taken[_POSITION + i]
+                out[_TO_PROXY + i] = s.met[i]
+                out[_TO_NORMAL + i] = s.met[3 + i]
+            out[_TO_DISTANCE] = s.met[6]
+            out[_TO_DELAY] = taken[_DELAY]
+            out[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else taken[_STAMP]
+            # Before it is sent: whoever has the answer and asks for the count finds it there.
+            s.ticks += 1
+            at = out_at(s)
+            answer(s, at, _encode(at, s.out_keys, out, s.out_wholes, s.text, s.text_size) - at)
+            done += 1
+            if called(s):
+                break
+        flush(s)
+        return done
+
+    made: Callable[[int], int] = ticks
+    return made
 
 
 @compilable
-def ticks(address: int) -> int:
-    """Answer device states with proxies until something is unusual."""
-    s = _look(address)
-    done = 0
-    while done < s.most:
-        if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
-            break
-        seq = s.wholes[_SEQ]
-        if not in_order(s, seq) or (s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)):
-            break
-        if overtaken(s, s.reals[_STAMP]):
-            continue
-        s.frames = 0
-        s.gaps += seq - s.seq - 1
-        s.seq = seq
-        s.out_wholes[_TO_SEQ] = seq
-        s.out_wholes[_TO_CONTACT] = 1 if _meet(s, s.reals, s.out_reals) else 0
-        s.out_reals[_TO_DELAY] = s.reals[_DELAY]
-        s.out_reals[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
-        # Before it is sent: whoever has the answer and asks for the count finds it there.
-        s.ticks += 1
-        at = out_at(s)
-        answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
-        done += 1
-        if called(s):
-            break
-    flush(s)
-    return done
+def _meet(kind: int, table: Any, memory: Any, x: float, y: float, z: float, met: Any) -> bool:  # noqa: ARG001
+    return meet_flat(kind, table, x, y, z, met)
+
+
+ticks = make_ticks(_meet)
+"""Answer device states with proxies on a surface without shapes until something is unusual."""

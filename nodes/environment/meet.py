@@ -1,4 +1,4 @@
-"""Where the proxy is: one function on numbers, which the plain tick runs and the compiled one compiles.
+"""Where the proxy is: one function on numbers, which every way of playing a tick runs, interpreted or compiled.
 
 A surface is a kind, a table of floats that never changes while it is touched, and a small table of what its proxy remembers.
 """
@@ -10,13 +10,10 @@ from collections.abc import Callable, MutableSequence, Sequence
 from typing import NamedTuple
 
 from messages.types import Vector
-from nodes.compiled.layout import ANCHOR, PLANE, SHAPES
 from nodes.environment.shapes import proxy
 from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY
+from nodes.environment.state import ANCHOR, MET, PLANE, SHAPES
 from nodes.kernels import plane_distance
-
-MET = 7
-"""Numbers of an answer: proxy (3) [m], outward normal (3), signed distance [m]."""
 
 
 class Numbers(NamedTuple):
@@ -25,6 +22,28 @@ class Numbers(NamedTuple):
     kind: int
     table: array[float]
     memory: array[float]
+
+
+def meet_plane(position: float, surface: float, side: float) -> tuple[float, float, bool]:
+    """Meet a plane across one axis: the proxy there and the signed distance [m], and whether there is contact."""
+    distance = plane_distance(position, surface, side)
+    contact = distance < 0.0
+    return surface if contact else position, distance, contact
+
+
+def meet_flat(kind: int, table: Sequence[float], x: float, y: float, z: float, met: MutableSequence[float]) -> bool:
+    """Let a proxy follow the device to a position [m] on a surface without shapes."""
+    met[0], met[1], met[2] = x, y, z
+    met[3] = met[4] = met[5] = met[6] = 0.0
+    if kind == PLANE:
+        i = int(table[0])
+        met[3 + i] = table[2]
+        met[i], met[6], contact = meet_plane(met[i], table[1], table[2])
+        return contact
+    if kind == ANCHOR:
+        met[0], met[1], met[2] = table[0], table[1], table[2]
+        return True
+    return False
 
 
 def meet(
@@ -37,28 +56,16 @@ def meet(
     met: MutableSequence[float],
 ) -> bool:
     """Let a proxy follow the device to a position [m]: the answer is written into `met`; whether there is contact."""
+    if kind != SHAPES:
+        return meet_flat(kind, table, x, y, z, met)
+    proxy.meet(table, memory, x, y, z)
+    contact = memory[IN_CONTACT] == 1.0
     met[0], met[1], met[2] = x, y, z
-    met[3] = met[4] = met[5] = met[6] = 0.0
-    if kind == PLANE:
-        i = int(table[0])
-        met[3 + i] = table[2]
-        met[6] = distance = plane_distance(met[i], table[1], table[2])
-        if distance >= 0.0:
-            return False
-        met[i] = table[1]
-        return True
-    if kind == ANCHOR:
-        met[0], met[1], met[2] = table[0], table[1], table[2]
-        return True
-    if kind == SHAPES:
-        proxy.meet(table, memory, x, y, z)
-        contact = memory[IN_CONTACT] == 1.0
-        if contact:
-            met[0], met[1], met[2] = memory[PROXY], memory[PROXY + 1], memory[PROXY + 2]
-        met[3], met[4], met[5] = memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2]
-        met[6] = memory[DISTANCE]
-        return contact
-    return False
+    if contact:
+        met[0], met[1], met[2] = memory[PROXY], memory[PROXY + 1], memory[PROXY + 2]
+    met[3], met[4], met[5] = memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2]
+    met[6] = memory[DISTANCE]
+    return contact
 
 
 def meeting_of(numbers: Numbers) -> Callable[[Vector], tuple[Vector, Vector, float, bool]]:

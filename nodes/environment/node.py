@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 
 from messages import topics
-from messages.codec import Decoder, encode
+from messages.codec import encode
 from messages.types import DeviceState, Proxy, Vector
-from nodes.base.follow import follow
+from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
 from nodes.environment.meet import Numbers, meeting_of
-from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
+from nodes.environment.state import UNKNOWN, EnvironmentState
+from nodes.environment.surfaces import SURFACES, Meeting, Surface, meet_axes, numbers_of, parse_surface
 
 if TYPE_CHECKING:
     from nodes.compiled.answering import CompiledTicks
@@ -47,6 +48,14 @@ class Environment(Node):
     kernel_module: ClassVar[str] = "nodes.environment.kernel"
 
     @classmethod
+    def kernel_of(cls, parameters: Mapping[str, Any]) -> str:
+        """Name its compiled ticks: shapes have some of their own, for their geometry takes long to compile."""
+        surface = parameters.get("surface", {})
+        kind = surface.get("kind", "free") if isinstance(surface, Mapping) else "free"
+        known: Surface | None = SURFACES.load(kind) if kind in SURFACES.names() else None
+        return cls.kernel_module if known is None else known.kernel_module
+
+    @classmethod
     def check(cls, setup: Setup) -> None:
         """Make the surface before anything is started."""
         where = f"{setup.name}.surface"
@@ -61,7 +70,20 @@ class Environment(Node):
 
     def configure(self) -> None:
         """Build the surface."""
-        self.numbers, self._meet = self._built(self.store.current)
+        self._touch(*self._built(self.store.current))
+
+    def make_counters(self) -> Any:
+        """Make its state."""
+        return EnvironmentState(seq=-1, answered=-1, kind=UNKNOWN)
+
+    def _touch(self, numbers: Numbers | None, meet: Callable[[Vector], Meeting]) -> None:
+        """Take a surface; interpreted and compiled ticks go on with one memory of its proxy."""
+        self._meet, s = meet, self.counters
+        s.kind = UNKNOWN if numbers is None else numbers.kind
+        if numbers is not None:
+            self._numbers = numbers
+            s.table, s.table_count = numbers.table.buffer_info()
+            s.memory, s.memory_count = numbers.memory.buffer_info()
 
     def _built(self, parameters: EnvironmentParameters) -> tuple[Numbers | None, Callable[[Vector], Meeting]]:
         where = f"{self.setup.name}.surface"
@@ -93,7 +115,7 @@ class Environment(Node):
         numbers, meet = self._built(parameters)
 
         def apply(seq: int) -> dict[str, Any]:
-            self.numbers, self._meet = numbers, meet
+            self._touch(numbers, meet)
             return {"seq": seq, "surface": parameters.surface}
 
         return apply
@@ -102,37 +124,27 @@ class Environment(Node):
         """Make the compiled ticks."""
         from nodes.environment.compiled_tick import EnvironmentTicks
 
-        return EnvironmentTicks(self, kernel)
+        return EnvironmentTicks(self, kernel, self.kernel_of(self.setup.parameters) != self.kernel_module)
+
+    def _answer(self, state: DeviceState) -> bytes | None:
+        simulated = self.clock.simulated
+        if state.safety == "fault" and not simulated:
+            # The position is an old one; who follows bridges the gap. In lockstep somebody waits for an answer.
+            return None
+        proxy, normal, distance, contact = self._meet(state.position)
+        return encode(
+            Proxy(
+                seq=state.seq,
+                stamp=state.stamp if simulated else self.clock.now(),
+                position=state.position,
+                proxy=proxy,
+                normal=normal,
+                distance=distance,
+                contact=contact,
+                delay=state.delay,
+            )
+        )
 
     def loop(self) -> None:
         """Answer until stopped."""
-        self.state = "running"
-        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
-        topic, send, simulated = self.setup.topic(topics.PROXY).encode(), self.publisher.send, self.clock.simulated
-        send_again = self.publisher.send_hop
-        while not self.stopping:
-            state = take()
-            if state is not None and state.seq == self.answered:
-                # Asked again (lockstep, after a stall or a lost answer): the same answer, to who waits for it only.
-                send_again(topic, self.answer)
-            # In a fault the position is an old one; who follows bridges the gap. In lockstep somebody waits for an answer.
-            elif state is not None and (simulated or state.safety != "fault"):
-                position = state.position
-                proxy, normal, distance, contact = self._meet(position)
-                message = Proxy(
-                    seq=state.seq,
-                    stamp=state.stamp if simulated else self.clock.now(),
-                    position=position,
-                    proxy=proxy,
-                    normal=normal,
-                    distance=distance,
-                    contact=contact,
-                    delay=state.delay,
-                )
-                self.answered, self.answer = state.seq, (payload := encode(message))
-                # Before it is sent: whoever has the answer and asks for the count finds it there.
-                self.ticks += 1
-                send(topic, payload)
-            if self.events.waiting:
-                self.between_ticks(self.seq + 1)
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)

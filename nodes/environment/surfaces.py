@@ -14,8 +14,8 @@ import msgspec
 
 from messages.types import ZERO, Vector
 from nodes.base.setup import AXIS_INDEX, Axis
-from nodes.compiled.layout import ANCHOR, FREE, PLANE
 from nodes.environment.meet import Numbers, meeting_of
+from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError, convert
 
@@ -63,9 +63,12 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     ----------
     kind : str
         Class variable: the registered name.
+    kernel_module : str
+        Class variable: module of the compiled ticks that meet it.
     """
 
     kind: ClassVar[str] = ""
+    kernel_module: ClassVar[str] = "nodes.environment.kernel"
 
     def meeting(self) -> Callable[[Vector], Meeting]:
         """Build the question of the hot path.

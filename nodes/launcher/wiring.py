@@ -178,8 +178,8 @@ class _Places:
 def kernel_modules(launch: Launch) -> list[str]:
     """Name the compiled ticks that the nodes of this machine could take."""
     factories = node_kinds()
-    kinds = [load(factories[spec.kind]) for spec in launch.nodes.values() if not spec.host]
-    return sorted({module for kind in kinds for module in kind.modules()})
+    here = [(load(factories[spec.kind]), spec.parameters) for spec in launch.nodes.values() if not spec.host]
+    return sorted({module for kind, parameters in here for module in kind.modules(parameters)})
 
 
 def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:

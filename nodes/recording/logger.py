@@ -219,17 +219,17 @@ class Logger(Node):
             while not self.stopping:
                 recorder.clock_offset = self.clock.offset
                 recorder.take(50)
-                self.received = self.ticks = recorder.recorded
+                self.received = self.counters.ticks = recorder.recorded
                 self.events.refused = recorder.refused
                 self.between_ticks(0)
             # What is sent later, where only this logger ends, is not its business; in lockstep nothing tells when it was sent.
             end = self.clock.now() if self.setup.pace == "realtime" else math.inf
             while recorder.take(QUIET_MS) and recorder.latest <= end:
-                self.received = self.ticks = recorder.recorded
+                self.received = self.counters.ticks = recorder.recorded
         except RecordError as error:
             self._give_up(error)
         finally:
-            self.received = self.ticks = recorder.recorded
+            self.received = self.counters.ticks = recorder.recorded
 
     def _give_up(self, error: RecordError) -> NoReturn:
         """End with an event and exit code 1: a full disk is no bug, so no traceback either."""

@@ -127,7 +127,7 @@ class View(Node):
         await pages.run(lambda: self.stopping, self._between)
 
     def _between(self) -> None:
-        self.received = self.ticks = self._pages.live.feed.head
+        self.received = self.counters.ticks = self._pages.live.feed.head
         self.between_ticks(0)
 
     def finish(self) -> None:

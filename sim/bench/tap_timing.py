@@ -121,7 +121,7 @@ def time_laws(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
         def run() -> None:
             for sample in samples:
                 history.push(sample)
-                axis.force()
+                axis.force(history.head)
 
         return run
 

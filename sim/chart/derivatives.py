@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from nodes.coupling.law_on_axis import History, LawOnAxis
+from nodes.coupling.render import evaluate
 from nodes.kernels import push
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import derivative_kinds, realise
@@ -23,7 +24,6 @@ from sim.chart.derivative_errors import analyse
 from sim.chart.points import Detail, Group, Point
 from sim.measure.stopwatch import interleaved
 from sim.scene.compiled import compiled
-from sim.scene.tick_loop import evaluate
 
 ORDERS = (0.5, 1.5)
 PERIOD = 0.002
@@ -210,7 +210,7 @@ def _in_node(law: CompiledLaw) -> Callable[[], object]:
         force = 0.0
         for sample in samples:
             history.push(sample)
-            force = axis.force()
+            force = axis.force(history.head)
         return force
 
     return run

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Final
 import msgspec
 
 from messages.types import Vector
-from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.base.setup import AXIS_INDEX, Axis, Setup
 from nodes.compiled.fields import NotCompilableError
 from nodes.driver.calls import Calls
 from nodes.driver.device import Device, DeviceLimits
@@ -84,6 +84,23 @@ def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
     ]
 
 
+def parts_of(
+    model: DeviceModel,
+    axes: Sequence[Axis],
+    period: float,
+    next_tick: bool = False,
+    workspace: Sequence[tuple[float, float]] = NO_END,
+    lockstep: bool = True,
+    hold: float = math.inf,
+) -> list[VirtualDevice]:
+    """Make the device of each axis of a scene; see `sim.device.state.VirtualDevice`."""
+    numbers = [AXIS_INDEX[axis] for axis in axes]
+    return [
+        VirtualDevice(of_axis, period, next_tick, workspace[i], lockstep, hold, i)
+        for i, of_axis in zip(numbers, along(model, axes), strict=True)
+    ]
+
+
 class SimDevice:
     """The virtual device in the driver's time: one of one axis along each axis of the scene, independent of each other.
 
@@ -118,18 +135,7 @@ class SimDevice:
         self._compiled = setup.tick == "compiled"
         self._limits = DeviceLimits(hold=math.inf if hold is None else hold, latency=model.delay * setup.period)
         next_tick = lockstep and setup.apply == "next_tick"
-        self.parts = [
-            VirtualDevice(
-                of_axis,
-                setup.period,
-                next_tick,
-                workspace[AXIS_INDEX[axis]],
-                lockstep,
-                self._limits.hold,
-                AXIS_INDEX[axis],
-            )
-            for axis, of_axis in zip(setup.axes, along(model, setup.axes), strict=True)
-        ]
+        self.parts = parts_of(model, setup.axes, setup.period, next_tick, workspace, lockstep, self._limits.hold)
         self._states = [part.state for part in self.parts]
         self._context = array("q", [len(self.parts), *(part.address for part in self.parts), 0, 0][:4])
         self._reader: PointerReader | None = None

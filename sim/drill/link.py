@@ -79,7 +79,7 @@ class Link(Node):
     def _accept(self, payload: bytes) -> None:
         now, chance = self._now, self._random.random
         if chance() < now.drop:
-            self.skipped += 1
+            self.counters.skipped += 1
             return
         if chance() < now.corrupt:
             spoilt = bytearray(payload)
@@ -112,7 +112,7 @@ class Link(Node):
             frames = inbox.receive_until(self._waiting[0][0]) if self._waiting else inbox.receive(IDLE_MS)
             if frames is not None:
                 self.received += 1
-                self.ticks += 1
+                self.counters.ticks += 1
                 self._accept(frames[1])
             self._pass_on()
-            self.between_ticks(self.ticks)
+            self.between_ticks(self.counters.ticks)

@@ -1,4 +1,4 @@
-"""The driver's rules beyond guard, peak and slew, for the scene in one process: ramp, stop, motor heat, workspace.
+"""The driver's rules for the scene in one process: guard, limits, ramp, stop, motor heat, workspace.
 
 They are the nodes' own (nodes/driver), called in the order of the driver's tick in lockstep.
 """
@@ -6,10 +6,12 @@ They are the nodes' own (nodes/driver), called in the order of the driver's tick
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
+from messages.types import Vector
 from nodes.driver.device import DeviceLimits
 from nodes.driver.limits import SafetyParameters, lower
 from nodes.driver.motion import act, set_motion
@@ -21,7 +23,7 @@ from sim.device.model import DeviceModel
 
 
 class DriverRules:
-    """What a driver does with each force of a scene of one axis, in lockstep.
+    """What a driver does with each force, in lockstep.
 
     Parameters
     ----------
@@ -35,6 +37,8 @@ class DriverRules:
         Of its safety; the first axis of the workspace is the scene's.
     passivity : PassivityParameters or None
         Of its guard.
+    axes : sequence of int
+        The axes that the scene computes; its one axis counts as the first.
 
     Attributes
     ----------
@@ -49,26 +53,38 @@ class DriverRules:
         next_tick: bool,
         parameters: SafetyParameters,
         passivity: PassivityParameters | None,
+        axes: Sequence[int] = (0,),
     ) -> None:
-        if parameters.workspace is not None:
+        if parameters.workspace is not None and len(axes) == 1:
             nothing = (-math.inf, math.inf)
             parameters = msgspec.structs.replace(parameters, workspace=(parameters.workspace[0], nothing, nothing))
         s: Any = DriverState()
         self.state = s
-        s.period, s.virtual, s.next_tick, s.axes = period, 1, next_tick, 1
+        s.period, s.virtual, s.next_tick = period, 1, next_tick
+        s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
         set_safety(s, parameters, lower(parameters, DeviceLimits(), period), period)
         self._kept = set_motion(s, device.delay)
         set_guard(s, passivity)
 
-    def sample(self, tick: int, measured: float) -> float:
+    def sample_all(self, tick: int, place: Vector) -> Vector:
         """Take a sample; the position that is published."""
-        self.state.place[0] = measured
-        take_sample(self.state, tick, tick * self.state.period)
-        return float(self.state.position[0])
+        s = self.state
+        s.place[:] = place
+        take_sample(s, tick, tick * s.period)
+        return s.position[0], s.position[1], s.position[2]
+
+    def command_all(self, tick: int, wanted: Vector) -> Vector:
+        """Turn the law's force into what the device gets."""
+        s = self.state
+        s.got_seq, s.got[:] = tick, wanted
+        decide(s, tick)
+        act(s, 1)
+        return s.force[0], s.force[1], s.force[2]
+
+    def sample(self, tick: int, measured: float) -> float:
+        """Take a sample along the one axis of a scene."""
+        return self.sample_all(tick, (measured, 0.0, 0.0))[0]
 
     def command(self, tick: int, wanted: float) -> float:
-        """Turn the law's force into what the device gets."""
-        self.state.got_seq, self.state.got[0] = tick, wanted
-        decide(self.state, tick)
-        act(self.state, 1)
-        return float(self.state.force[0])
+        """Turn the law's force along the one axis of a scene into what the device gets."""
+        return self.command_all(tick, (wanted, 0.0, 0.0))[0]

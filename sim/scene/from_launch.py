@@ -102,7 +102,8 @@ class LaunchedScene:
         return run(self.scene, self.law, ticks or self.ticks, self.swaps, self.memory, interpreted, given)
 
 
-def _parameters(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
+def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
+    """Find the one node of a kind in a launch: its name and its parameters."""
     found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
     if len(found) != 1:
         raise ParameterError(
@@ -142,12 +143,14 @@ def from_launch(launch: Launch) -> LaunchedScene:
         own, a surface that is more than a plane or a point.
     """
     if len(launch.run.axes) != 1:
-        raise ParameterError(f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis")
+        raise ParameterError(
+            f"{launch.scenario}.run.axes: {launch.run.axes}; this loop plays one axis; sim.scene.spatial plays several"
+        )
     axis = launch.run.axes[0]
     period = launch.run.period
-    _, driver = _parameters(launch, "sim_driver", SimDriverParameters)
-    environment_name, environment = _parameters(launch, "environment", EnvironmentParameters)
-    coupling_name, coupling = _parameters(launch, "coupling", CouplingParameters)
+    _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
+    environment_name, environment = parameters_of(launch, "environment", EnvironmentParameters)
+    coupling_name, coupling = parameters_of(launch, "coupling", CouplingParameters)
     safety = driver.safety
     limits = lower(safety, DeviceLimits(), period)
     if safety.workspace is not None:

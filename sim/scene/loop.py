@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.passivity import PassivityParameters, line_of
 from nodes.driver.safety import REACH
+from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.laws import CompiledLaw
 from nodes.laws.excitation import Push
 from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.scene.compiled import numbers_of
 from sim.scene.driver_rules import DriverRules
 from sim.scene.tick_loop import (
-    ANCHOR,
-    FREE,
-    PLANE,
     Arrivals,
     Contact,
     Guard,

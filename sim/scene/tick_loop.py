@@ -10,8 +10,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 from nodes.compiled.kernels.sources import kernel
+from nodes.coupling.render import evaluate
 from nodes.driver.passivity import backlog, control, forget, observe, through
-from nodes.kernels import cross_fade, deflection, fir, limit, one_sided, plane_distance, push, sections, warm_up
+from nodes.environment.meet import meet_plane
+from nodes.environment.state import ANCHOR, PLANE
+from nodes.kernels import cross_fade, deflection, limit, one_sided, push, warm_up
 from sim.device.friction import move
 from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate
 from sim.scene.compiled import compiled, own_force
@@ -19,8 +22,8 @@ from sim.scene.compiled import compiled, own_force
 Numbers: TypeAlias = Any
 """A list of numbers when the loop is interpreted, an array when it is compiled."""
 
-FREE, PLANE, ANCHOR = 0, 1, 2
-"""Kinds of surface, as the compiled loop knows them."""
+
+kernel(meet_plane)
 
 
 @kernel
@@ -35,29 +38,16 @@ def respond(
     length: int,
 ) -> tuple[int, float, bool]:
     """Environment and first half of the coupling: from the sample to the newest deflection in the history."""
-    distance = 0.0
-    contact = kind == ANCHOR
+    proxy, distance, contact = measured, 0.0, kind == ANCHOR
     if kind == PLANE:
-        distance = plane_distance(measured, surface, normal)
-        contact = distance < 0.0
-    proxy = surface if contact else measured
+        proxy, distance, contact = meet_plane(measured, surface, normal)
+    elif contact:
+        proxy = surface
     newest = deflection(measured, proxy, distance, normal, contact, raw)
     return push(history, head, length, newest), newest, contact
 
 
-@kernel
-def evaluate(
-    taps: Numbers,
-    recursive: Numbers | None,
-    state: Numbers,
-    history: Numbers,
-    head: int,
-) -> float:
-    """Force of one law over the history."""
-    force = fir(taps, history, head)
-    if recursive is not None and len(recursive) > 0:
-        force += sections(recursive, state, history[head], history[head + 1])
-    return force
+kernel(evaluate)
 
 
 class Motion(NamedTuple):

@@ -51,7 +51,7 @@ def test_law_on_axis(benchmark: BenchmarkFixture, kind: str, memory: int) -> Non
 
     def tick() -> float:
         history.push(1e-3)
-        return axis.force()
+        return axis.force(history.head)
 
     assert benchmark(tick) > 0.0
 

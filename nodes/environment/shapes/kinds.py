@@ -11,10 +11,10 @@ import msgspec
 
 from messages.types import ZERO, Vector
 from nodes.base.setup import Axis
-from nodes.compiled.layout import SHAPES
 from nodes.environment.meet import Numbers
 from nodes.environment.shapes import scene
 from nodes.environment.shapes.scene import Friction, Solid
+from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Surface, parse_surface
 from nodes.parameters.store import ParameterError
 
@@ -67,6 +67,7 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Radius of the ball that touches; 0 for a point [m].
     """
 
+    kernel_module: ClassVar[str] = "nodes.environment.shapes.kernel"
     tool_radius: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 0.0
 
     def solids(self, where: str) -> list[Solid]:

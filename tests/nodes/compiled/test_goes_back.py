@@ -17,6 +17,7 @@ from nodes.base.node import Node
 from nodes.compiled.choose import choose
 from nodes.coupling.node import Coupling
 from nodes.environment.node import Environment
+from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.surfaces import Meeting, Plane
 from sim.measure.launches import wait_for
 from tests.support import ROOT
@@ -77,9 +78,13 @@ def coupling(
 
 
 STATES = [state_of(seq) for seq in range(TICKS)]
+BALL = {"kind": "sphere", "position": [0.0, 0.0, -0.02], "radius": 0.0195}
 PROXIES = [proxy_of(seq) for seq in range(TICKS)]
 CASES = {
     ("environment", "a surface of another package"): environment(STATES, TICKS),
+    ("environment", "shapes that come into a scene begun without any"): environment(STATES, TICKS - 6)._replace(
+        ask=lambda node: node.changes.change(lambda: node.store.changed({"surface": BALL}), node.prepare)
+    ),
     ("environment", "a driver in a fault"): environment(
         [*STATES[:4], *(state_of(seq, safety="fault") for seq in range(4, 7)), *STATES[7:]], 3
     ),
@@ -87,7 +92,6 @@ CASES = {
         PROXIES, 2, schedule=[{"at": 0.006, "law": "soft"}, {"at": 0.012, "law": "pd", "ramp": 3}]
     ),
     ("coupling", "a law with code of its own"): coupling(PROXIES, TICKS, law="own"),
-    ("coupling", "a gap longer than the memory"): coupling([*PROXIES[:6], proxy_of(40), proxy_of(41)], 1),
     ("coupling", "a force that is not finite"): coupling([*PROXIES[:6], proxy_of(6, -1e306), *PROXIES[7:]], 1),
     ("all", "a message that is refused, or comes once more"): coupling(
         [*PROXIES[:4], b"no message", PROXIES[4], PROXIES[4], *PROXIES[5:]], 0
@@ -96,12 +100,13 @@ CASES = {
 }
 STAYS = {
     "a hard surface, and one for both sides": environment(STATES, 0, kind="anchor", position=[0.0, 0.0, 0.01]),
-    "shapes": environment(STATES, 0, kind="sphere", position=[0.0, 0.0, -0.02], radius=0.0195),
+    "shapes": environment(STATES, 0, **BALL),
     "a driver that lets its force in, or has stopped": environment(
         [*STATES[:4], state_of(4, safety="ramp"), state_of(5, safety="stopped"), *STATES[6:]], 0
     ),
     "nothing to touch": environment(STATES, 0, kind="free"),
     "a gap": coupling([*PROXIES[:3], *PROXIES[6:]], 0),
+    "a gap longer than the memory": coupling([*PROXIES[:6], proxy_of(40), proxy_of(41)], 0),
     "a recursive law": coupling(
         PROXIES, 0, law="filtered", laws={"filtered": {**PD, "kind": "pd_filtered", "cutoff": 60.0}}
     ),
@@ -161,7 +166,7 @@ def played(place: Path, case: Case) -> tuple[Node, int]:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_before() -> None:
-    kernels = [Coupling.kernel_module, Environment.kernel_module]
+    kernels = [Coupling.kernel_module, Environment.kernel_module, Touchable.kernel_module]
     assert choose("compiled", kernels, print) == "compiled"
 
 
@@ -172,14 +177,14 @@ def test_what_goes_back_does_and_the_rest_of_the_run_does_not(
     if row[1] == "a surface of another package":
         monkeypatch.setattr("nodes.environment.node.parse_surface", lambda *_: Bowl())
     node, ticks = played(tmp_path, CASES[row])
-    assert node.ticks == ticks
+    assert node.counters.ticks == ticks
     assert ticks - node.ticks_compiled == CASES[row].plain
 
 
 @pytest.mark.parametrize("row", STAYS)
 def test_what_is_not_in_the_table_stays_compiled(row: str, tmp_path: Path) -> None:
     node, ticks = played(tmp_path, STAYS[row])
-    assert (node.ticks, node.ticks_compiled) == (ticks, ticks)
+    assert (node.counters.ticks, node.ticks_compiled) == (ticks, ticks)
 
 
 def test_gaps_without_an_end_are_still_a_count(tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ from messages import topics
 from messages.codec import Decoder
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import Event, NodeStatus
-from nodes.compiled.layout import CouplingState
 from nodes.coupling.node import Coupling
+from nodes.coupling.state import CouplingState
 from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
 from tests.support.launching import launch_json

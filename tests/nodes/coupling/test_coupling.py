@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 
 from messages.types import Proxy
 from nodes import kernels
-from nodes.coupling.law_on_axis import MAX_LEAVING, UNROLLED_TAPS, Fade, History, LawOnAxis, sum_of_taps, weighted_taps
+from nodes.coupling.law_on_axis import UNROLLED_TAPS, History, LawOnAxis, shares_of, sum_of_taps, weighted_taps
 from nodes.coupling.node import Coupling
 from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.coupling.state import LEAVING
 from nodes.coupling.time_budget import Budget
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.pd import PD
@@ -81,17 +82,23 @@ def test_a_law_longer_than_the_history_is_refused_at_the_edge() -> None:
 
 
 def test_a_bridge_is_a_straight_line_up_to_the_next_deflection() -> None:
-    history = filled([0.001], 16)
-    history.bridge(0.005, 3)
-    history.push(0.005)
+    renderer = Renderer([2], 16)
+    renderer.law = ActiveLaw("r", "{}", CompiledLaw((1.0,)), renderer.histories)
+    renderer.render(proxy_at(-0.001))
+    renderer.bridge(proxy_at(-0.005), 3)
+    renderer.render(proxy_at(-0.005))
+    history = renderer.histories[0]
     newest_first = [history.values[history.head + age] for age in range(5)]
     assert newest_first == pytest.approx([0.005, 0.004, 0.003, 0.002, 0.001], rel=1e-15)
 
 
 @pytest.mark.parametrize("missing", [7, 8, 9, 1000])
 def test_a_gap_longer_than_the_history_fills_it_once(missing: int) -> None:
-    history = filled([1.0], 8)
-    history.bridge(2.0, missing)
+    renderer = Renderer([2], 8)
+    renderer.law = ActiveLaw("r", "{}", CompiledLaw((1.0,)), renderer.histories)
+    renderer.render(proxy_at(-1.0))
+    renderer.bridge(proxy_at(-2.0), missing)
+    history = renderer.histories[0]
     held = [history.values[history.head + age] for age in range(8)]
     assert held == sorted(held, reverse=True)
     assert held[0] == pytest.approx(2.0 - 1.0 / (missing + 1), rel=1e-15)
@@ -132,19 +139,19 @@ def test_a_warmed_up_law_is_where_it_would_be_had_it_run_all_along() -> None:
     along = LawOnAxis(RECURSIVE, history)
     for value in values[:50]:
         history.push(value)
-        along.force()
+        along.force(history.head)
     late = LawOnAxis(RECURSIVE, history)
     late.warm_up(history.snapshot())
     # Ticks pass between the snapshot and the swap.
     for value in values[50:70]:
         history.push(value)
-        along.force()
+        along.force(history.head)
     late.catch_up()
     late.catch_up()
     assert late.present() == along.present()
     for value in values[70:]:
         history.push(value)
-        assert late.force().hex() == along.force().hex()
+        assert late.force(history.head).hex() == along.force(history.head).hex()
 
 
 def test_what_lies_before_the_history_is_forgotten_as_the_poles_decay() -> None:
@@ -153,7 +160,7 @@ def test_what_lies_before_the_history_is_forgotten_as_the_poles_decay() -> None:
     along = LawOnAxis(RECURSIVE, history)
     for value in values:
         history.push(value)
-        along.force()
+        along.force(history.head)
     late = LawOnAxis(RECURSIVE, history)
     late.warm_up(history.snapshot())
     # 63 known values, the largest pole has radius 0.7702: what is left of the force before them is below 0.7702^62 times
@@ -220,7 +227,7 @@ def test_a_fade_is_the_kernels_and_ends_after_its_ramp() -> None:
 @settings(max_examples=60, deadline=None)
 def test_a_swap_during_a_fade_does_not_make_the_force_jump(swaps: list[tuple[float, int, int]]) -> None:
     # Held at 1 mm every law's force is constant, so a fade's largest step is the whole difference over its ramp; a hard
-    # swap's is the difference itself. More than MAX_LEAVING laws are joined, which must not show either.
+    # swap's is the difference itself. More than LEAVING laws are joined, which must not show either.
     renderer = renderer_with(1000.0)
     before = renderer.render(proxy_at(-0.001))[2]
     present = before
@@ -233,7 +240,7 @@ def test_a_swap_during_a_fade_does_not_make_the_force_jump(swaps: list[tuple[flo
             left = max(ramp - tick, 1)
             assert abs(force - present) <= abs(target - present) / left + 1e-12
             present = force
-    assert all(len(fade.leaving) <= MAX_LEAVING for fade in renderer._fades)
+    assert all(len(leaving) <= LEAVING for leaving in renderer._leaving)
 
 
 @pytest.mark.parametrize("counts", [(1, 3, 2), (30, 3, 70)])
@@ -251,20 +258,18 @@ def test_laws_of_taps_are_joined_exactly(counts: tuple[int, ...]) -> None:
 def test_shares_add_up_and_the_least_are_joined() -> None:
     history = History(8)
     sections = ((1.0, 0.0, -0.5, 0.0),)
-    laws = [LawOnAxis(CompiledLaw((1.0,), sections if k % 2 else ()), history) for k in range(3 * MAX_LEAVING)]
-    fade = Fade([(laws[0], 1.0)], 10)
+    laws = [LawOnAxis(CompiledLaw((1.0,), sections if k % 2 else ()), history) for k in range(3 * LEAVING)]
+    shares = [(laws[0], 1.0)]
     for law in laws[1:]:
-        fade.mix(0.0)
-        shares = fade.shares(law)
+        shares = shares_of(shares, law, 0.1)
         assert math.fsum(share for _, share in shares) == pytest.approx(1.0, rel=1e-12)
-        assert len(shares) <= MAX_LEAVING
-        fade = Fade(shares, 10)
+        assert len(shares) <= LEAVING
 
 
 def test_a_fade_interrupted_before_its_first_tick_has_no_share_of_the_new_law() -> None:
     history = History(8)
     old, new = (LawOnAxis(CompiledLaw((k,)), history) for k in (1.0, 2.0))
-    assert Fade([(old, 1.0)], 5).shares(new) == [(old, 1.0)]
+    assert shares_of([(old, 1.0)], new, 0.0) == [(old, 1.0)]
 
 
 def broken(ring: Any, head: int) -> float:
@@ -303,10 +308,10 @@ def test_a_failed_law_is_replaced_within_the_tick_whose_deflection_it_kept_from_
     renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((5.0 / T, -5.0 / T)), renderer.histories)
     renderer.law = law_of(renderer, 1000.0, evaluate=broken)
     assert renderer.watched
-    pushes = renderer.pushes()
+    due = renderer.due()
     with pytest.raises(RuntimeError):
         renderer.render(proxy_at(-0.001))
-    force = renderer.fall_back(proxy_at(-0.001), pushes)
+    force = renderer.fall_back(proxy_at(-0.001), due)
     # From 0 to 1 mm within one tick, times 5 N s/m; the deflection is in the history once.
     assert force[2] == pytest.approx(5.0 * 0.001 / T, rel=1e-12)
     assert renderer.histories[0].pushes == 1
@@ -317,7 +322,7 @@ def test_a_failed_law_is_replaced_within_the_tick_whose_deflection_it_kept_from_
 def test_a_fallback_that_overflows_renders_nothing() -> None:
     renderer = renderer_with(1000.0)
     renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((1e308, -1e308)), renderer.histories)
-    assert renderer.fall_back(proxy_at(-1e3), renderer.pushes()) == (0.0, 0.0, 0.0)
+    assert renderer.fall_back(proxy_at(-1e3), renderer.due()) == (0.0, 0.0, 0.0)
 
 
 def test_a_law_that_fades_out_is_watched_until_it_is_gone() -> None:

@@ -1,4 +1,4 @@
-"""Scenes in three axes, launched: what the environment node answers is, to the bit, what one process finds on the same way."""
+"""Scenes in three axes, launched: to the bit what one process plays, and its proxies those of one process on the same way."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from messages.topics import PROXY
+from messages.topics import DEVICE_STATE, PROXY
 from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.surfaces import parse_surface
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
+from sim.scene.spatial import play
 from sim.scene.touch import touch
 from tests.support.launching import launch_json
 
@@ -19,10 +20,11 @@ SCENES = {"sphere_feel": (), "box_edges": (), "mesh_pebble": (), "rough_plane": 
 
 
 @pytest.mark.parametrize("scenario", SCENES)
-def test_the_node_finds_the_proxies_of_one_process(scenario: str, tmp_path: Path) -> None:
+def test_one_process_plays_the_same(scenario: str, tmp_path: Path) -> None:
     words = [*SCENES[scenario], "pace:=lockstep", "duration:=1.6"]
     figures = launch_json(tmp_path, scenario, *words)
-    found = Recording(tmp_path / figures["recording"]).messages(PROXY)
+    recording = Recording(tmp_path / figures["recording"])
+    found, states = recording.messages(PROXY), recording.messages(DEVICE_STATE)
     launch = launch_file.read(scenario, launch_file.parse_assignments(words))
     surface = parse_surface(launch.nodes["environment"].parameters["surface"], "surface")
     assert isinstance(surface, Touchable)
@@ -37,3 +39,9 @@ def test_the_node_finds_the_proxies_of_one_process(scenario: str, tmp_path: Path
     assert np.array_equal(alone.distance, [message.distance for message in found])
     # Led aside by what it touches: more than one axis moves.
     assert (np.ptp(path[contact], axis=0) > 1e-3).sum() >= 2
+    # The whole loop in one process: its states and rules are the nodes' own.
+    played = play(launch)
+    assert np.array_equal(played.position, [state.position for state in states[:-1]])
+    assert np.array_equal(played.force, [state.force for state in states[1:]])
+    assert np.array_equal(played.contact, contact[:-1])
+    assert np.array_equal(played.proxy, [message.proxy for message in found[:-1]])

@@ -1,0 +1,155 @@
+"""A launch of any axes in one process: the states and rules of the nodes themselves, tick by tick, as in lockstep.
+
+The loop of `sim.scene.loop` is for one axis and thousands of runs. This one plays what nodes can: shapes, several axes, laws
+with code of their own and swaps between them, all of the driver's safety. It is interpreted; no rule in it is its own.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from messages.types import Proxy, Vector
+from nodes.base.setup import AXIS_INDEX
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.environment.meet import meeting_of
+from nodes.environment.node import EnvironmentParameters
+from nodes.environment.surfaces import meet_axes, numbers_of, parse_surface
+from nodes.launcher.launch_spec import Launch
+from sim.device.driver import SimDriverParameters, parts_of
+from sim.device.state import read_axis, write_axis
+from sim.scene.driver_rules import DriverRules
+from sim.scene.from_launch import parameters_of
+
+__all__ = [
+    "Played",
+    "play",
+]
+
+Rows = NDArray[np.float64]
+
+
+class Played(NamedTuple):
+    """What happened, one row a tick.
+
+    Attributes
+    ----------
+    position : ndarray, shape (ticks, 3)
+        What the encoders read [m].
+    proxy : ndarray, shape (ticks, 3)
+        Where the proxy was [m].
+    contact : ndarray of bool, shape (ticks,)
+        Whether something was touched.
+    force : ndarray, shape (ticks, 3)
+        Force handed to the device, after all limits [N].
+    law : list of str
+        Which law rendered.
+    """
+
+    position: Rows
+    proxy: Rows
+    contact: NDArray[np.bool_]
+    force: Rows
+    law: list[str]
+
+
+class _Coupling:
+    """The coupling node's renderer with its schedule."""
+
+    def __init__(self, launch: Launch) -> None:
+        name, parameters = parameters_of(launch, "coupling", CouplingParameters)
+        period = launch.run.period
+        book = LawBook(name, period)
+        self.renderer = renderer = Renderer([AXIS_INDEX[axis] for axis in launch.run.axes], parameters.memory)
+        renderer.state.raw, renderer.state.clamp = parameters.history == "position", parameters.clamp
+
+        def law(name: str) -> ActiveLaw:
+            return ActiveLaw(name, "", book.compile(parameters, name), renderer.histories)
+
+        renderer.fallback = ActiveLaw("fallback", "", parameters.fallback.compile(period), renderer.histories)
+        renderer.law = law(parameters.law)
+        scheduled = sorted(parameters.schedule, key=lambda swap: swap.at)
+        self._schedule = [(round(swap.at / period), law(swap.law), swap.ramp) for swap in scheduled]
+
+    def answer(self, proxy: Proxy) -> Vector:
+        """Render the force of a tick."""
+        renderer = self.renderer
+        while self._schedule and self._schedule[0][0] <= proxy.seq:
+            _, law, ramp = self._schedule.pop(0)
+            law.warm_up(renderer.histories)
+            renderer.swap(law, ramp)
+        due = renderer.due()
+        try:
+            force = renderer.render(proxy)
+        except Exception:
+            if not renderer.watched:
+                raise
+            # A law of another package may raise anything; the node falls back, too.
+            return renderer.fall_back(proxy, due)
+        return force if math.isfinite(force[0] + force[1] + force[2]) else renderer.fall_back(proxy)
+
+
+def play(launch: Launch, ticks: int | None = None) -> Played:
+    """Play a launch file.
+
+    Parameters
+    ----------
+    launch : Launch
+        With its arguments filled in; a device that exists, or several, are not played.
+    ticks : int, optional
+        How many; the launch file's own number when left out.
+
+    Returns
+    -------
+    Played
+        The bits of a run in lockstep.
+
+    Raises
+    ------
+    ParameterError
+        When something is wrong, as a launch would say it.
+    """
+    run = launch.run
+    period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)
+    _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
+    name, environment = parameters_of(launch, "environment", EnvironmentParameters)
+    surface = parse_surface(environment.surface, f"{name}.surface")
+    meet_axes(surface, run.axes, f"{name}.surface")
+    numbers = numbers_of(surface, period)
+    meet = surface.meeting_every(period) if numbers is None else meeting_of(numbers)
+    next_tick = run.apply == "next_tick"
+    axes = [AXIS_INDEX[axis] for axis in run.axes]
+    devices = parts_of(driver.device, run.axes, period, next_tick, driver.ends)
+    parts = [device.state for device in devices]
+    rules = DriverRules(driver.device, period, next_tick, driver.safety, driver.passivity, axes)
+    coupling = _Coupling(launch)
+    positions, proxies, forces = (np.zeros((ticks, 3)) for _ in range(3))
+    contacts, laws = np.zeros(ticks, dtype=np.bool_), []
+    for k in range(ticks):
+        place = [0.0, 0.0, 0.0]
+        for part in parts:
+            place[part.axis] = read_axis(part, k)
+        position = rules.sample_all(k, (place[0], place[1], place[2]))
+        proxy, normal, distance, contact = meet(position)
+        wanted = coupling.answer(
+            Proxy(
+                seq=k,
+                stamp=k * period,
+                position=position,
+                proxy=proxy,
+                normal=normal,
+                distance=distance,
+                contact=contact,
+            )
+        )
+        force = rules.command_all(k, wanted)
+        for part in parts:
+            write_axis(part, force[part.axis], k, 0.0)
+        positions[k], proxies[k], contacts[k], forces[k] = position, proxy, contact, force
+        laws.append(coupling.renderer.name)
+    return Played(positions, proxies, contacts, forces, laws)
