@@ -316,7 +316,7 @@ class Ros2(Node):
                 self._newest(newest)
                 newest.clear()
                 self._graph.take()
-                self.ticks += 1
+                self.counters.ticks += 1
                 self.between_ticks(0)
 
     def finish(self) -> None:
