@@ -12,7 +12,7 @@ from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at,
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import kernel, record_of
-from nodes.coupling.render import Port, evaluate, make_render
+from nodes.coupling.render import LawPort, evaluate, make_render
 from nodes.coupling.state import SLOTS, CouplingState
 from nodes.kernels import SMOOTHING, cross_fade, deflection, fir, one_sided, push, sections
 
@@ -62,7 +62,7 @@ def _see(s: Any, n: int, m: int, history: Any, head: int) -> None:
         )
 
 
-_render, _bridge = make_render(Port(_ring, _force_of, _see), compilable)
+_render, _bridge = make_render(LawPort(_ring, _force_of, _see), compilable)
 
 
 @compilable

@@ -1,7 +1,7 @@
 """From a proxy to a force: the rule of a coupling's tick, one source for the interpreter, the compiled tick and one process.
 
 `evaluate` is the force of one law on numbers, for whoever has them at hand. `make_render` makes the tick on the coupling's
-state; what differs between ways of playing is how a law in a slot is found and called, its `Port`.
+state; what differs between ways of playing is how a law in a slot is found and called, its `LawPort`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def evaluate(
     return force
 
 
-class Port(NamedTuple):
+class LawPort(NamedTuple):
     """What a tick needs of the laws; each takes the state first.
 
     `ring` gives the history of an axis; `force_of` renders the newest deflection with the law in a slot of that axis, `see`
@@ -47,7 +47,7 @@ def _as_it_stands(function: Function) -> Function:
 
 
 def make_render(
-    port: Port, made: Callable[[Any], Any] = _as_it_stands
+    port: LawPort, made: Callable[[Any], Any] = _as_it_stands
 ) -> tuple[Callable[..., bool], Callable[..., None]]:
     """Make the tick of a port, and the bridge over ticks that were left out."""
     ring, force_of, see = port

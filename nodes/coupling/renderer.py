@@ -12,7 +12,7 @@ from typing import Any
 
 from messages.types import Proxy, Vector
 from nodes.coupling.law_on_axis import History, LawOnAxis, Share, shares_of
-from nodes.coupling.render import Port, make_render
+from nodes.coupling.render import LawPort, make_render
 from nodes.coupling.state import SLOTS, CouplingState
 from nodes.kernels import deflection
 from nodes.laws import CompiledLaw
@@ -125,7 +125,7 @@ class Renderer:
             del s, history
             laws[n][m].see(head)
 
-        self._render, self._bridge = make_render(Port(ring, force_of, see))
+        self._render, self._bridge = make_render(LawPort(ring, force_of, see))
 
     @property
     def law(self) -> ActiveLaw:
