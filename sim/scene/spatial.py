@@ -27,14 +27,14 @@ from sim.scene.driver_rules import DriverRules
 from sim.scene.from_launch import parameters_of
 
 __all__ = [
-    "Played",
+    "SpatialTrace",
     "play",
 ]
 
 Rows = NDArray[np.float64]
 
 
-class Played(NamedTuple):
+class SpatialTrace(NamedTuple):
     """What happened, one row a tick.
 
     Attributes
@@ -94,7 +94,7 @@ class _Coupling:
         return force if math.isfinite(force[0] + force[1] + force[2]) else renderer.fall_back(proxy)
 
 
-def play(launch: Launch, ticks: int | None = None) -> Played:
+def play(launch: Launch, ticks: int | None = None) -> SpatialTrace:
     """Play a launch file.
 
     Parameters
@@ -106,7 +106,7 @@ def play(launch: Launch, ticks: int | None = None) -> Played:
 
     Returns
     -------
-    Played
+    SpatialTrace
         The bits of a run in lockstep.
 
     Raises
@@ -152,4 +152,4 @@ def play(launch: Launch, ticks: int | None = None) -> Played:
             write_axis(part, force[part.axis], k, 0.0)
         positions[k], proxies[k], contacts[k], forces[k] = position, proxy, contact, force
         laws.append(coupling.renderer.name)
-    return Played(positions, proxies, contacts, forces, laws)
+    return SpatialTrace(positions, proxies, contacts, forces, laws)
