@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import msgspec
 
 from messages import topics
-from messages.codec import Decoder, encode
+from messages.codec import encode
 from messages.types import ZERO, DeviceState, Proxy
-from nodes.base.follow import follow
+from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import Axis, Setup
 from nodes.environment.bodies.moving_scene import MovingScene
@@ -67,47 +67,39 @@ class MujocoEnvironment(Node):
             f"its contacts, measured: {told}",
         )
 
+    def _answer(self, state: DeviceState) -> bytes | None:
+        simulated, world, seq = self.clock.simulated, self._world, state.seq
+        if state.safety == "fault" and not simulated:
+            return None
+        if self.counters.answered < 0:
+            world.begin(state.position)
+            world.skip_to(seq)
+        else:
+            world.hand_over(state.force, seq - 1 - state.age, state.delay)
+            world.advance(seq)
+        if world.diverged():
+            world.begin(state.position)
+            self.events.emit(
+                "bodies",
+                "the scene diverged and was put back to its beginning; a smaller option timestep may help",
+            )
+        return encode(
+            Proxy(
+                seq=seq,
+                stamp=state.stamp if simulated else self.clock.now(),
+                position=state.position,
+                proxy=world.tool_position,
+                # The coupling holds the tool from all sides: no normal, and nothing to clamp.
+                normal=ZERO,
+                distance=0.0,
+                contact=True,
+                delay=state.delay,
+            )
+        )
+
     def loop(self) -> None:
-        """Answer until stopped."""
-        self.state = "running"
-        assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        take = follow(self, self.inbox, Decoder(DeviceState), topics.DEVICE_STATE)
-        topic, simulated, world = self.setup.topic(topics.PROXY).encode(), self.clock.simulated, self._world
-        while not self.stopping:
-            state = take()
-            if state is not None and state.seq == self.answered:
-                # Asked again (lockstep): the scene is not stepped twice.
-                self.publisher.send_hop(topic, self.answer)
-            elif state is not None and (simulated or state.safety != "fault"):
-                seq = state.seq
-                if self.answered < 0:
-                    world.begin(state.position)
-                    world.skip_to(seq)
-                else:
-                    world.hand_over(state.force, seq - 1 - state.age, state.delay)
-                    world.advance(seq)
-                if world.diverged():
-                    world.begin(state.position)
-                    self.events.emit(
-                        "bodies",
-                        "the scene diverged and was put back to its beginning; a smaller option timestep may help",
-                    )
-                message = Proxy(
-                    seq=seq,
-                    stamp=state.stamp if simulated else self.clock.now(),
-                    position=state.position,
-                    proxy=world.tool_position,
-                    # The coupling holds the tool from all sides: no normal, and nothing to clamp.
-                    normal=ZERO,
-                    distance=0.0,
-                    contact=True,
-                    delay=state.delay,
-                )
-                self.answered, self.answer = seq, (payload := encode(message))
-                self.publisher.send(topic, payload)
-                self.ticks += 1
-            if self.events.waiting:
-                self.between_ticks(self.seq + 1)
+        """Answer until stopped; asked again (lockstep), the scene is not stepped twice."""
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
 
 
 def _world(parameters: MujocoParameters, setup: Setup) -> MovingScene:

@@ -17,7 +17,7 @@ PERIOD = 0.002
 def rendered(path: Array, turn: Array, raw: bool, clamp: bool) -> Array:
     """Render forces on a path over the floor, all of it turned."""
     renderer = Renderer([0, 1, 2], 16)
-    renderer.raw, renderer.clamp = raw, clamp
+    renderer.state.raw, renderer.state.clamp = raw, clamp
     renderer.law = ActiveLaw("pd", "pd", PD(stiffness=500.0, damping=20.0).compile(PERIOD), renderer.histories)
     forces = []
     for k, point in enumerate(path):
