@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import collections
 import json
+import os
 import signal
 import subprocess
 import threading
@@ -88,7 +89,12 @@ def _run(*words: str) -> Answer:
             reader.join(1.0)
     except KeyboardInterrupt:
         process.send_signal(signal.SIGINT)
-        process.wait(ENDS_WITHIN)
+        try:
+            process.wait(ENDS_WITHIN)
+        except subprocess.TimeoutExpired:
+            # A cell that was interrupted leaves nothing behind.
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
         raise
     finally:
         out_pipe.close()

@@ -16,6 +16,7 @@ from messages.topics import DEVICE_STATE, RECEIPT
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
+from nodes.laws.base import Law
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.parameters.store import ParameterError, merge
 from nodes.parameters.yaml_io import parse_yaml
@@ -199,11 +200,20 @@ def _law_of(text: str, period: float) -> CompiledLaw:
 
 def another_law(recorded: RecordedScene, given: Mapping[str, Any]) -> tuple[CompiledLaw, dict[str, Any]]:
     """Make the law that is asked for instead of the recorded one."""
-    coupling = next(spec.parameters for spec in recorded.launch.nodes.values() if spec.kind == "coupling")
+    law = _wanted(recorded.launch, given)
+    compiled = compile_law(law, recorded.scene.scene.period, "law")
+    return compiled, law_to_dict(law)
+
+
+def refuse_law(path: Path, given: Mapping[str, Any]) -> None:
+    """Refuse a law that is none before anything of the recording is rebuilt, which takes seconds."""
+    _wanted(_launch(Recording(path), {}), given)
+
+
+def _wanted(launch: Launch, given: Mapping[str, Any]) -> Law:
+    coupling = next((spec.parameters for spec in launch.nodes.values() if spec.kind == "coupling"), {})
     changes = dict(given)
     wanted = changes.pop("law", coupling.get("law"))
     described = wanted if isinstance(wanted, dict) else coupling.get("laws", {}).get(wanted, {"kind": wanted})
     described = {"kind": described} if isinstance(described, str) else dict(described)
-    law = parse_law({**described, **changes}, "law")
-    compiled = compile_law(law, recorded.scene.scene.period, "law")
-    return compiled, law_to_dict(law)
+    return parse_law({**described, **changes}, "law")

@@ -41,10 +41,12 @@ def run(arguments: argparse.Namespace) -> int:
     from nodes.parameters.store import ParameterError
     from nodes.recording.writer import RecordError
     from sim.identify.counterfactual import nudges, replay
-    from sim.identify.recorded_scene import another_law
+    from sim.identify.recorded_scene import another_law, refuse_law
 
     try:
         given = parse_assignments(arguments.assignments)
+        if given:
+            refuse_law(arguments.file, given)
         recorded, external, model = _prepared(arguments)
         # A device as it was declared lacks nothing.
         nudged = None if model == "declared" else nudges(recorded, external)

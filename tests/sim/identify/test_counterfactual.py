@@ -185,6 +185,13 @@ def test_what_cannot_be_replayed_is_refused(buzz: tuple[Path, Path], words: tupl
     assert message in done.stderr
 
 
+def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(buzz: tuple[Path, Path], tmp_path: Path) -> None:
+    part = tmp_path / "part.mcap"
+    haptic(tmp_path, "bag", "cut", str(buzz[0]), "--from", "0.1", "--out", str(part), code=0)
+    # Without its first ticks it cannot be rebuilt at all: who hears of the law has not tried.
+    assert "'nope' is not an installed law" in haptic(tmp_path, "bag", "replay", str(part), "law:=nope", code=2).stderr
+
+
 def test_nothing_read_from_a_recording_names_a_file(buzz: tuple[Path, Path], tmp_path: Path) -> None:
     """Its scenario was a path, written with its bytes; a watched file in its launch file was read."""
     precious = tmp_path / "precious.yaml"
