@@ -8,10 +8,10 @@ felt; and the frequency at which the device really swings at the limit is measur
 
 from __future__ import annotations
 
-import functools
+import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
@@ -22,12 +22,12 @@ from nodes.laws.pd_filtered import PDFiltered
 from nodes.laws.pd_windowed import PDWindowed
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from sim.design.demand import CONVENTIONS, Demand, Robust
+from sim.design.demand import CONVENTIONS, Demand
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene
-from sim.experiments.k_max_simulated import SearchInterrupted, SimulatedKMax, simulated_boundary
+from sim.experiments.k_max_simulated import SimulatedKMax, simulated_k_max
+from sim.measure.sweep import Row, key_of
 
-Step = Callable[[str, int], None]
 Family = Callable[[float], CompiledLaw]
 
 LAWS = ("pd", "pd_filtered", "pd_windowed", "paper_optimum", "designed", "designed_drop")
@@ -62,6 +62,15 @@ class Setting:
     friction: float = 0.06
     criterion: Criterion = field(default_factory=Criterion)
 
+    def told(self) -> Row:
+        """Describe it for a job."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> Setting:
+        """Read what `told` described, from JSON too."""
+        return cls(**{**told, "gains": tuple(told["gains"]), "criterion": Criterion(**told["criterion"])})
+
     def device(self, delay: float, touch: bool) -> DeviceModel:
         """Describe the device."""
         resolution, friction = (self.resolution, self.friction) if touch else (None, None)
@@ -88,6 +97,8 @@ class Curve:
         One for each gain of the setting; shorter after an interruption.
     linear : list of float or None
         K_max of the linear loop by pole radius [N/m].
+    convention : int
+        Of contact, one of `sim.design.demand.CONVENTIONS`; the figure is drawn with the first.
     """
 
     law: str
@@ -95,6 +106,7 @@ class Curve:
     touch: bool
     found: list[SimulatedKMax]
     linear: list[float | None]
+    convention: int = 0
 
 
 def published(setting: Setting) -> dict[str, Family]:
@@ -108,18 +120,13 @@ def published(setting: Setting) -> dict[str, Family]:
     }
 
 
-def families(setting: Setting, delay: float) -> dict[str, Family]:
-    """Give the derivative part of each law as a function of B."""
-    built = published(setting)
-    for name, demand in demands(setting, delay).items():
-        tuned = _designed(demand)
-        if tuned is not None:
-            taps = tuned.taps.tolist()
-            damping = -setting.period * sum(m * tap for m, tap in enumerate(taps))
-            derivative = with_spring(CompiledLaw(tuple(taps)), -tuned.h1_n_per_m)
-            if damping > 0.0:
-                built[name] = partial(_scaled, derivative, damping)
-    return built
+def _family(setting: Setting, law: str, taps: Sequence[float] | None) -> Family:
+    """Give the derivative part of a law as a function of B; a designed one is scaled to the damping of the axis."""
+    if taps is None:
+        return published(setting)[law]
+    damping = -setting.period * sum(m * tap for m, tap in enumerate(taps))
+    whole = CompiledLaw(tuple(taps))
+    return partial(_scaled, with_spring(whole, -whole.h1), damping)
 
 
 def demands(setting: Setting, delay: float) -> dict[str, Demand]:
@@ -136,66 +143,90 @@ def demands(setting: Setting, delay: float) -> dict[str, Demand]:
     }
 
 
-@functools.cache
-def _designed(demand: Demand) -> Robust | None:
+def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
+    """Search the taps of a designed law; None where none keeps the demand, or it has no damping to scale."""
     import numpy as np
 
     from sim.design.robust import stiffest
 
-    return stiffest(demand, np.eye(4))
+    found = stiffest(demands(setting, delay)[name], np.eye(4))
+    taps = [] if found is None else found.taps.tolist()
+    return taps if sum(m * tap for m, tap in enumerate(taps)) < 0.0 else None
 
 
 def _scaled(derivative: CompiledLaw, damping: float, gain: float) -> CompiledLaw:
     return CompiledLaw(tuple(tap * gain / damping for tap in derivative.taps))
 
 
-def _spring_on(derivative: CompiledLaw) -> Family:
-    return lambda stiffness: with_spring(derivative, stiffness)
+def designs(setting: Setting) -> list[Row]:
+    """List the searches for the laws that are designed for a delay: jobs of `point`."""
+    wanted = ((delay, name) for delay in DELAYS for name in demands(setting, delay))
+    return [{"setting": setting.told(), "what": "design", "delay": delay, "law": name} for delay, name in wanted]
 
 
-def boundaries(setting: Setting, step: Step) -> tuple[list[Curve], bool]:
-    """Find all boundaries of the figure."""
-    curves: list[Curve] = []
-    try:
-        _fill(curves, setting, step)
-    except KeyboardInterrupt:
-        return curves, False
-    return curves, True
+def drops(setting: Setting, designed: Sequence[Row]) -> list[Row]:
+    """List the boundaries of the figure and of the conventions, point by point: jobs of `point`."""
+    taps = {(row["delay"], row["law"]): row["taps"] for row in designed}
+    plain = [(delay, law, touch, 0) for delay in DELAYS for law in LAWS for touch in (False, True)]
+    others = [(0.0, law, False, i) for law in ("pd", "paper_optimum") for i in range(1, len(CONVENTIONS))]
+    return [
+        {
+            "setting": setting.told(),
+            "what": "drop",
+            "law": law,
+            "delay": delay,
+            "touch": touch,
+            "convention": convention,
+            "gain": gain,
+            "taps": taps.get((delay, law)),
+        }
+        for delay, law, touch, convention in (*plain, *others)
+        if law in published(setting) or taps[delay, law] is not None
+        for gain in setting.gains
+    ]
 
 
-def _fill(curves: list[Curve], setting: Setting, step: Step) -> None:
-    for delay in DELAYS:
-        for name, family in families(setting, delay).items():
-            derivatives = [family(gain) for gain in setting.gains]
-            # A law with code of its own has no poles.
-            linear = [None if d.evaluate else k_max(d, setting.held(delay)).k_max_n_per_m for d in derivatives]
-            for touch in (False, True):
-                scene = drop_scene(setting.device(delay, touch), setting.period, *CONVENTIONS[0])
-                laws = [_spring_on(d) for d in derivatives]
-                try:
-                    found = simulated_boundary(laws, scene, setting.criterion, step=step)
-                except SearchInterrupted as interrupt:
-                    curves.append(Curve(name, delay, touch, interrupt.found, linear[: len(interrupt.found)]))
-                    raise
-                curves.append(Curve(name, delay, touch, found, linear))
+def point(job: Mapping[str, Any]) -> Row:
+    """Do one job: design a law, or find one K_max."""
+    setting = Setting.of(job["setting"])
+    told: Row = {key: job[key] for key in ("law", "delay")}
+    if job["what"] == "design":
+        return {**told, "taps": _designed(setting, job["delay"], job["law"])}
+    derivative = _family(setting, job["law"], job["taps"])(job["gain"])
+    scene = drop_scene(setting.device(job["delay"], job["touch"]), setting.period, *CONVENTIONS[job["convention"]])
+    found = simulated_k_max(lambda stiffness: with_spring(derivative, stiffness), scene, setting.criterion)
+    # A law with code of its own has no poles.
+    linear = None if derivative.evaluate else k_max(derivative, setting.held(job["delay"])).k_max_n_per_m
+    return {**told, **{key: job[key] for key in ("touch", "convention")}, "found": asdict(found), "linear": linear}
 
 
-def steps() -> int:
-    """Count the boundaries of the figure and of the conventions, in curves."""
-    return 2 * len(LAWS) * len(DELAYS) + 2 * (len(CONVENTIONS) - 1)
+def curves_of(jobs: Sequence[Row], rows: Mapping[str, Row]) -> list[Curve]:
+    """Put the points together, each curve as far as it is known, from the rows of a ledger."""
+    named: dict[tuple[str, float, bool, int], list[Row | None]] = {}
+    for job in jobs:
+        row = rows.get(key_of(job))
+        named.setdefault((job["law"], job["delay"], job["touch"], job["convention"]), []).append(row)
+    curves = []
+    for (law, delay, touch, convention), found in named.items():
+        known = [row for row in itertools.takewhile(lambda row: row is not None, found) if row is not None]
+        curves.append(
+            Curve(
+                law,
+                delay,
+                touch,
+                [SimulatedKMax(**row["found"]) for row in known],
+                [row["linear"] for row in known],
+                convention,
+            )
+        )
+    return curves
 
 
-def spread_of_conventions(setting: Setting, curves: list[Curve], step: Step) -> list[tuple[float, str, float]]:
+def spread_of_conventions(setting: Setting, curves: list[Curve]) -> list[tuple[float, str, float]]:
     """How much the conventions of contact move K_max, d = 0, perfect sensor."""
     spreads = []
     for name in ("pd", "paper_optimum"):
-        family = published(setting)[name]
-        first = next(c for c in curves if c.law == name and c.delay == 0.0 and not c.touch)
-        columns = [first.found]
-        for raw, clamp in CONVENTIONS[1:]:
-            scene = drop_scene(setting.device(0.0, False), setting.period, raw, clamp)
-            laws = [_spring_on(family(gain)) for gain in setting.gains]
-            columns.append(simulated_boundary(laws, scene, setting.criterion, step=step))
+        columns = [c.found for c in curves if c.law == name and c.delay == 0.0 and not c.touch]
         for gain, *row in zip(setting.gains, *columns, strict=False):
             values = [f.k_max_n_per_m for f in row if f.k_max_n_per_m is not None]
             if len(values) == len(CONVENTIONS):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from nodes.cli.main import UsageError, answer
 from nodes.recording.figure_style import COLOURS, MARKERS, styled, threshold
+from sim.measure.sweep import Row, add_cluster, executor, read_ledger, sweep
 from sim.studies import arguments as shared
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--friction", type=shared.not_negative, default=0.06, help="its friction [N], a remembered figure"
     )
     parser.add_argument("--horizon", type=int, default=2500, help="of a drop [ticks] (default: %(default)s)")
+    parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
+    add_cluster(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -42,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.experiments.drop import Criterion
     from sim.measure.stopwatch import Progress
     from sim.paper.claims import save, table
-    from sim.paper.fig4 import Setting, as_json, boundaries, spread_of_conventions, steps
+    from sim.paper.fig4 import Setting, as_json, curves_of, designs, drops, point, spread_of_conventions
     from sim.paper.fig4_claims import claims_4
 
     low, high = arguments.gain
@@ -62,21 +65,41 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.friction,
         criterion,
     )
-    progress = Progress(steps() * len(gains))
-    curves, complete = boundaries(setting, progress.step)
+    ledger = arguments.out / "fig4.jsonl"
+    if arguments.fresh:
+        ledger.unlink(missing_ok=True)
+    first = designs(setting)
+    # A design takes as long as some hundred points; the bar moves by points.
+    progress = Progress(len(first) + len(drops(setting, [job | {"taps": [0.0]} for job in first])))
+    jobs: list[Row] = []
+    complete = True
+    try:
+        with executor(arguments) as pool:
+            jobs = drops(setting, sweep(point, first, pool, ledger, 1, progress.step))
+            sweep(point, jobs, pool, ledger, 4, progress.step)
+    except KeyboardInterrupt:
+        complete = False
+    everything = curves_of(jobs, read_ledger(ledger))
+    curves = [curve for curve in everything if curve.convention == 0]
     claims = []
     if complete:
         try:
-            claims = claims_4(setting, curves, spread_of_conventions(setting, curves, progress.step))
+            claims = claims_4(setting, curves, spread_of_conventions(setting, everything))
         except ValueError as error:
             raise UsageError(
                 f"--horizon {arguments.horizon} --points {arguments.points}: too little settles to judge the claims ({error}); "
                 "give a longer horizon or more points"
             ) from error
     saved = save(
-        "fig4", as_json(setting, curves) | {"complete": complete}, claims, _draw(setting, curves), arguments.out
+        "fig4",
+        as_json(setting, curves) | {"complete": complete, "ledger": str(ledger)},
+        claims,
+        _draw(setting, curves),
+        arguments.out,
     )
-    text = table(claims) if claims else "interrupted: the boundaries found so far, no claims"
+    text = (
+        table(claims) if claims else f"interrupted: what was found is in {ledger}, and the same command goes on there"
+    )
     answer(arguments.json, saved, f"{text}\n{saved['plot']}")
     return 0 if complete else 130
 
