@@ -2,8 +2,8 @@
 
 A delay that jitters can be worse than each of its values, and no pole radius tells. Each tick the loop is multiplied by one of
 a family of matrices; it is stable for every sequence iff the joint spectral radius of the family is below 1 (THEORY.md §10).
-The family is enclosed by a few matrices: within a tick the force's share of the motion moves along a convex curve, which lies
-in the polygon of its tangents. A norm is sought in which each of them shrinks (an ellipsoid, by gradients); where one tick
+The family is enclosed by a few matrices: within a tick the force's share of the motion moves along a curve, which lies in the
+triangles of a few parabolas but for a remainder that is added to every norm. A norm is sought in which each of them shrinks (an ellipsoid, by gradients); where one tick
 does not shrink, all products that begin with it are followed until they do. When all are closed, every sequence is a chain of
 words that shrink: stable, with a rate. A product that grows by itself is a sequence of delays that the loop does not survive.
 """
@@ -15,8 +15,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from nodes.stability.closed_loop import state_matrix
-from nodes.stability.plant import Plant, held_step
+from nodes.stability.flexible import FlexiblePlant, loop_matrix
+from nodes.stability.plant import Plant
 
 if TYPE_CHECKING:
     import numpy as np
@@ -65,19 +65,27 @@ class EveryDelay:
     growth: float
 
 
-def every_delay(law: CompiledLaw, plant: Plant, delay: tuple[float, float], rate: float = 1.0) -> EveryDelay:
+def every_delay(
+    law: CompiledLaw,
+    plant: Plant | FlexiblePlant,
+    delay: tuple[float, float],
+    rate: float = 1.0,
+    period: float | None = None,
+) -> EveryDelay:
     """Certify a loop for every sequence of delays of a range, or find one that it does not survive.
 
     Parameters
     ----------
     law : CompiledLaw
         Taps, and sections if any.
-    plant : Plant
-        The device and its loop; the range takes the place of its delay.
+    plant : Plant or FlexiblePlant
+        The device, with a joint and a lag where it has them; the range takes the place of its delay.
     delay : tuple of float, shape (2,)
         Shortest and longest delay, at most one tick apart: then no force overtakes another [ticks].
     rate : float
         Factor per tick that every motion must shrink by; 1 asks for stability alone.
+    period : float or None
+        Sampling period of a flexible device [s]; a `Plant` has its own.
 
     Returns
     -------
@@ -87,14 +95,15 @@ def every_delay(law: CompiledLaw, plant: Plant, delay: tuple[float, float], rate
     Raises
     ------
     ValueError
-        When the range is out of order or wider than a tick, or the law is too long for a norm to be sought.
+        When the range is out of order or wider than a tick, the law is too long for a norm to be sought, or the period of a
+        flexible device is missing.
     """
     import numpy as np
 
     low, high = delay
     if not 0.0 <= low <= high <= low + 1.0:
         raise ValueError(f"delay {low:g}..{high:g} ticks: expected low to high, at most one tick apart")
-    ticks = _Ticks(law, plant, delay)
+    ticks = _Ticks(law, *_device(plant, period), delay)
     if ticks.size > MAX_STATES:
         raise ValueError(f"law: {ticks.size} states, at most {MAX_STATES} are certified; shorten the law")
     growth, growing = _worst_word(ticks, delay)
@@ -103,92 +112,136 @@ def every_delay(law: CompiledLaw, plant: Plant, delay: tuple[float, float], rate
     hull = ticks.hull() / rate
     norm = _norm(hull)
     balanced = norm @ hull @ np.linalg.inv(norm)
-    closed = _close(balanced)
+    closed = _close(balanced, ticks.off(norm) / rate)
     if closed is None:
         return EveryDelay(None, None, 0, 0, (), growth)
     words, longest, slowest = closed
     return EveryDelay(True, rate * slowest, words, longest, (), growth)
 
 
+def _device(plant: Plant | FlexiblePlant, period: float | None) -> tuple[FlexiblePlant, float]:
+    if isinstance(plant, Plant):
+        return FlexiblePlant(plant.mass, plant.damping, stiffness=plant.stiffness), plant.period
+    if period is None:
+        raise ValueError("period: a flexible device has none of its own; give the loop's [s]")
+    return plant, period
+
+
 class _Ticks:
     """Matrices of one tick: by the delays of two forces that follow each other, and a hull of those of all delays."""
 
-    def __init__(self, law: CompiledLaw, plant: Plant, delay: tuple[float, float]) -> None:
+    def __init__(self, law: CompiledLaw, plant: FlexiblePlant, period: float, delay: tuple[float, float]) -> None:
         import numpy as np
 
-        period = plant.period
-        self._plant = replace(plant, delay=0.0)
         self._low, self._high = delay
         self._first = math.floor(delay[0])
         # Of the forces on their way, that of age `depth` arrives in each tick, or may; where the range crosses a whole tick
         # the one after it may arrive late in the same tick.
         self._depth = self._first + 1 if delay[1] > self._first + 1 else self._first
-        base = state_matrix(law, replace(plant, delay=float(self._depth)))
+        # Lengths, lengths per tick, and forces by what they move within one: so that the matrix is balanced.
+        self._matrix_of_motion, self._push = plant.continuous()
+        self.states = len(self._push)
+        units = np.array([1.0, period, 1.0, period][: self.states - (plant.lag > 0.0)])
+        units = np.append(units, period * period / plant.mass) if plant.lag > 0.0 else units
+        self._matrix_of_motion = period * self._matrix_of_motion * units[:, None] / units
+        self._push = self._push * units * plant.mass / period
+        base = loop_matrix(law, period, replace(plant, delay=float(self._depth)))
         self.size = len(base)
+        every = np.append(units, np.ones(self.size - self.states))
+        base = base * every[:, None] / every
         newest = self.size - 1 - self._depth
         rows = [base[newest].copy(), *np.eye(self.size)[newest:]]
         self._forces = rows
-        _, (a11, a12, a21, a22), _, _ = held_step(self._plant)
-        base[:2] = 0.0
-        base[0, :2] = a11, a12 / period
-        base[1, :2] = a21 * period, a22
-        base[:2] += np.outer(self._share(0.0), rows[self._depth + 1])
+        base[: self.states] = 0.0
+        base[: self.states, : self.states] = self._held(1.0)[0]
+        base[: self.states] += np.outer(self._share(0.0), rows[self._depth + 1])
         self._base = base
 
-    def _share(self, s: float) -> Matrix:
-        """Motion per force that acts from s to the end of a tick, in the units of the state: a convex curve."""
+    def _held(self, ticks: float) -> tuple[Matrix, Matrix]:
+        """Motion over a part of a tick, free and per force."""
         import numpy as np
+        from scipy.linalg import expm
 
-        if s >= 1.0:
-            return np.zeros(2)
-        mass, period = self._plant.mass, self._plant.period
-        _, _, (g1, g2), _ = held_step(replace(self._plant, period=period * (1.0 - s)))
-        return np.array([g1, g2 * period]) * mass / period**2
+        whole = np.zeros((self.states + 1, self.states + 1))
+        whole[:-1, :-1], whole[:-1, -1] = self._matrix_of_motion, self._push
+        moved = expm(whole * ticks)
+        return moved[:-1, :-1], moved[:-1, -1]
+
+    def _share(self, s: float) -> Matrix:
+        """Motion per force that acts from s to the end of a tick, in the units of the state."""
+        return self._held(max(1.0 - s, 0.0))[1]
 
     def _polygon(self, low: float, high: float) -> list[Matrix]:
-        """Corners of the tangents of that curve: the curve lies in their hull."""
+        """Corners whose hull holds that curve, but for `_remainder`: of each piece its ends and what bends it between them."""
         import numpy as np
 
         if high <= low:
             return [self._share(low)]
-        plant = self._plant
+        knots = np.linspace(low, high, 2 * _SEGMENTS + 1).tolist()
+        shares = [self._share(s) for s in knots]
+        corners = [shares[0]]
+        for left, middle, right in zip(shares[:-1:2], shares[1::2], shares[2::2], strict=True):
+            corners += [2.0 * middle - 0.5 * (left + right), right]
+        return corners
 
-        def slope(s: float) -> Matrix:
-            # Against s: velocity, and acceleration = force less what damping and hand take.
-            g1, g2 = self._share(s)
-            ratio = plant.period / plant.mass
-            return np.array([-g2, -(1.0 - plant.damping * ratio * g2 - plant.stiffness * plant.period * ratio * g1)])
+    def _remainder(self, low: float, high: float) -> Matrix:
+        """Bound, state by state, how far the curve is from the parabolas that the corners hold."""
+        import numpy as np
 
-        knots = np.linspace(low, high, _SEGMENTS + 1).tolist()
-        corners = [self._share(low)]
-        for left, right in itertools.pairwise(knots):
-            p, q, u, v = self._share(left), self._share(right), slope(left), slope(right)
-            corners.append(p + np.linalg.solve(np.column_stack([u, -v]), q - p)[0] * u)
-        return [*corners, self._share(high)]
+        if high <= low:
+            return np.zeros(self.states)
+        # The third derivative against s is −A² e^{A(1−s)} b: sampled, and between samples by what it may change.
+        motion, push = self._matrix_of_motion, self._push
+        times = np.linspace(1.0 - high, 1.0 - low, 65).tolist()
+        moved = np.array([self._held(t)[0] for t in times])
+        half = 0.5 * (times[1] - times[0])
+        powers = [np.linalg.matrix_power(motion, n) for n in (2, 3, 4)]
+        steepest = np.abs(powers[2]) @ _grown(np.abs(motion), times[-1]) @ np.abs(push)
+        for power in (powers[1], powers[0]):
+            steepest = np.abs(moved @ push @ power.T).max(axis=0) + half * steepest
+        # A parabola through both ends and the middle is off by at most h³/(72√3) of it.
+        width = (high - low) / _SEGMENTS
+        return np.asarray(width**3 / (72.0 * math.sqrt(3.0)) * steepest, dtype=np.float64)
 
     def _matrix(self, early: Matrix, late: Matrix | None) -> Matrix:
         import numpy as np
 
         forces, depth = self._forces, self._depth
         step = self._base.copy()
-        step[:2] += np.outer(early, forces[depth] - forces[depth + 1])
+        step[: self.states] += np.outer(early, forces[depth] - forces[depth + 1])
         if late is not None:
-            step[:2] += np.outer(late, forces[depth - 1] - forces[depth])
+            step[: self.states] += np.outer(late, forces[depth - 1] - forces[depth])
         return step
 
     @property
     def _crosses(self) -> bool:
         return self._depth > self._first
 
+    def _parts(self) -> list[tuple[float, float]]:
+        """Where in a tick forces may arrive: one part of it, or the one that comes early and the one that comes late."""
+        low, high = self._low - self._first, self._high - self._first
+        return [(0.0, high - 1.0), (low, 1.0)] if self._crosses else [(low, high)]
+
     def hull(self) -> Matrix:
-        """Matrices whose hull holds those of every two delays."""
+        """Matrices whose hull holds those of every two delays, but for `off`."""
         import numpy as np
 
-        first = self._first
+        polygons = [self._polygon(*part) for part in self._parts()]
         if not self._crosses:
-            return np.array([self._matrix(c, None) for c in self._polygon(self._low - first, self._high - first)])
-        early, late = self._polygon(0.0, self._high - first - 1.0), self._polygon(self._low - first, 1.0)
-        return np.array([self._matrix(a, b) for a in early for b in late])
+            return np.array([self._matrix(corner, None) for corner in polygons[0]])
+        return np.array([self._matrix(a, b) for a in polygons[0] for b in polygons[1]])
+
+    def off(self, norm: Matrix) -> float:
+        """Bound in a norm how far the matrix of any two delays is from that hull."""
+        import numpy as np
+
+        inverse, told = np.linalg.inv(norm), 0.0
+        for part, newer in zip(self._parts(), (self._depth, self._depth - 1), strict=False):
+            change = (self._forces[newer] - self._forces[newer + 1]) @ inverse
+            told += float(np.linalg.norm(np.abs(norm[:, : self.states]) @ self._remainder(*part))) * float(
+                np.linalg.norm(change)
+            )
+        return told
 
     def matrix(self, older: float, newer: float) -> Matrix:
         """Matrix of the tick in which the force with the older delay arrives, the next force's delay being `newer`."""
@@ -196,6 +249,13 @@ class _Ticks:
             return self._matrix(self._share(older - self._first), None)
         late = self._share(newer - self._first) if newer < self._depth else None
         return self._matrix(self._share(max(older - self._depth, 0.0)), late)
+
+
+def _grown(matrix: Matrix, time: float) -> Matrix:
+    import numpy as np
+    from scipy.linalg import expm
+
+    return np.asarray(expm(matrix * time), dtype=np.float64)
 
 
 def _worst_word(ticks: _Ticks, delay: tuple[float, float], longest: int = 8) -> tuple[float, tuple[float, ...]]:
@@ -270,22 +330,28 @@ def _norm(hull: Matrix) -> Matrix:
     return norm
 
 
-def _close(family: Matrix) -> tuple[int, int, float] | None:
-    """Follow all products until their norm is below 1: number of words, longest word, slowest rate; None when too many."""
+def _close(family: Matrix, off: float) -> tuple[int, int, float] | None:
+    """Follow all products until their norm is below 1: number of words, longest word, slowest rate; None when too many.
+
+    Each matrix may be off by so much in norm, and a product by what that adds up to.
+    """
     import numpy as np
 
     words, slowest = 0, 0.0
-    front = family
+    single = np.linalg.norm(family, ord=2, axis=(1, 2))
+    front, doubt = family, np.full(len(family), off)
     for length in range(1, _DEPTH + 1):
-        norms = np.linalg.norm(front, ord=2, axis=(1, 2))
+        norms = np.linalg.norm(front, ord=2, axis=(1, 2)) + doubt
         done = norms < 1.0 - _MARGIN
         words += int(done.sum())
         if done.any():
             slowest = max(slowest, float(norms[done].max()) ** (1.0 / length))
-        front = front[~done]
+        front, doubt, norms = front[~done], doubt[~done], norms[~done]
         if not len(front):
             return words, length, slowest
         if len(front) * len(family) > _WORDS:
             return None
         front = np.einsum("nij,mjk->mnik", family, front).reshape(-1, *family.shape[1:])
+        # ‖(M + E)(P + D)‖ is off from ‖MP‖ by ‖M‖‖D‖ + ‖E‖‖P + D‖, and the norms know D already.
+        doubt = (doubt[:, None] * single + off * norms[:, None]).ravel()
     return None

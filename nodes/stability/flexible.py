@@ -128,11 +128,34 @@ class FlexiblePlant:
         early, old = self._over(fraction * period)
         return whole, late @ early, new, late @ old
 
-    def _over(self, duration: float) -> tuple[Matrix, Matrix]:
+    def pulled(self, period: float, gravity: float) -> Matrix:
+        """Motion that gravity adds within one tick.
+
+        Parameters
+        ----------
+        period : float
+            Sampling period T [s].
+        gravity : float
+            Acceleration, against the coordinate [m/s²].
+
+        Returns
+        -------
+        ndarray, shape (s,)
+            Added to the state.
+        """
+        import numpy as np
+
+        matrix, _ = self.continuous()
+        pull = np.zeros(len(matrix))
+        pull[1 : 2 if self.rigid else 4 : 2] = -gravity
+        return self._over(period, pull)[1]
+
+    def _over(self, duration: float, push: Matrix | None = None) -> tuple[Matrix, Matrix]:
         import numpy as np
         from scipy.linalg import expm
 
-        matrix, push = self.continuous()
+        matrix, own = self.continuous()
+        push = own if push is None else push
         size = len(push)
         whole = np.zeros((size + 1, size + 1))
         whole[:size, :size], whole[:size, size] = matrix * duration, push * duration
@@ -187,11 +210,26 @@ def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> fl
     """
     import numpy as np
 
-    return float(np.abs(np.linalg.eigvals(_loop(law, period, plant))).max())
+    return float(np.abs(np.linalg.eigvals(loop_matrix(law, period, plant))).max())
 
 
-def _loop(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix:
-    """One tick of the closed loop: device, deflection history, sections, forces on their way."""
+def loop_matrix(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix:
+    """One tick of the closed loop as a matrix: device, deflection history, sections and forces on their way.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    period : float
+        Sampling period T [s].
+    plant : FlexiblePlant
+        The device.
+
+    Returns
+    -------
+    ndarray, shape (s + n + 2 r + i + 1,) squared
+        The state of the device, then as `nodes.stability.closed_loop.state_matrix`; forces are scaled by T²/m to lengths.
+    """
     import numpy as np
 
     whole, step, new, old = plant.held(period)

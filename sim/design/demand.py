@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,9 @@ Vector = NDArray[np.float64]
 
 CONVENTIONS = ((False, True), (False, False), (True, True), (True, False))
 """Of contact: (raw, clamp), which history, and whether forces into the floor are set to zero."""
+
+RIGID = (0.0, 0.0, math.inf, 0.0)
+"""What a device has beyond one rigid mass when it has nothing: lag, share, frequency and damping ratio of a joint."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Demand:
         H(1) that is known already: laws below it are not dropped, and need not be found [N/m].
     beyond : tuple of (float, float, float, float)
         What the device may have beyond one rigid mass, all of which are kept: lag of the actuator [s], part of the mass
-        behind a joint, its frequency [Hz] and damping ratio. Empty for a rigid device. Drops are tried on the rigid one.
+        behind a joint, its frequency [Hz] and damping ratio. Empty for a rigid device.
     """
 
     mass: tuple[float, float]

@@ -6,6 +6,7 @@ outside they are is bisected, and only where a candidate might still win.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from nodes.compiled.kernels.sources import kernel
 from sim.design.cases import LoopCase, alternating
 from sim.design.demand import Demand, Vector
+from sim.design.fall import settles_one
 from sim.scene.compiled import compiled
 
 _uniform, _integer = np.random.uniform, np.random.randint
@@ -67,6 +69,26 @@ def _excess(fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, wo
     return reached - radius
 
 
+@kernel
+def _lands(drops: Any, taps: Any, pole: float, ticks: int, tolerance: float, first: int) -> tuple[float, int]:
+    """Share of the drops before the one that does not settle, and that one; 1 for a law that lands, or need not.
+
+    The drop `first` is tried first.
+    """
+    if drops is None:
+        return 1.0, 0
+    spring, recursive = taps, np.empty(0)
+    if pole != 0.0:
+        stiffness = (taps[0] + taps[1]) / (1.0 - pole)
+        spring, recursive = np.array([stiffness]), np.array([taps[0] - stiffness, stiffness - taps[0], -pole, 0.0])
+    if not settles_one(first, drops, spring, recursive, ticks, tolerance, True):
+        return 0.0, first
+    for i in range(len(drops.whole)):
+        if i != first and not settles_one(i, drops, spring, recursive, ticks, tolerance, True):
+            return i / len(drops.whole), i
+    return 1.0, first
+
+
 def _evolve(
     fixed: Any,
     by_tap: Any,
@@ -80,6 +102,11 @@ def _evolve(
     size: int,
     generations: int,
     seed: int,
+    least: float,
+    drops: Any,
+    pole: float,
+    ticks: int,
+    tolerance: float,
 ) -> tuple[Any, float]:
     # Compiled, this is numba's generator, of this thread alone.
     np.random.seed(seed)  # noqa: NPY002
@@ -89,7 +116,7 @@ def _evolve(
     scores = np.full(size, np.inf)
     tried = np.empty(p)
     taps = np.empty(n)
-    best = 0
+    best, failed = 0, 0
     for g in range(generations + 1):
         weight = _uniform(0.5, 1.0)
         for i in range(size):
@@ -117,13 +144,25 @@ def _evolve(
                     taps[m] += tried[j] * basis[j, m]
             outside += _excess(fixed, by_tap, taps, radius, max(0.1 * (scores[i] - 1.0), 0.0), work)
             score = 1.0 + 10.0 * outside if outside > 0.0 else -felt
+            if outside == 0.0 and felt > least:
+                # Laws that land compete by H(1), the others by how many drops settle.
+                # Against a member that lands, the drop that failed last fails first.
+                share, failed = _lands(drops, taps, pole, ticks, tolerance, failed if scores[i] < 0.0 else 0)
+                score = 1.0 - share if share < 1.0 else score
+            elif outside == 0.0:
+                # It would not beat what is known, even if it landed.
+                score = 1.0
             if score <= scores[i]:
                 members[i], scores[i] = tried, score
         best = int(np.argmin(scores))
+        if drops is not None and scores.max() < scores[best] + 2e-4 * abs(scores[best]):
+            # All are the same law by now, and each drop costs.
+            break
     return members[best], scores[best]
 
 
-_evolve_compiled = compiled()(_evolve)
+evolve: Any = compiled()(_evolve)
+"""Evolve, compiled: the best member, and its score; below 0 it keeps the demand."""
 
 
 def evolved(
@@ -147,7 +186,7 @@ def evolved(
         box = np.array([here - width if free else np.maximum(here - width, 0.0), here + width])
         members, generations = (30 * p, (20 + 20 * p) * effort) if i else (60 * p, (100 + 100 * p) * effort)
         told = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, radius)
-        here, score = _evolve_compiled(*told, box, here, members, generations, seed)
+        here, score = evolve(*told, box, here, members, generations, seed, -math.inf, None, 0.0, 0, 0.0)
         if not score < 0.0:
             return None
     return here

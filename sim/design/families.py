@@ -6,6 +6,7 @@ every PDα and the paper's optimum are then just narrower families than free tap
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,9 +19,10 @@ from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from nodes.parameters.yaml_io import write_yaml
 from nodes.stability.every_delay import every_delay
+from nodes.stability.flexible import FlexiblePlant
 from nodes.stability.k_max import tolerance
 from nodes.stability.plant import Plant
-from sim.design.demand import Demand, Robust
+from sim.design.demand import RIGID, Demand, Robust
 from sim.design.robust import stiffest
 
 Vector = NDArray[np.float64]
@@ -286,7 +288,9 @@ def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
 
 
 def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
-    """Certify a law for every sequence of the demanded delays, at five masses, both ends of hand and damping (THEORY.md §10).
+    """Certify a law for every sequence of the demanded delays: five masses, ends of hand and damping, joints and lags.
+
+    THEORY.md §10.
 
     Parameters
     ----------
@@ -301,19 +305,17 @@ def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
         True with a certificate everywhere; False where a sequence grows; None where it is not decided; ``too wide`` for
         a range above a tick.
     """
-    if demand.beyond:
-        # The enclosure of a tick is that of a rigid device.
-        return None
     if demand.delay[1] > demand.delay[0] + 1.0:
         return "too wide"
     worst: bool | None = True
-    for mass in np.unique(np.geomspace(*demand.mass, 5)).tolist():
-        for damping in sorted(set(demand.dampings)):
-            for hand in sorted(set(demand.stiffness)):
-                found = every_delay(law, Plant(demand.period, mass, damping, stiffness=hand), demand.delay).stable
-                if found is False:
-                    return False
-                worst = worst if found else None
+    masses = np.unique(np.geomspace(*demand.mass, 5)).tolist()
+    ends = (masses, sorted(set(demand.dampings)), sorted(set(demand.stiffness)), demand.beyond or (RIGID,))
+    for mass, damping, hand, beyond in itertools.product(*ends):
+        plant = FlexiblePlant(mass, damping, 0.0, hand, *beyond)
+        found = every_delay(law, plant, demand.delay, period=demand.period).stable
+        if found is False:
+            return False
+        worst = worst if found else None
     return worst
 
 

@@ -4,7 +4,7 @@ The demand is about the loop in contact, which is linear. Landing is not: contac
 the clamping of forces into the floor are conventions (THEORY.md §4), and no pole radius covers them. Where drops settle has a
 ragged edge, so a law must settle a little beyond the demand too: from half to twice the height, with masses 3 % outside the
 range. The edge then runs through that margin, not through what is demanded. The search is differential evolution in boxes that
-shrink about the best so far, every candidate dropped.
+shrink about the best so far, every candidate dropped (`sim.design.fall`: compiled, with joint and lag where the device has them).
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from sim.design.cases import LoopCase, alternating, cases_of, keeps
 from sim.design.demand import CONVENTIONS, Demand, Vector, filtered
+from sim.design.evolution import evolve
+from sim.design.fall import Falls, falls, settled
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.scene.loop import Scene
@@ -30,7 +32,7 @@ MARGIN = 0.03
 HEIGHTS = (0.01, 0.005, 0.02)
 """From which they must land [m]; the first is the drop's own."""
 
-_BOXES = (1.5, 0.5, 0.15, 0.05, 0.015)
+_BOXES = (1.5, 0.3, 0.03)
 """Half widths of the boxes, in forces that move the lightest device by the deflection within one tick."""
 
 
@@ -53,14 +55,28 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
     Returns
     -------
     dict of str to bool
-        Whether the run settled, by convention and mass, e.g. ``penetration clamped 0.05 kg``.
+        Whether the run settled, by convention and mass, e.g. ``penetration clamped 0.05 kg``; with every joint and lag that
+        the demand has.
     """
     told = {}
     for mass in np.unique(np.geomspace(*demand.mass, 3)).tolist():
         for raw, clamp in CONVENTIONS:
             name = f"{'position' if raw else 'penetration'} {'clamped' if clamp else 'free'} {mass:.3g} kg"
-            told[name] = settles(dropped(demand, mass, raw, clamp, HEIGHTS[0]), [law], Criterion())[0]
+            if demand.beyond:
+                told[name] = all(settled(law, falls(demand, [mass], [(raw, clamp)], HEIGHTS[:1])))
+            else:
+                told[name] = settles(dropped(demand, mass, raw, clamp, HEIGHTS[0]), [law], Criterion())[0]
     return told
+
+
+def _margin(demand: Demand) -> list[float]:
+    low, high = demand.mass
+    return np.geomspace(low / (1.0 + MARGIN), high * (1.0 + MARGIN), 3).tolist()
+
+
+def _falls(demand: Demand) -> Falls:
+    """Give every drop that a landing law settles in: of `landings`, with every joint and lag of the demand."""
+    return falls(demand, _margin(demand), demand.lands, HEIGHTS)
 
 
 def landings(demand: Demand) -> list[Scene]:
@@ -76,9 +92,7 @@ def landings(demand: Demand) -> list[Scene]:
     list of Scene
         Three masses, 3 % beyond the range at either end, the demanded conventions, three heights.
     """
-    low, high = demand.mass
-    masses = np.geomspace(low / (1.0 + MARGIN), high * (1.0 + MARGIN), 3).tolist()
-    cases = itertools.product(masses, demand.lands, HEIGHTS)
+    cases = itertools.product(_margin(demand), demand.lands, HEIGHTS)
     return [dropped(demand, mass, *convention, height) for mass, convention, height in cases]
 
 
@@ -162,15 +176,15 @@ def landed(
     ndarray, shape (p,) or None
         Parameters; None when no member was found.
     """
-    scenes = landings(demand)
+    drops = _falls(demand)
     best, most = None, 0.0
     for start in [*starts, None]:
-        found = _shrunk(demand, basis, fine, scenes, start, free, seed, effort)
+        found = _shrunk(demand, basis, fine, drops, start, free, seed, effort)
         for one in [start, found]:
             if one is None or one.sum() == 0.0 or (stiffness := float(one @ basis.sum(axis=1))) <= most:
                 continue
             taps = one @ basis
-            if keeps(demand, taps, fine) and _settled([filtered(taps, fine.pole)], scenes)[0] == 1.0:
+            if keeps(demand, taps, fine) and all(settled(filtered(taps, fine.pole), drops)):
                 best, most = one, stiffness
     return best
 
@@ -179,54 +193,25 @@ def _shrunk(
     demand: Demand,
     basis: Vector,
     fine: LoopCase,
-    scenes: list[Scene],
+    drops: Falls,
     start: Vector | None,
     free: bool,
     seed: int,
     effort: int,
 ) -> Vector | None:
     """Search in boxes that shrink about the best so far; without a start the first is wide."""
-    parameters, signs = len(basis), alternating(basis.shape[1])
-    unit = demand.mass[0] / demand.period**2
+    parameters = len(basis)
+    unit, criterion = demand.mass[0] / demand.period**2, Criterion()
     # Behind a filter, taps have 1/(1 − pole) times the stiffness.
     least = demand.above * (1.0 - fine.pole) / unit
     loop = LoopCase(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
-    source = np.random.default_rng(seed)
-
-    def score(members: Vector, beaten: Vector) -> Vector:
-        taps = members @ basis
-        excess = np.maximum(loop.radii(taps).max(axis=-1) - demand.radius + 1e-7, 0.0)
-        noise = np.maximum(np.abs(taps @ signs) - demand.nyquist, 0.0) / unit
-        scores = np.asarray(1.0 + 10.0 * (excess + noise), dtype=np.float64)
-        # Laws that land compete by H(1), the others by how many drops settle or how far they are from the demand. A law that
-        # would not beat its rival, or what is known, even if it landed is not dropped.
-        felt = -taps.sum(axis=1) / unit
-        kept = np.flatnonzero((scores == 1.0) & (felt < np.minimum(beaten, -least)))
-        share = _settled([filtered(one, fine.pole) for one in taps[kept]], scenes)
-        scores[kept] = np.where(share == 1.0, felt[kept], 1.0 - share)
-        return scores
-
-    here, size = start, 12 * parameters
+    gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit
+    told = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, demand.radius - 1e-7)
+    here, score = start, 0.0
+    size, generations = 12 * parameters, (10 + 15 * parameters) * effort
     for span in _BOXES if start is None else _BOXES[1:]:
         middle = np.zeros(parameters) if here is None else here
-        low, high = np.maximum(middle - span, -np.inf if free else 0.0), middle + span
-        members = source.uniform(low, high, (size, parameters))
-        if here is not None:
-            members[0] = here
-        scores = score(members, np.full(size, np.inf))
-        for _ in range((10 + 15 * parameters) * effort):
-            # Differential evolution, best/1/bin.
-            pairs = np.array([source.choice(size, 2, replace=False) for _ in range(size)])
-            mutants = members[np.argmin(scores)] + source.uniform(0.5, 1.0) * (
-                members[pairs[:, 0]] - members[pairs[:, 1]]
-            )
-            mixed = source.random((size, parameters)) < 0.7
-            mixed[np.arange(size), source.integers(parameters, size=size)] = True
-            tried = np.where(mixed, mutants, members)
-            outside = (tried < low) | (tried > high)
-            tried = np.where(outside, source.uniform(low, high, tried.shape), tried)
-            fresh = score(tried, scores)
-            better = fresh < scores
-            members[better], scores[better] = tried[better], fresh[better]
-        here = members[np.argmin(scores)].copy()
-    return here if scores.min() < 0.0 else None
+        box = np.array([np.maximum(middle - span, -np.inf if free else 0.0), middle + span])
+        lands = (least, drops, fine.pole, criterion.ticks, criterion.tolerance)
+        here, score = evolve(*told, box, middle, size, generations, seed, *lands)
+    return here if score < 0.0 else None

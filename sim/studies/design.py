@@ -70,8 +70,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--effort", type=int, default=1, help="multiplies the search (default: %(default)s)")
     parser.add_argument(
         "--land",
-        action="store_true",
-        help="demand that every drop settles too, from 5 to 20 mm and 3 %% beyond the masses, under all contact conventions",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="demand that every drop settles too, from 5 to 20 mm and 3 %% beyond the masses, under all contact conventions; "
+        "without it a law is stiffer, and may not bear a landing",
     )
     parser.add_argument(
         "--every-delay",
@@ -191,11 +193,11 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
     if law.found is not None and law.law is not None:
         path = fresh(arguments.out / "designed.yaml")
         lands = all(drops(law.found.law, demand).values())
-        comment = _describe(demand) + ("" if lands else "\nit does NOT bear a landing: --land")
+        comment = _describe(demand) + ("" if lands else "\nit does NOT bear a landing")
         path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
         if not lands:
             lines.insert(
-                0, "This law does NOT bear a landing: a drop on a floor does not settle; --land designs one that does"
+                0, "This law does NOT bear a landing: a drop on a floor does not settle; without --no-land it would"
             )
         figures["designed"] = _row(law, demand) | {
             "yaml": str(path),
@@ -219,7 +221,7 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         if arguments.friction is not None:
             lines += _at_rest(arguments, law.found, demand, figures["designed"])
     else:
-        lines.append("no law of this length keeps the demand: allow a larger radius, a narrower range or more taps")
+        lines.append("no law of this length keeps the demand: allow a larger radius, a narrower range, more taps or --no-land")
     if passive is not None:
         path = fresh(arguments.out / "passive.yaml")
         told = f"passive for any mass and hand: {_describe(demand)}"
@@ -363,7 +365,8 @@ def _verdict(demand: Demand, laws: list[dict[str, Any]], lines: list[str]) -> di
     if gain is None:
         lines.append("  nothing to compare: " + ("only the designed law keeps the demand" if mine else "no law does"))
     else:
-        verb = "stiffer than" if gain > 1.001 else "no stiffer than"
+        # A search for laws that land ends somewhere on a ragged edge.
+        verb = "stiffer than" if gain > 1.005 else "no stiffer than"
         lines.append(f"  designed is {verb} the best of the others ({rival}): x {gain:.3f}")
     return {"demand": _wanted(demand), "laws": laws, "best_other": rival, "gain": gain}
 

@@ -7,12 +7,11 @@ from typing import Any
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.every_delay import every_delay
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.design.demand import Demand
-from sim.design.families import latest_delay
+from sim.design.families import certificate, latest_delay
 from sim.design.landing import drops
 from sim.identify.identified import Identified
 from sim.tune.design import model
@@ -145,21 +144,13 @@ def predict(
 
 
 def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
-    """Certify lightest and heaviest device for every sequence of delays, where the range is within a tick."""
+    """Certify the law for every sequence of delays, where the range is within a tick."""
     low, high = asked.delay
-    if asked.beyond:
-        return {"every_delay_stable": None, "every_delay_why": "no certificate for a device with a joint or a lag"}
-    if high > low + 1.0:
-        return {
-            "every_delay_stable": None,
-            "every_delay_why": f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart",
-        }
-    told = [
-        every_delay(law, Plant(asked.period, mass, asked.damping, stiffness=grip), (low, high)).stable
-        for mass in asked.mass
-        for grip in sorted(set(asked.stiffness))
-    ]
-    return {"every_delay_stable": False if False in told else None if None in told else True}
+    told = certificate(law, asked)
+    if told == "too wide":
+        why = f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart"
+        return {"every_delay_stable": None, "every_delay_why": why}
+    return {"every_delay_stable": told}
 
 
 def _at_rest(law: CompiledLaw, found: Identified, plant: Plant) -> dict[str, Any]:

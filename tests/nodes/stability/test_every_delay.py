@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.every_delay import _Ticks, every_delay
+from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.design.replay import replayed_radius
@@ -38,7 +40,7 @@ def law(name: str, share: float, delays: tuple[float, float]) -> CompiledLaw:
 def test_a_constant_sequence_has_the_poles_of_its_delay(name: str, delay: float) -> None:
     some = law(name, 0.5, (0.5, 1.0))
     for around in ((delay, delay), (max(delay - 0.4, 0.0), delay + 0.4)):
-        matrix = _Ticks(some, Plant(T, M, B), around).matrix(delay, delay)
+        matrix = _Ticks(some, FlexiblePlant(M, B), T, around).matrix(delay, delay)
         assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(
             pole_radius(some, Plant(T, M, B, delay)), rel=1e-9
         )
@@ -48,7 +50,7 @@ def test_a_constant_sequence_has_the_poles_of_its_delay(name: str, delay: float)
 def test_hull_holds_the_matrices_of_all_delays(delays: tuple[float, float]) -> None:
     from scipy.optimize import linprog
 
-    ticks = _Ticks(law("paper_optimum", 0.5, delays), Plant(T, M, B, 0.0, 200.0), delays)
+    ticks = _Ticks(law("paper_optimum", 0.5, delays), FlexiblePlant(M, B, 0.0, 200.0), T, delays)
     corners = ticks.hull().reshape(len(ticks.hull()), -1).T
     for older in np.linspace(*delays, 5).tolist():
         for newer in np.linspace(*delays, 5).tolist():
@@ -105,3 +107,70 @@ def test_what_cannot_be_certified_is_refused() -> None:
         every_delay(law("pd", 0.5, (0.5, 1.0)), Plant(T, M, B), (0.5, 1.6))
     with pytest.raises(ValueError, match=r"^law: 1002 states, at most 40 are certified"):
         every_delay(CompiledLaw((1000.0,) * 1000), Plant(T, M, B), (0.0, 0.5))
+
+
+JOINT = FlexiblePlant(M, B, share=0.3, frequency=40.0, loss=0.03)
+LAG = FlexiblePlant(M, B, lag=1e-3)
+BOTH = FlexiblePlant(M, B, 0.0, 150.0, 1e-3, 0.3, 40.0, 0.03)
+
+
+@pytest.mark.parametrize("plant", [JOINT, LAG, BOTH], ids=["joint", "lag", "both"])
+@pytest.mark.parametrize("delays", [(0.05, 0.5), (0.8, 1.3)])
+def test_a_joint_and_a_lag_are_certified_too(plant: FlexiblePlant, delays: tuple[float, float]) -> None:
+    """Just inside the worse constant delay's limit, and refuted outside; constant sequences have the poles of their delay."""
+
+    def radius(some: CompiledLaw, delay: float) -> float:
+        return flexible_radius(some, T, replace(plant, delay=delay))
+
+    shape = CompiledLaw((1600.0, -900.0))
+
+    def scaled(factor: float) -> CompiledLaw:
+        return CompiledLaw(tuple(factor * tap for tap in shape.taps))
+
+    low, high = 0.0, 16.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        stable = max(radius(scaled(middle), delay) for delay in delays) < 1.0
+        low, high = (middle, high) if stable else (low, middle)
+    # Half of the edge: with a joint, a delay that switches in its rhythm is worse than each constant one.
+    inside = scaled(0.5 * low)
+    ticks = _Ticks(inside, plant, T, delays)
+    for delay in delays:
+        poles = np.abs(np.linalg.eigvals(ticks.matrix(delay, delay))).max()
+        # Eigenvalues of a matrix with two close to 1: the square root of the machine epsilon.
+        assert poles == pytest.approx(radius(inside, delay), abs=1e-7)
+    found = every_delay(inside, plant, delays, period=T)
+    assert found.stable is True
+    assert found.rate is not None
+    assert found.growth <= found.rate < 1.0
+    assert every_delay(scaled(1.01 * low), plant, delays, period=T).stable is False
+    # Nothing is left out between the corners: every matrix is as near to the hull as is said, in the identity's norm.
+    hull = ticks.hull()
+    off = ticks.off(np.eye(ticks.size))
+    for older in np.linspace(*delays, 7).tolist():
+        for newer in np.linspace(*delays, 7).tolist():
+            assert _distance(ticks.matrix(older, newer), hull) <= off + 1e-7
+
+
+def _distance(matrix: np.ndarray, hull: np.ndarray) -> float:
+    """Largest entry of what is left of a matrix beside the nearest point of a hull."""
+    from scipy.optimize import linprog
+
+    count, flat = len(hull), hull.reshape(len(hull), -1).T
+    rows = np.vstack([np.hstack([flat, -np.ones((len(flat), 1))]), np.hstack([-flat, -np.ones((len(flat), 1))])])
+    limits = np.concatenate([matrix.ravel(), -matrix.ravel()])
+    found = linprog(
+        np.append(np.zeros(count), 1.0),
+        A_ub=rows,
+        b_ub=limits,
+        A_eq=np.append(np.ones(count), 0.0)[None],
+        b_eq=[1.0],
+        bounds=[(0.0, 1.0)] * count + [(0.0, None)],
+    )
+    assert found.success
+    return float(found.fun)
+
+
+def test_a_flexible_device_needs_the_period() -> None:
+    with pytest.raises(ValueError, match=r"^period: a flexible device has none of its own"):
+        every_delay(CompiledLaw((100.0,)), JOINT, (0.0, 0.5))

@@ -1,0 +1,175 @@
+"""Drops of linear devices on a floor, rigid or with a joint and a lag, in compiled code that a search can call.
+
+The device is one matrix per tick (`nodes.stability.flexible`), exact for a held force. Contact, history and clamping are the
+kernels of the nodes, and the verdict is `sim.experiments.drop`'s. A search may ask for the quick one: a drop that has stayed
+close to its rest counts as settled there, and what a search finds is played to the end.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nodes.kernels import fir, one_sided, push, sections
+from nodes.laws import CompiledLaw
+from nodes.stability.flexible import FlexiblePlant
+from nodes.tick.kernels.sources import kernel
+from sim.design.demand import RIGID, Demand
+from sim.experiments.drop import Criterion
+from sim.scene.compiled import compiled
+
+GRAVITY = 9.81
+"""[m/s²]."""
+CLOSE = 0.01
+"""A drop that stays so close to its rest, as a part of the tolerance, settles."""
+
+
+class Falls(NamedTuple):
+    """Drops, one a row: what a tick does to the state of the device, what it weighs, and how it is dropped."""
+
+    step: Any
+    new: Any
+    old: Any
+    pull: Any
+    whole: Any
+    weight: Any
+    start: Any
+    raw: Any
+    clamp: Any
+
+
+def falls(
+    demand: Demand,
+    masses: Sequence[float],
+    conventions: Sequence[tuple[bool, bool]],
+    heights: Sequence[float],
+) -> Falls:
+    """Prepare drops of every device of a demand, its damping the least and its delay the longest.
+
+    Parameters
+    ----------
+    demand : Demand
+        The devices.
+    masses : sequence of float
+        Masses [kg].
+    conventions : sequence of (bool, bool)
+        Of contact: raw history, clamped force.
+    heights : sequence of float
+        From which they fall [m].
+
+    Returns
+    -------
+    Falls
+        Mass by mass, joint and lag by joint and lag, convention by convention, height by height.
+    """
+    rows: list[tuple[Any, ...]] = []
+    most = 2
+    for mass, beyond in itertools.product(masses, demand.beyond or (RIGID,)):
+        plant = FlexiblePlant(mass, demand.damping, demand.delay[1], 0.0, *beyond)
+        whole, step, new, old = plant.held(demand.period)
+        pull = plant.pulled(demand.period, GRAVITY)
+        most = max(most, len(new))
+        for (raw, clamp), height in itertools.product(conventions, heights):
+            rows.append((step, new, old, pull, whole, mass * GRAVITY, height, raw, clamp))
+
+    def padded(i: int) -> Any:
+        return np.array([np.pad(row[i], (0, most - len(row[i]))) for row in rows])
+
+    return Falls(
+        padded(0), padded(1), padded(2), padded(3),
+        np.array([row[4] for row in rows]),
+        *(np.array([row[i] for row in rows]) for i in (5, 6, 7, 8)),
+    )  # fmt: skip
+
+
+@kernel
+def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, quick: bool) -> bool:
+    """Drop once: whether it settles, by the rules of `sim.experiments.drop`."""
+    size = drops.step.shape[1]
+    length = max(len(taps), 2)
+    history = np.zeros(2 * length)
+    memory = np.zeros(len(recursive) // 2)
+    whole = drops.whole[i]
+    forces = np.zeros(whole + 2)
+    state, moved = np.zeros(size), np.zeros(size)
+    start = drops.start[i]
+    state[0] = start
+    if size >= 4:
+        state[2] = start
+    stiffness = 0.0
+    for m in range(len(taps)):
+        stiffness += taps[m]
+    for j in range(len(recursive) // 4):
+        stiffness += (recursive[4 * j] + recursive[4 * j + 1]) / (1.0 + recursive[4 * j + 2] + recursive[4 * j + 3])
+    if not stiffness > 0.0:
+        return False
+    rest = -drops.weight[i] / stiffness
+    quarter = ticks - ticks // 4
+    patience = 60 + length + whole
+    head, close, touched = 0, 0, False
+    low, high, total = np.inf, -np.inf, 0.0
+    for k in range(ticks):
+        x = state[0]
+        touches = x < 0.0
+        touched = touched or touches
+        # Not at once when it is not a number either.
+        if touched and not x <= start + tolerance:
+            return False
+        if k >= quarter:
+            low, high = min(low, x), max(high, x)
+            total += x
+            if high - low > tolerance or x > 0.0:
+                return False
+        if quick:
+            close = close + 1 if abs(x - rest) <= CLOSE * tolerance else 0
+            if close > patience:
+                return True
+        head = push(history, head, length, -x if touches or drops.raw[i] else 0.0)
+        force = fir(taps, history, head)
+        if len(recursive) > 0:
+            force += sections(recursive, memory, history[head], history[head + 1])
+        force = one_sided(force, 1.0, touches, drops.raw[i], drops.clamp[i])
+        for j in range(whole + 1, 0, -1):
+            forces[j] = forces[j - 1]
+        forces[0] = force
+        for a in range(size):
+            moved[a] = drops.pull[i, a] + drops.new[i, a] * forces[whole] + drops.old[i, a] * forces[whole + 1]
+            for b in range(size):
+                moved[a] += drops.step[i, a, b] * state[b]
+        state, moved = moved, state
+    return abs(total / (ticks - quarter) - rest) <= tolerance
+
+
+def _settled(drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, told: Any) -> None:
+    for i in range(len(told)):
+        told[i] = settles_one(i, drops, taps, recursive, ticks, tolerance, False)
+
+
+_settled_compiled = compiled()(_settled)
+
+
+def settled(law: CompiledLaw, drops: Falls, criterion: Criterion | None = None) -> list[bool]:
+    """Drop with a law, to the end.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps and sections.
+    drops : Falls
+        The drops.
+    criterion : Criterion or None
+        What counts as settled; None for the usual one.
+
+    Returns
+    -------
+    list of bool
+        Whether each settles.
+    """
+    criterion = criterion or Criterion()
+    told = np.zeros(len(drops.whole), dtype=np.bool_)
+    recursive = np.array([number for section in law.sections for number in section])
+    _settled_compiled(drops, np.array(law.taps), recursive, criterion.ticks, criterion.tolerance, told)
+    return [bool(one) for one in told]
