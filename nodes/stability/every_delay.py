@@ -3,14 +3,14 @@
 A delay that jitters can be worse than each of its values, and no pole radius tells. Each tick the loop is multiplied by one of
 a family of matrices; it is stable for every sequence iff the joint spectral radius of the family is below 1 (THEORY.md §10).
 The family is enclosed by a few matrices: within a tick the force's share of the motion moves along a curve, which lies in the
-triangles of a few parabolas but for a remainder that is added to every norm. A norm is sought in which each of them shrinks (an ellipsoid, by gradients); where one tick
-does not shrink, all products that begin with it are followed until they do. When all are closed, every sequence is a chain of
-words that shrink: stable, with a rate. A product that grows by itself is a sequence of delays that the loop does not survive.
+triangles of a few parabolas but for a remainder that is added to every norm. A norm is sought in which each of them shrinks
+(an ellipsoid, by gradients); where one tick does not shrink, all products that begin with it are followed until they do. When
+all are closed, every sequence is a chain of words that shrink: stable, with a rate. A product that grows by itself is a
+sequence of delays that the loop does not survive.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING

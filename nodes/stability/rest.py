@@ -62,10 +62,11 @@ class Rest:
         Returns
         -------
         bool or "estimated"
-            True from the bound on, ``"estimated"`` from the estimate on; False where neither says so.
+            True from the bound on where that is a proof, ``"estimated"`` where it is none and from the estimate on; False where
+            neither says so.
         """
         if friction >= self.friction_bound_n:
-            return True
+            return True if self.certain else "estimated"
         return "estimated" if self.friction_estimated_n is not None and friction >= self.friction_estimated_n else False
 
     def text(self) -> str:
@@ -76,7 +77,7 @@ class Rest:
         str
             Part of a sentence.
         """
-        kind = "proof" if self.certain else "held in every simulation; no proof, the law is not passive on this damping"
+        kind = "proof" if self.certain else "no proof: the law is not passive on this damping"
         guess = "" if self.friction_estimated_n is None else f"; estimate, no bound: {self.friction_estimated_n:.4g} N"
         return f"every motion stops with friction from {self.friction_bound_n:.4g} N ({kind}){guess} (THEORY.md §5)"
 

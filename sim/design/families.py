@@ -19,7 +19,7 @@ from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from nodes.parameters.yaml_io import write_yaml
 from nodes.stability.every_delay import every_delay
-from nodes.stability.flexible import FlexiblePlant
+from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import tolerance
 from nodes.stability.plant import Plant
 from sim.design.demand import RIGID, Demand, Robust
@@ -276,15 +276,43 @@ def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
     Returns
     -------
     float or None
-        Delay [ticks], at five masses of the range; None when there is no limit.
+        Delay [ticks], at five masses of the range and every joint and lag of the demand; None when there is no limit.
     """
     known = []
+    if demand.beyond:
+        masses = np.geomspace(*demand.mass, 5).tolist()
+        return min(
+            (
+                edge
+                for mass, beyond in itertools.product(masses, demand.beyond)
+                if (edge := _latest(law, demand, mass, beyond)) is not None
+            ),
+            default=None,
+        )
     for mass in np.geomspace(*demand.mass, 5).tolist():
         device = Plant(demand.period, mass, demand.damping, demand.delay[1], demand.stiffness[0])
         limits = tolerance(law, device)
         if limits is not None and limits.delay_max_ticks is not None:
             known.append(limits.delay_max_ticks)
     return min(known) if known else None
+
+
+def _latest(law: CompiledLaw, demand: Demand, mass: float, beyond: tuple[float, float, float, float]) -> float | None:
+    """Go on by quarters of a tick until a pole leaves the unit circle, at most 20 ticks, and find where it does."""
+
+    def stable(delay: float) -> bool:
+        device = FlexiblePlant(mass, demand.damping, delay, demand.stiffness[0], *beyond)
+        return flexible_radius(law, demand.period, device) < 1.0
+
+    low = high = demand.delay[1]
+    while stable(high):
+        low, high = high, high + 0.25
+        if high > demand.delay[1] + 20.0:
+            return None
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low
 
 
 def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:

@@ -4,7 +4,7 @@ The demand is about the loop in contact, which is linear. Landing is not: contac
 the clamping of forces into the floor are conventions (THEORY.md §4), and no pole radius covers them. Where drops settle has a
 ragged edge, so a law must settle a little beyond the demand too: from half to twice the height, with masses 3 % outside the
 range. The edge then runs through that margin, not through what is demanded. The search is differential evolution in boxes that
-shrink about the best so far, every candidate dropped (`sim.design.fall`: compiled, with joint and lag where the device has them).
+shrink about the best so far, every candidate dropped (`sim.design.fall`: with joint and lag where the device has them).
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Vector:
         if not going:
             break
         good = settles(scene, [laws[j] for j in going], Criterion())
-        for j in [j for j, settled in zip(going, good, strict=True) if not settled]:
+        for j in [j for j, fell_well in zip(going, good, strict=True) if not fell_well]:
             share[j] = i / len(scenes)
             going.remove(j)
     return share

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from sim.device.richer import RicherModel
 from sim.identify.identified import Identified
 from sim.identify.identify import identify
 from sim.identify.report import ROWS
-from sim.population.outside import KINDS, Outside, draw_outside, excite_outside
+from sim.population.outside import KINDS, draw_outside, excite_outside
 
 FAR = 2.0
 """Half widths of a 95 % interval beyond which an estimate is false certainty: by chance one in ten thousand is."""
@@ -35,7 +36,7 @@ NAMED = {
 """Words by which a kind that no model has should be refused."""
 
 
-def truths(device: Outside, found: Identified, period: float) -> dict[str, float]:
+def truths(device: RicherModel, found: Identified, period: float) -> dict[str, float]:
     """Say what each parameter is that a run could tell."""
     rigid = device.rigid
     # A lag that is not told apart belongs to the delay, and so does what forces come late by on average.

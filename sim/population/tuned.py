@@ -9,16 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
+from sim.device.richer import RicherModel
 from sim.identify.identified import refusal
 from sim.identify.identify import identify
-from sim.population.outside import KINDS, Outside, draw_outside, excite_outside, knock_outside
+from sim.population.outside import KINDS, draw_outside, excite_outside
 from sim.population.virtual import draw, excite
 from sim.tune.design import Wanted, design
-from sim.tune.knock import LONGEST, KnockVerdict, climb, factor_of, judge, knocked, scaled, worst
+from sim.tune.knock import KnockVerdict, climb, knocked, scaled
 from sim.tune.outcome import verified
 from sim.tune.predict import predict
 
@@ -38,7 +37,7 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {"kind": kind, "number": job["number"], "delivered": False, "holds": None}
     if kind == INSIDE:
         model = draw(job["number"], job["seed"], held=False)
-        device = Outside(model, "rigid")
+        device = RicherModel(model, "rigid")
         experiment = excite(model, period, job["seconds"], job["number"], PEAK)
     else:
         device = draw_outside(kind, job["number"], job["seed"])
@@ -71,22 +70,15 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
     return row
 
 
-def knocks(device: Outside, law: CompiledLaw, knock: float, period: float) -> Callable[[int], KnockVerdict]:
+def knocks(device: RicherModel, law: CompiledLaw, knock: float, period: float) -> Callable[[int], KnockVerdict]:
     """Make knocks on the true device."""
     if device.kind == "rigid":
         return knocked(law, device.rigid, period, knock, PEAK, None)
-
-    def once(step: int) -> KnockVerdict:
-        factor = factor_of(step)
-        taps = np.array(scaled(law, factor).taps)
-        # Two knocks, as on a real device, begin wherever in a step of the encoder it is.
-        played = (knock_outside(device, taps, knock, period, LONGEST, PEAK, start) for start in (0.1, 0.6))
-        return worst(judge(position, knock, factor) for position in played)
-
-    return once
+    # Two knocks, as on a real device, begin wherever in a step of the encoder it is.
+    return knocked(law, device, period, knock, PEAK, None, (0.1, 0.6))
 
 
-def _plants(device: Outside) -> list[FlexiblePlant]:
+def _plants(device: RicherModel) -> list[FlexiblePlant]:
     """Give the linear devices that a device may be: with the shortest delay and the longest."""
     import dataclasses
 
@@ -94,12 +86,12 @@ def _plants(device: Outside) -> list[FlexiblePlant]:
     return [plant, *([dataclasses.replace(plant, delay=plant.delay + device.late)] if device.late else [])]
 
 
-def true_radius(law: CompiledLaw, device: Outside, period: float) -> float:
+def true_radius(law: CompiledLaw, device: RicherModel, period: float) -> float:
     """Find the largest pole of the loop with the true device; dry friction left out."""
     return max(flexible_radius(law, period, plant) for plant in _plants(device))
 
 
-def true_edge(law: CompiledLaw, device: Outside, period: float) -> float | None:
+def true_edge(law: CompiledLaw, device: RicherModel, period: float) -> float | None:
     """Find the stiffness at which a pole of the true loop reaches the unit circle [N/m]; None above 20 times the law."""
     low, high = 0.02, 0.02
     while true_radius(scaled(law, high), device, period) < 1.0:

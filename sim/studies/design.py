@@ -221,7 +221,9 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         if arguments.friction is not None:
             lines += _at_rest(arguments, law.found, demand, figures["designed"])
     else:
-        lines.append("no law of this length keeps the demand: allow a larger radius, a narrower range, more taps or --no-land")
+        lines.append(
+            "no law of this length keeps the demand: allow a larger radius, a narrower range, more taps or --no-land"
+        )
     if passive is not None:
         path = fresh(arguments.out / "passive.yaml")
         told = f"passive for any mass and hand: {_describe(demand)}"

@@ -48,5 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
     ]
     figures = {"taps": arguments.taps, "frequency_nyquist": share.tolist(), "curves": curves}
     saved = save("fig2", figures, claims, figure, arguments.out)
-    answer(arguments.json, saved, f"{table(claims)}\n{saved['plot']}")
+    head = f"figure 2: f of one term, f(ω_N) = 1; {arguments.taps} taps (the paper prints no n), and unlimited memory"
+    answer(arguments.json, saved, f"{head}\n{table(claims)}\n{saved['plot']}\n{saved['data']}")
     return 0

@@ -49,5 +49,6 @@ def run(arguments: argparse.Namespace) -> int:
         "f_terms": curves["terms"].tolist(),
     }
     saved = save("fig3", figures, claims, figure, arguments.out)
-    answer(arguments.json, saved, f"{table(claims)}\n{saved['plot']}")
+    head = f"figure 3: f of the paper's optimum beside PD, {arguments.taps} taps per term; seconds as at {arguments.rate:g} Hz"
+    answer(arguments.json, saved, f"{head}\n{table(claims)}\n{saved['plot']}\n{saved['data']}")
     return 0

@@ -100,7 +100,11 @@ def run(arguments: argparse.Namespace) -> int:
     text = (
         table(claims) if claims else f"interrupted: what was found is in {ledger}, and the same command goes on there"
     )
-    answer(arguments.json, saved, f"{text}\n{saved['plot']}")
+    head = (
+        f"figure 4: drop of {setting.mass:g} kg, {setting.damping:g} N s/m, {arguments.rate:g} Hz, {len(gains)} gains B of "
+        f"{low:g} to {high:g} N s/m, {criterion.ticks} ticks"
+    )
+    answer(arguments.json, saved, f"{head}\n{text}\n{saved['plot']}\n{saved['data']}")
     return 0 if complete else 130
 
 

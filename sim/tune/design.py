@@ -13,6 +13,7 @@ from typing import Any
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.families import Tuned, best_pd, designed
 from sim.device.model import DeviceModel, Hand
+from sim.device.richer import RicherModel
 from sim.identify.identified import Identified
 
 
@@ -161,7 +162,7 @@ def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
     return law, pd, asked
 
 
-def model(found: Identified) -> DeviceModel:
+def model(found: Identified) -> DeviceModel | RicherModel:
     """Put the identified device into a model that has the whole delay of the loop.
 
     Parameters
@@ -171,8 +172,9 @@ def model(found: Identified) -> DeviceModel:
 
     Returns
     -------
-    DeviceModel
-        Free, or with the hand's stiffness about its present place.
+    DeviceModel or RicherModel
+        Free, or with the hand's stiffness about its present place; the richer one where the data asked for a joint, a lag or
+        quadratic damping.
     """
     mass, _, _ = found.mass.known()
     damping, _, _ = found.damping.known()
@@ -180,7 +182,7 @@ def model(found: Identified) -> DeviceModel:
     hand = None
     if found.held and found.stiffness.value:
         hand = Hand(stiffness=found.stiffness.value, path=[(0.0, 0.0)])
-    return DeviceModel(
+    rigid = DeviceModel(
         mass=mass,
         damping=damping,
         friction=found.friction.value or None,
@@ -188,3 +190,9 @@ def model(found: Identified) -> DeviceModel:
         delay=delay,
         hand=hand,
     )
+    whole = found.plant()
+    quadratic = found.quadratic.value or 0.0
+    if whole.rigid and whole.lag == quadratic == 0.0:
+        return rigid
+    joint = {} if whole.rigid else {"share": whole.share, "frequency": whole.frequency, "loss": whole.loss}
+    return RicherModel(rigid, "identified", quadratic=quadratic, lag=whole.lag, **joint)

@@ -12,7 +12,7 @@ one does not, they go down.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from nodes.laws import CompiledLaw
 from nodes.laws.knock import Knock
 from sim.device.model import DeviceModel
+from sim.device.richer import RicherModel, knock_on
 from sim.scene.loop import Scene, SceneSurface, run
 
 Array = NDArray[np.float64]
@@ -199,10 +200,28 @@ def scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
 
 
 def knocked(
-    law: CompiledLaw, model: DeviceModel, period: float, knock: float, peak: float | None, slew: float | None
+    law: CompiledLaw,
+    model: DeviceModel | RicherModel,
+    period: float,
+    knock: float,
+    peak: float | None,
+    slew: float | None,
+    starts: Sequence[float] = STARTS,
 ) -> Callable[[int], KnockVerdict]:
-    """Make knocks on a model."""
+    """Make knocks on a model, each from several places in an encoder step."""
     import msgspec
+
+    if isinstance(model, RicherModel):
+        richer, limits = model, (math.inf if limit is None else limit for limit in (peak, slew))
+        strongest, change = limits
+
+        def on_richer(step: int) -> KnockVerdict:
+            factor = factor_of(step)
+            taps = np.array(scaled(law, factor).taps)
+            played = (knock_on(richer, taps, knock, period, LONGEST, strongest, start, change) for start in starts)
+            return worst(judge(position, knock, factor) for position in played)
+
+        return on_richer
 
     def begun(start: float) -> Scene:
         place = start * (model.resolution or 0.0) - knock
@@ -211,7 +230,7 @@ def knocked(
             device=device, surface=SceneSurface("anchor"), period=period, raw=False, clamp=False, peak=peak, slew=slew
         )
 
-    scenes = [begun(start) for start in (STARTS if model.resolution else STARTS[:1])]
+    scenes = [begun(start) for start in (starts if model.resolution else starts[:1])]
 
     def once(step: int) -> KnockVerdict:
         factor = factor_of(step)

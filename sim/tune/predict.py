@@ -123,8 +123,7 @@ def predict(
     knock = knock_size(law.taps, linear, found, peak)
     plan, edge = planned(knocked(law, model(found), found.period, knock, peak, slew), linear)
     dropped = drops(law, asked)
-    # The model that is knocked on has neither joint nor lag: with one of them the poles tell the edge.
-    factor = edge.factor if rigid else linear
+    factor = edge.factor
     figures: dict[str, Any] = {
         "h1_n_per_m": law.h1,
         "h_nyquist_n_per_m": law.h_nyquist,
@@ -158,14 +157,11 @@ def _at_rest(law: CompiledLaw, found: Identified, plant: Plant) -> dict[str, Any
     if found.encoder.value is None or found.friction.value is None:
         return {"limit_cycle_free": None}
     told = rest(law, plant, found.encoder.value)
-    friction, estimated = found.friction.value, told.friction_estimated_n
-    free: bool | str | None = True if friction >= told.friction_bound_n else None
-    if free is None and estimated is not None:
-        free = "estimated" if friction >= estimated else False
+    friction = found.friction.value
     return {
         "friction_n": friction,
         "friction_for_rest_bound_n": told.friction_bound_n,
-        "friction_for_rest_estimated_n": estimated,
-        "limit_cycle_free": free,
+        "friction_for_rest_estimated_n": told.friction_estimated_n,
+        "limit_cycle_free": told.free(friction),
         "buzz_hz": told.buzz_hz,
     }

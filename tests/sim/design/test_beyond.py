@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from sim.design.cases import LoopCase, cases_of
-from sim.design.demand import Demand
-from sim.design.families import certificate, designed
+from sim.design.demand import CONVENTIONS, Demand
+from sim.design.families import certificate, certified, designed, latest_delay
+from sim.design.landing import drops
 
 T = 0.002
 RIGID = Demand(mass=(0.08, 0.125), damping=1.0, delay=(1.2, 1.2), period=T, radius=0.99, nyquist=1e4)
@@ -34,8 +36,31 @@ def test_a_design_for_a_joint_keeps_it_and_one_for_a_rigid_device_does_not() -> 
     assert worst["known"] <= 0.99 + 1e-4
     assert worst["blind"] > 1.0
     assert known.found.h1_n_per_m < blind.found.h1_n_per_m
-    # No certificate for every sequence of delays is claimed where none is computed.
-    assert certificate(known.found.law, asked) is None
+    # Constant delay, but every mass: the certificate asks no more, and is refused where a device is unstable.
+    assert certificate(known.found.law, asked) is True
+    assert certificate(blind.found.law, asked) is False
+
+
+def test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands() -> None:
+    """All at once; what was not asked for is not kept by chance."""
+    asked = replace(RIGID, mass=(0.1, 0.1), delay=(1.0, 1.3), stiffness=(0.0, 300.0), beyond=JOINT, lands=CONVENTIONS)
+    law = certified(lambda wanted: designed(wanted, 2), asked)
+    assert law.found is not None
+    assert certificate(law.found.law, asked) is True
+    assert all(drops(law.found.law, asked).values())
+    for hand in (0.0, 100.0, 300.0):
+        for beyond in JOINT:
+            plant = FlexiblePlant(0.1, 1.0, 1.3, hand, *beyond)
+            assert flexible_radius(law.found.law, T, plant) <= 0.99 + 1e-4
+    # Half as stiff again, and it is no longer so.
+    stiffer = CompiledLaw(tuple((1.5 * law.found.taps).tolist()))
+    assert not all(drops(stiffer, asked).values())
+    # A delay of more than a tick later is told by the poles of the device that it is.
+    latest = latest_delay(law.found.law, asked)
+    assert latest is not None
+    for late, stable in ((latest - 1e-3, True), (latest + 1e-3, False)):
+        radii = [flexible_radius(law.found.law, T, FlexiblePlant(0.1, 1.0, late, 0.0, *beyond)) for beyond in JOINT]
+        assert (max(radii) < 1.0) is stable
 
 
 def test_cases_are_judged_by_the_worst_that_a_device_may_be() -> None:

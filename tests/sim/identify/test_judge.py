@@ -11,10 +11,11 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import flexible_radius
 from sim.device.model import DeviceModel
+from sim.device.richer import RicherModel
 from sim.identify.identified import Estimate, Identified, refusal
 from sim.identify.identify import identify
 from sim.identify.report import figures, from_figures, text
-from sim.population.outside import Outside, excite_outside
+from sim.population.outside import excite_outside
 
 T = 0.002
 RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6)
@@ -22,7 +23,7 @@ TRUTH = {"mass": 0.1, "damping": 1.0, "friction": 0.03, "delay": 1.2}
 
 
 def pushed(rigid: DeviceModel = RIGID, **odd: Any) -> Identified:
-    return identify(excite_outside(Outside(rigid, **odd), T, 4.0, seed=1))
+    return identify(excite_outside(RicherModel(rigid, **odd), T, 4.0, seed=1))
 
 
 def far(estimate: Estimate, truth: float) -> float:
