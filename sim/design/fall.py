@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nodes.compiled.kernels.sources import kernel
 from nodes.kernels import fir, one_sided, push, sections
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant
-from nodes.tick.kernels.sources import kernel
 from sim.design.demand import RIGID, Demand
 from sim.experiments.drop import Criterion
 from sim.scene.compiled import compiled

@@ -26,7 +26,7 @@ def excite_outside(device: RicherModel, period: float, seconds: float, seed: int
 
     Parameters
     ----------
-    device : Outside
+    device : RicherModel
         The device; it begins at rest at 0.
     period : float
         Sampling period T [s].
