@@ -21,7 +21,7 @@ from nodes.cli.ask import ask
 from nodes.cli.listen import listen
 from nodes.cli.main import RefusedError, UsageError
 from nodes.launcher.runs import RunInfo
-from sim.identify.interrupts import undisturbed
+from sim.identify.interrupts import undisturbed, whole
 
 RAMP = 100
 """Cross-fade from and to the law that was there [ticks]."""
@@ -111,7 +111,7 @@ class PushedLaunch:
 
     def rearm(self, beside: bool) -> None:
         """Let a driver that has stopped take forces again; one of a device that exists only `beside` somebody who asked."""
-        ask(self.run, self.driver, "rearm", beside=beside)
+        self.change(self.driver, "rearm", beside=beside)
 
     def wait(self, ticks: int) -> None:
         """Wait for some ticks."""
@@ -134,17 +134,22 @@ class PushedLaunch:
         finally:
             heard.close()  # type: ignore[attr-defined]
 
+    def change(self, node: str, operation: str, **arguments: Any) -> Any:
+        """Ask a node to change something; a signal that comes meanwhile waits for its answer."""
+        with whole():
+            return ask(self.run, node, operation, **arguments)
+
     def soften(self, load: float) -> None:
         """Let a soft spring hold the device, whatever the surface is."""
         law = {**SOFT, "load": load, "axes": len(self.axes)}
-        ask(self.run, self.coupling, "param.set", values={f"laws.{SOFT_LAW}": law})
-        ask(self.run, self.coupling, "law.switch", law=SOFT_LAW, ramp=SOFT_RAMP)
+        self.change(self.coupling, "param.set", values={f"laws.{SOFT_LAW}": law})
+        self.change(self.coupling, "law.switch", law=SOFT_LAW, ramp=SOFT_RAMP)
         self.wait(SOFT_RAMP)
 
     def anchor(self, place: Sequence[float]) -> int:
         """Let the coupling pull the device to a point [m]; from which tick on."""
         surface = {"kind": "anchor", "position": list(place)}
-        return int(ask(self.run, self.environment, "param.set", values={"surface": surface})["seq"])
+        return int(self.change(self.environment, "param.set", values={"surface": surface})["seq"])
 
 
 def carried(loop: PushedLaunch, amplitude: float, given: float | None) -> float:
@@ -220,9 +225,9 @@ class Borrowed:
         back = {"law": self.law, "ramp": RAMP, "force": True}
         surface = {"values": {"surface": self._surface}}
         take = {"name": LEASE, "seconds": longer * LAW_LEASE, "then": "law.switch", "args": back}
-        ask(loop.run, loop.coupling, "lease.take", **take)
+        loop.change(loop.coupling, "lease.take", **take)
         take = {"name": LEASE, "seconds": longer * SURFACE_LEASE, "then": "param.set", "args": surface}
-        ask(loop.run, loop.environment, "lease.take", **take)
+        loop.change(loop.environment, "lease.take", **take)
         self._renewing.start()
 
     def _renew(self) -> None:
@@ -244,7 +249,8 @@ class Borrowed:
         """Put surface and law back; a launch that has ended meanwhile has nothing to put back."""
         self._over.set()
         with undisturbed():
-            self._renewing.join()
+            if self._renewing.ident is not None:
+                self._renewing.join()
             loop = self._loop
             try:
                 ask(loop.run, loop.environment, "param.set", values={"surface": self._surface})
@@ -259,8 +265,8 @@ class Borrowed:
 def borrowed(loop: PushedLaunch) -> Iterator[Borrowed]:
     """Borrow law and surface for the length of a with block."""
     held = Borrowed(loop)
-    held.take()
     try:
+        held.take()
         yield held
     finally:
         held.give_back()

@@ -25,6 +25,26 @@ def _handled(handler: Callable[..., Any] | signal.Handlers) -> Iterator[None]:
             signal.signal(number, former)
 
 
+class _UnderWay:
+    depth, left = 0, False
+
+
+_under_way = _UnderWay()
+
+
+@contextlib.contextmanager
+def whole() -> Iterator[None]:
+    """Leave only after this block: a request that was sent is answered before anything is put back, or it might come after."""
+    _under_way.depth += 1
+    try:
+        yield
+    finally:
+        _under_way.depth -= 1
+        if not _under_way.depth and _under_way.left:
+            _under_way.left = False
+            raise KeyboardInterrupt
+
+
 def undisturbed() -> contextlib.AbstractContextManager[None]:
     """Ignore signals while a launch is put back: an impatient second one must not leave it half-way."""
     return _handled(signal.SIG_IGN)
@@ -42,6 +62,9 @@ def interrupted_once() -> Iterator[Callable[[], int]]:
         for known in SIGNALS:
             signal.signal(known, signal.SIG_IGN)
         first.append(number)
+        if _under_way.depth:
+            _under_way.left = True
+            return
         raise KeyboardInterrupt
 
     with _handled(leave):

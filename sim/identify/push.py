@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from messages import topics
-from nodes.cli.ask import ask
 from nodes.cli.main import RefusedError
 from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carried
 from sim.identify.interrupts import undisturbed
@@ -81,7 +80,7 @@ def push(
             _centre(loop, here, centre)
             # It is ended from here; by itself only should nobody do so.
             longer = {f"laws.{LAW}": {**law, "duration": min(duration + LONGER, 600.0)}}
-            ask(loop.run, loop.coupling, "param.set", values=longer)
+            loop.change(loop.coupling, "param.set", values=longer)
             recorder = beside(*record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             # In lockstep a push is over in less time than a process takes to start.
             within(lambda: recorder.poll() is not None or out.exists(), START)
@@ -112,7 +111,7 @@ def _watch(loop: PushedLaunch, duration: float, held: Borrowed, say: Callable[[s
     still_since = alarmed_since = 0
     for state in loop.states():
         if first < 0:
-            first = int(ask(loop.run, loop.coupling, "law.switch", law=LAW, ramp=RAMP)["seq"])
+            first = int(loop.change(loop.coupling, "law.switch", law=LAW, ramp=RAMP)["seq"])
             result.reason = "the launch ended"
             still_since, still_at, alarmed_since = first, state.position, first
             continue

@@ -132,10 +132,10 @@ class Trials:
         self._held.check()
         self._sign = -self._sign
         law = law_of(self._taps, factor, self._sign * self._knock, self._load, len(loop.axes))
-        ask(loop.run, loop.coupling, "param.set", values={f"laws.{TRIAL}": law})
+        loop.change(loop.coupling, "param.set", values={f"laws.{TRIAL}": law})
         if self._guarded:
             # Afresh: every knock has the whole allowance.
-            ask(loop.run, loop.driver, "param.set", values={"passivity": self._allowance})
+            loop.change(loop.driver, "param.set", values={"passivity": self._allowance})
         position, why, disturbed = self._window(factor)
         self._expect_motion(position, factor, bool(why or disturbed))
         verdict = judge(position, self._sign * self._knock, factor)
@@ -144,7 +144,7 @@ class Trials:
         if why or verdict is None:
             left = float(np.ptp(position[-len(position) // 3 :])) / self._knock if len(position) else 0.0
             verdict = KnockVerdict(factor, left, False, why)
-        left = ask(loop.run, loop.coupling, "law.switch", law=SOFT_LAW, ramp=0)["from"]
+        left = loop.change(loop.coupling, "law.switch", law=SOFT_LAW, ramp=0)["from"]
         if why.startswith(STOPPED):
             self._start_again(why)
         elif left != TRIAL:
@@ -182,7 +182,7 @@ class Trials:
             if state.safety == "stopped":
                 return np.array(positions), f"{STOPPED}: {loop.why_stopped()}", ""
             if began < 0:
-                receipt = ask(loop.run, loop.coupling, "law.switch", law=TRIAL, ramp=0)
+                receipt = loop.change(loop.coupling, "law.switch", law=TRIAL, ramp=0)
                 began, energy, overruns = int(receipt["seq"]), state.energy, state.overruns
                 continue
             if state.seq < began:

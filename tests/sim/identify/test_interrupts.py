@@ -1,0 +1,36 @@
+"""A signal that comes while a request is under way: the request is answered first, then the verb leaves, once."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from sim.identify.interrupts import SIGNALS, interrupted_once, undisturbed, whole
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_request_that_was_sent_is_answered_before_the_verb_leaves(number: signal.Signals) -> None:
+    done: list[str] = []
+    with interrupted_once() as signalled:
+        with pytest.raises(KeyboardInterrupt):
+            with whole():
+                done.append("sent")
+                os.kill(os.getpid(), number)
+                # Twice, as impatient people do.
+                os.kill(os.getpid(), number)
+                done.append("answered")
+            done.append("went on")
+        with undisturbed(), whole():
+            done.append("put back")
+        assert signalled() == number
+    assert done == ["sent", "answered", "put back"]
+
+
+def test_a_signal_between_requests_leaves_at_once() -> None:
+    with interrupted_once(), pytest.raises(KeyboardInterrupt):
+        with whole():
+            pass
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise AssertionError
