@@ -114,7 +114,7 @@ def best_pd(demand: Demand) -> Tuned:
     Tuned
         The stiffest.
     """
-    return _best("pd", {"kind": "pd"}, demand)
+    return best_linear("pd", {"kind": "pd"}, demand)
 
 
 def best_pd_filtered(demand: Demand, cutoffs: Sequence[float] | None = None) -> Tuned:
@@ -134,7 +134,7 @@ def best_pd_filtered(demand: Demand, cutoffs: Sequence[float] | None = None) -> 
     """
 
     def at(cutoff: float, wanted: Demand) -> Tuned:
-        return _best("pd_filtered", {"kind": "pd_filtered", "cutoff": cutoff}, wanted)
+        return best_linear("pd_filtered", {"kind": "pd_filtered", "cutoff": cutoff}, wanted)
 
     tried = [share / demand.period for share in CUTOFFS] if cutoffs is None else cutoffs
     best = _stiffest_of(at, tried, demand)
@@ -165,7 +165,7 @@ def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = 
 
     def at(order: float, wanted: Demand) -> Tuned:
         shape = {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}
-        return _best("pd_alpha", shape, wanted)
+        return best_linear("pd_alpha", shape, wanted)
 
     best = _stiffest_of(at, ORDERS if orders is None else orders, demand)
     step = 0.1
@@ -189,7 +189,7 @@ def best_paper_optimum(demand: Demand) -> Tuned:
     Tuned
         The stiffest.
     """
-    return _best("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, demand)
+    return best_linear("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, demand)
 
 
 def compare(demand: Demand, taps: int, say: Callable[[str], None]) -> Iterator[Tuned]:
@@ -225,7 +225,7 @@ def _stiffness(tuned: Tuned) -> float:
     return 0.0 if tuned.found is None else tuned.found.h1_n_per_m
 
 
-def _best(family: str, shape: dict[str, Any], demand: Demand) -> Tuned:
+def best_linear(family: str, shape: dict[str, Any], demand: Demand) -> Tuned:
     """Tune K and B of a law that is linear in both: its taps at (K, B) = (1, 0) and what one B adds."""
     spring, pole = _numerator(parse_law({**shape, "stiffness": 1.0, "damping": 0.0}).compile(demand.period))
     both, _ = _numerator(parse_law({**shape, "stiffness": 1.0, "damping": 1.0}).compile(demand.period))

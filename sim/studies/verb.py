@@ -29,6 +29,7 @@ STUDIES: dict[str, str] = {
     "price": "sim.studies.price",
     "proxies": "sim.studies.proxies",
     "tuned": "sim.studies.tuned",
+    "relatives": "sim.studies.relatives",
     "two_rate": "sim.studies.two_rate",
 }
 

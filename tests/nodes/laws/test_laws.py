@@ -36,6 +36,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "gains": "paper",
     },
     "fir": {"taps": [2500.0, -1700.0, 400.0, 0.125]},
+    "fractional_sls": {"stiffness": 900.0, "damping": 8.0, "order": 0.6, "relaxation": 0.004, "taps": 16},
     "pd_filtered": {"stiffness": 1200.0, "damping": 3.0, "cutoff": 30.0},
     "pd_windowed": {"stiffness": 1200.0, "damping": 3.0, "resolution": 2.3e-5, "window": 9},
     "excitation": {"amplitude": 0.5, "stiffness": 30.0, "damping": 0.2},

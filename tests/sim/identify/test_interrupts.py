@@ -13,15 +13,19 @@ from sim.identify.interrupts import SIGNALS, interrupted_once, undisturbed, whol
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_request_that_was_sent_is_answered_before_the_verb_leaves(number: signal.Signals) -> None:
     done: list[str] = []
+
+    def ask() -> None:
+        with whole():
+            done.append("sent")
+            os.kill(os.getpid(), number)
+            # Twice, as impatient people do.
+            os.kill(os.getpid(), number)
+            done.append("answered")
+        done.append("went on")
+
     with interrupted_once() as signalled:
         with pytest.raises(KeyboardInterrupt):
-            with whole():
-                done.append("sent")
-                os.kill(os.getpid(), number)
-                # Twice, as impatient people do.
-                os.kill(os.getpid(), number)
-                done.append("answered")
-            done.append("went on")
+            ask()
         with undisturbed(), whole():
             done.append("put back")
         assert signalled() == number
@@ -29,8 +33,8 @@ def test_a_request_that_was_sent_is_answered_before_the_verb_leaves(number: sign
 
 
 def test_a_signal_between_requests_leaves_at_once() -> None:
-    with interrupted_once(), pytest.raises(KeyboardInterrupt):
+    with interrupted_once():
         with whole():
             pass
-        os.kill(os.getpid(), signal.SIGTERM)
-        raise AssertionError
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
