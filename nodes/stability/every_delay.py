@@ -207,7 +207,7 @@ class _Ticks:
         import numpy as np
 
         forces, depth = self._forces, self._depth
-        step = self._base.copy()
+        step: Matrix = self._base.copy()
         step[: self.states] += np.outer(early, forces[depth] - forces[depth + 1])
         if late is not None:
             step[: self.states] += np.outer(late, forces[depth - 1] - forces[depth])

@@ -90,8 +90,8 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
     """Drop once: whether it settles, by the rules of `sim.experiments.drop`."""
     size = drops.step.shape[1]
     length = max(len(taps), 2)
-    history = np.zeros(2 * length)
-    memory = np.zeros(len(recursive) // 2)
+    history: Any = np.zeros(2 * length)
+    memory: Any = np.zeros(len(recursive) // 2)
     whole = drops.whole[i]
     forces = np.zeros(whole + 2)
     state, moved = np.zeros(size), np.zeros(size)
@@ -140,7 +140,8 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
             for b in range(size):
                 moved[a] += drops.step[i, a, b] * state[b]
         state, moved = moved, state
-    return abs(total / (ticks - quarter) - rest) <= tolerance
+    near: bool = abs(total / (ticks - quarter) - rest) <= tolerance
+    return near
 
 
 def _settled(drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, told: Any) -> None:

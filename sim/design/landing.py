@@ -71,7 +71,8 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
 
 def _margin(demand: Demand) -> list[float]:
     low, high = demand.mass
-    return np.geomspace(low / (1.0 + MARGIN), high * (1.0 + MARGIN), 3).tolist()
+    masses: list[float] = np.geomspace(low / (1.0 + MARGIN), high * (1.0 + MARGIN), 3).tolist()
+    return masses
 
 
 def _falls(demand: Demand) -> Falls:

@@ -42,7 +42,8 @@ def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
     from sim.design.passive import stiffest_passive
 
     period, delay = 1.0 / job["rate"], (float(job["delay"]),) * 2
-    asked = Demand(tuple(job["mass"]), job["damping"], delay, period, 0.99, job["nyquist"])
+    lightest, heaviest = job["mass"]
+    asked = Demand((lightest, heaviest), job["damping"], delay, period, 0.99, job["nyquist"])
     family = job["family"]
     if family == "two rates":
         return _two_rates(job, period)
@@ -107,7 +108,8 @@ def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
     from nodes.laws import CompiledLaw
     from nodes.stability.two_rate import TwoRate, two_rate_radius
 
-    masses = np.geomspace(*job["mass"], 11).tolist()
+    lightest, heaviest = job["mass"]
+    masses = np.geomspace(lightest, heaviest, 11).tolist()
 
     def keeps(stiffness: float, damper: float) -> bool:
         law = CompiledLaw((stiffness,))
@@ -116,11 +118,14 @@ def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
 
     best = (0.0, 0.0)
     top = 0.5 * job["mass"][0] * SERVO / period
+    # Too soft a spring creeps home, too stiff a one rings: in between it keeps the radius, or nowhere.
+    grid = np.geomspace(20.0, 4.0 * job["mass"][0] / period**2, 60)
     for damper in np.geomspace(0.01 * top, top, 24).tolist():
-        low, high = best[0], 4.0 * job["mass"][0] / period**2
-        if not keeps(max(low, 1.0), damper):
+        kept = [i for i, stiffness in enumerate(grid.tolist()) if stiffness > best[0] and keeps(stiffness, damper)]
+        if not kept or kept[-1] + 1 == len(grid):
             continue
-        for _ in range(30):
+        low, high = float(grid[kept[-1]]), float(grid[kept[-1] + 1])
+        for _ in range(20):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if keeps(middle, damper) else (low, middle)
         best = max(best, (low, damper))

@@ -168,6 +168,7 @@ def _distance(matrix: np.ndarray, hull: np.ndarray) -> float:
         bounds=[(0.0, 1.0)] * count + [(0.0, None)],
     )
     assert found.success
+    assert found.fun is not None
     return float(found.fun)
 
 

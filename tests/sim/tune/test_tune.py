@@ -265,7 +265,10 @@ def test_a_demand_holds_all_that_the_device_may_be() -> None:
     assert asked.damping <= 1.0
     assert asked.delay[0] <= 1.3 <= asked.delay[1]
     assert asked.lands == CONVENTIONS
-    assert model(found).delay == pytest.approx(1.3, abs=0.01)
+    body = model(found)
+    # No joint, no lag: nothing beyond what the data ask for.
+    assert isinstance(body, DeviceModel)
+    assert body.delay == pytest.approx(1.3, abs=0.01)
 
 
 def test_a_law_lands_unless_it_is_told_otherwise() -> None:
