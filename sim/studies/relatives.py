@@ -80,7 +80,8 @@ def _radius(law: Any, asked: Any) -> float:
     from nodes.stability.closed_loop import pole_radius
     from nodes.stability.plant import Plant
 
-    masses = np.geomspace(*asked.mass, 11).tolist()
+    lightest, heaviest = asked.mass
+    masses = np.geomspace(lightest, heaviest, 11).tolist()
     return max(pole_radius(law, Plant(asked.period, mass, asked.damping, asked.delay[0])) for mass in masses)
 
 
