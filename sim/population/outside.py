@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from nodes.laws.excitation import Telegraph
 from sim.device.model import DeviceModel
-from sim.device.richer import RicherModel, pushed
 from sim.identify.experiment import Experiment, lockstep
 from sim.population.virtual import PUSH, draw
+from sim.scene.richer import RicherModel, pushed
 
 Array = NDArray[np.float64]
 

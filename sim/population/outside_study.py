@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sim.device.richer import RicherModel
 from sim.identify.identified import Identified
 from sim.identify.identify import identify
 from sim.identify.report import ROWS
 from sim.population.outside import KINDS, draw_outside, excite_outside
+from sim.scene.richer import RicherModel
 
 FAR = 2.0
 """Half widths of a 95 % interval beyond which an estimate is false certainty: by chance one in ten thousand is."""

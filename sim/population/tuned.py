@@ -11,11 +11,11 @@ from typing import Any
 
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
-from sim.device.richer import RicherModel
 from sim.identify.identified import refusal
 from sim.identify.identify import identify
 from sim.population.outside import KINDS, draw_outside, excite_outside
 from sim.population.virtual import draw, excite
+from sim.scene.richer import RicherModel
 from sim.tune.design import Wanted, design
 from sim.tune.knock import KnockVerdict, climb, knocked, scaled
 from sim.tune.outcome import verified

@@ -13,8 +13,8 @@ from typing import Any
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.families import Tuned, best_pd, designed
 from sim.device.model import DeviceModel, Hand
-from sim.device.richer import RicherModel
 from sim.identify.identified import Identified
+from sim.scene.richer import RicherModel
 
 
 @dataclass(frozen=True)

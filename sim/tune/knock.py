@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from nodes.laws import CompiledLaw
 from nodes.laws.knock import Knock
 from sim.device.model import DeviceModel
-from sim.device.richer import RicherModel, knock_on
 from sim.scene.loop import Scene, SceneSurface, run
+from sim.scene.richer import RicherModel, knock_on
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import flexible_radius
 from sim.device.model import DeviceModel
-from sim.device.richer import RicherModel
 from sim.identify.identified import Estimate, Identified, refusal
 from sim.identify.identify import identify
 from sim.identify.report import figures, from_figures, text
 from sim.population.outside import excite_outside
+from sim.scene.richer import RicherModel
 
 T = 0.002
 RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6)
