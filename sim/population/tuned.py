@@ -51,7 +51,7 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
         if law.found is None:
             return row | {"stopped": "no law keeps the demand"}
         compiled = law.found.law
-        row["h1_n_per_m"] = compiled.h1
+        row["h1_n_per_m"], row["taps_n_per_m"] = compiled.h1, list(compiled.taps)
         figures, _, plan = predict(compiled, asked, found, PEAK, None)
     except ValueError as error:
         return row | {"stopped": str(error)}
@@ -92,12 +92,21 @@ def true_radius(law: CompiledLaw, device: RicherModel, period: float) -> float:
 
 
 def true_edge(law: CompiledLaw, device: RicherModel, period: float) -> float | None:
-    """Find the stiffness at which a pole of the true loop reaches the unit circle [N/m]; None above 20 times the law."""
-    low, high = 0.02, 0.02
-    while true_radius(scaled(law, high), device, period) < 1.0:
-        low, high = high, high * 1.02
-        if high > 20.0:
-            return None
+    """Find the stiffness at which a pole of the true loop reaches the unit circle [N/m]; None above 20 times the law.
+
+    Upwards from the law where that is stable: a law that damps by its stiffness may be unstable far below itself, too.
+    """
+    low = high = 1.0
+    if true_radius(law, device, period) < 1.0:
+        while true_radius(scaled(law, high), device, period) < 1.0:
+            low, high = high, high * 1.02
+            if high > 20.0:
+                return None
+    else:
+        while true_radius(scaled(law, low), device, period) >= 1.0:
+            low, high = low / 1.02, low
+            if low < 0.02:
+                return None
     for _ in range(20):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if true_radius(scaled(law, middle), device, period) < 1.0 else (low, middle)
