@@ -131,7 +131,7 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
         force = fir(taps, history, head)
         if len(recursive) > 0:
             force += sections(recursive, memory, history[head], history[head + 1])
-        force = one_sided(force, 1.0, touches, drops.raw[i], drops.clamp[i])
+        force = one_sided(force, 1.0, force, touches, drops.raw[i], drops.clamp[i])
         for j in range(whole + 1, 0, -1):
             forces[j] = forces[j - 1]
         forces[0] = force
