@@ -17,7 +17,7 @@ from nodes.laws.fields import Damping, Taps
 
 
 class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """F = K x + A, A + τ^α D^α A = B_α D^α x, with D^α by Grünwald and Letnikov's sum (THEORY.md §15).
+    """F = K x + A, A + τ^α D^α A = B_α D^α x, with D^α by Grünwald and Letnikov's sum (THEORY.md §16).
 
     Attributes
     ----------

@@ -173,6 +173,6 @@ def run(arguments: argparse.Namespace) -> int:
             f"{row['family']:22} {row['h1_n_per_m']:10.1f} {row['h_nyquist_n_per_m']:9.0f}  "
             f"{row['damping_needed_n_s_per_m']:18.3f} {row['at_nyquist_without_delay_n_s_per_m']:14.3f}  {row['drops_settled']}"
         )
-    lines.append(f"passive at this delay: those with a b of at most {arguments.damping:g} N s/m (THEORY.md §15)")
+    lines.append(f"passive at this delay: those with a b of at most {arguments.damping:g} N s/m (THEORY.md §16)")
     answer(arguments.json, {"rows": rows, "ledger": str(ledger)}, "\n".join([*lines, str(ledger)]))
     return 0
