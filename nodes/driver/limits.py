@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from nodes.driver.device import Bounds, DeviceLimits, Workspace
+from nodes.driver.state import PEAKS
 
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -46,7 +47,7 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         Smallest and largest coordinate of each axis [m]; a position outside is a fault and no data, and there is no force.
     stop_after : int or None
         How often within 2 s the force may come to `peak_force` while the loop gives out energy; then the loop is unstable, and
-        the driver stops for good: damping, then no force until it is started again. None for never.
+        the driver stops for good: damping, then no force until it is started again. At most 64; None for never.
     hang : float or None
         After so long within one tick the device is taken to hang, and the driver ends [s]; None for a debugger.
     without : list of str
@@ -64,7 +65,7 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     ramp: NonNegative = 0.0
     recovery: NonNegative = 0.15
     workspace: Workspace | None = None
-    stop_after: Annotated[int, msgspec.Meta(ge=2)] | None = 6
+    stop_after: Annotated[int, msgspec.Meta(ge=2, le=PEAKS)] | None = 6
     hang: Positive | None = 1.0
     without: list[Literal["peak_force", "workspace", "hold"]] = []
 

@@ -35,7 +35,6 @@ from nodes.driver.state import (
     FAULT,
     IDLE,
     NOTHING,
-    PEAKS,
     RAMP,
     STOPPED,
     note,
@@ -89,7 +88,7 @@ def set_safety(s: Any, parameters: SafetyParameters, limits: Limits, period: flo
     s.reach = REACH
     set_heat(s, limits.continuous, parameters.thermal_time, period)
     # Only a largest force tells what a swing is.
-    s.stop_after = 0 if limits.peak is None or parameters.stop_after is None else min(parameters.stop_after, PEAKS)
+    s.stop_after = 0 if limits.peak is None else parameters.stop_after or 0
     s.safety, s.force_seq, s.since, s.limited_at = IDLE, -1, 0, -1
 
 

@@ -83,6 +83,8 @@ def test_a_slew_too_slow_to_stop_in_time_lowers_the_peak() -> None:
         ({"ramp": math.nan}, "driver.safety.ramp"),
         ({"workspace": [[0, 1], [0, 1]]}, "driver.safety.workspace"),
         ({"max_peak": 3.0}, "driver.safety"),
+        # More than there is room for was cut, and nothing said so.
+        ({"stop_after": 65}, "driver.safety.stop_after"),
     ],
 )
 def test_parameters_that_make_no_sense_are_refused_by_path(data: dict[str, Any], path: str) -> None:
