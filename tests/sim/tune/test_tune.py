@@ -33,8 +33,6 @@ from tests.support.launching import (
     wait_for,
 )
 
-pytestmark = pytest.mark.realtime
-
 T = 0.002
 DEVICE = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.3, resolution=2.3e-5)
 SCENE = ("identify", "apply:=next_tick", "delay:=0.3")
