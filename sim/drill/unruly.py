@@ -33,7 +33,11 @@ def connect(place: str) -> socket.socket:
     if bare.startswith("ipc://"):
         made = socket.socket(socket.AF_UNIX)
         made.settimeout(1.0)
-        made.connect(bare.removeprefix("ipc://"))
+        try:
+            made.connect(bare.removeprefix("ipc://"))
+        except OSError:
+            made.close()
+            raise
         return made
     host, _, port = bare.removeprefix("tcp://").rpartition(":")
     return socket.create_connection((host.strip("[]"), int(port)), 1.0)

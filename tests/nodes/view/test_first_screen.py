@@ -173,7 +173,7 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
         lambda: float(launch.call("driver", "param.get", name="device.delay")), "the device answers later"
     )
     wait_for(lambda: page.evaluate("haptic.map.own") == turned, "the map for that delay")
-    assert page.evaluate("haptic.dial.edge") < before, "the edge has come down"
+    wait_for(lambda: page.evaluate("haptic.dial.edge") < before, "the edge to come down")
     assert "ticks of" in shown(page, "#delay-told")
     # The dot of the right-hand panel stands at the delay of the whole loop, and is a handle.
     wait_for(
