@@ -70,13 +70,23 @@ def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch
     rests = "haptic.space.now && Math.hypot(...haptic.space.now.target) < 1e-4"
     wait_for(lambda: launch.ticks() > 1300 and page.evaluate(rests), "the hand rests")
     box: Any = page.locator("#space").bounding_box()
-    u, v, _ = page.evaluate("haptic.space.seen(haptic.space.now.target)")
+
+    def taken() -> Any:
+        # Nobody holds it yet, so it taps by itself every 3 s: it may have moved away under the mouse.
+        page.mouse.up()
+        u, v, _ = page.evaluate("haptic.space.seen(haptic.space.now.target)")
+        page.mouse.move(box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + v)
+        page.mouse.down()
+        return page.evaluate("haptic.space.held && [haptic.space.held, haptic.space.seen(haptic.space.held)]")
+
+    start, (u, v, _) = wait_for(taken, "the hand to be taken")
     x, y = box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + v
     page.mouse.move(x, y)
-    page.mouse.down()
+    began = page.evaluate("[...haptic.space.held]")
     page.mouse.move(x + 30.0, y - 40.0, steps=3)
     right, up, pixels = page.evaluate("[haptic.space.camera.right, haptic.space.camera.up, haptic.space.pixels]")
-    wanted = [(30.0 * r + 40.0 * w) / pixels for r, w in zip(right, up, strict=True)]
+    wanted = [b + (30.0 * r + 40.0 * w) / pixels for b, r, w in zip(began, right, up, strict=True)]
+    assert math.dist(start, began) < 2e-3
 
     def there() -> bool:
         return math.dist(page.evaluate("[...haptic.space.now.target]"), wanted) < 1e-3
