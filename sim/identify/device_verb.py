@@ -149,11 +149,15 @@ def _identify(arguments: argparse.Namespace) -> int:
         arguments.assignments.insert(0, arguments.scenario)
         arguments.scenario = "identify"
     excitation(arguments)
-    with interrupted_once():
-        if arguments.scenario is None and (arguments.run_name or runs()):
-            found = identify_running(arguments, say)
-        else:
-            found = identify_scenario(arguments, arguments.scenario or "identify", arguments.assignments)
+    with interrupted_once() as signalled:
+        try:
+            if arguments.scenario is None and (arguments.run_name or runs()):
+                found = identify_running(arguments, say)
+            else:
+                found = identify_scenario(arguments, arguments.scenario or "identify", arguments.assignments)
+        except KeyboardInterrupt:
+            say("nothing was recorded: interrupted before the push began; law and surface are back")
+            return 128 + (signalled() or 2)
     told = []
     for pushed, one in found:
         told.append(
