@@ -40,6 +40,7 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
 
     @compilable
     def ticks(address: int) -> int:
+        """Answer positions until something else is to be done; how many."""
         s = _look(address)
         done = 0
         taken, out = s.reals, s.out_reals

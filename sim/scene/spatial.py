@@ -26,11 +26,6 @@ from sim.device.state import read_axis, write_axis
 from sim.scene.driver_rules import DriverRules
 from sim.scene.from_launch import parameters_of
 
-__all__ = [
-    "SpatialTrace",
-    "play",
-]
-
 Rows = NDArray[np.float64]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT, status
@@ -10,6 +11,8 @@ from nodes.kernels import deflection, one_sided, plane_distance
 from sim.device.model import advance, coefficients
 
 PERIOD = 0.002
+PUBLISHES = json.dumps({"driver": [DEVICE_STATE], "environment": [PROXY], "coupling": [FORCE, RECEIPT]})
+"""Who publishes what, as a manifest has it."""
 MASS, STIFFNESS, DAMPING = 0.1, 1500.0, 3.0
 
 

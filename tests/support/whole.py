@@ -11,11 +11,12 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from messages.types import Message
 from nodes.recording.writer import RecordWriter
-from tests.support.recorded import drop
+from tests.support.recorded import PUBLISHES, drop
 
 
 def write(path: Path, sent: list[tuple[str, Message]], flush_every: int = 120) -> None:
-    with RecordWriter(path, {"scenario": "drop", "pace": "lockstep"}, overwrite=True) as writer:
+    manifest = {"scenario": "drop", "pace": "lockstep", "publishes": PUBLISHES}
+    with RecordWriter(path, manifest, overwrite=True) as writer:
         for number, (topic, message) in enumerate(sent, 1):
             writer.write(topic, message, message.stamp + 1e-4)
             if number % flush_every == 0:

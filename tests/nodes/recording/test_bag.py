@@ -24,13 +24,15 @@ from nodes.recording.export import export_csv, export_npz, plain_names
 from nodes.recording.play import play
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError, RecordWriter
-from tests.support.recorded import drop
+from tests.support.recorded import PUBLISHES, drop
 
 MISSED = (40, 41, 150)
 
 
 def write(path: Path, sent: list[tuple[str, Message]], **manifest: str) -> None:
-    with RecordWriter(path, {"scenario": "floor_drop", "pace": "realtime"} | manifest) as writer:
+    with RecordWriter(
+        path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest
+    ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
 

@@ -27,13 +27,15 @@ from nodes.recording.reader import Recording
 from nodes.recording.series import BINS, POINTS, Line, Lines, Spans
 from nodes.recording.writer import RecordWriter
 from tests.support.overlap import overlaps
-from tests.support.recorded import PERIOD, drop
+from tests.support.recorded import PERIOD, PUBLISHES, drop
 
 MISSED = (40, 41, 150)
 
 
 def write(path: Path, sent: Sequence[tuple[str, Message]], **manifest: str) -> Path:
-    with RecordWriter(path, {"scenario": "floor_drop", "pace": "realtime"} | manifest) as writer:
+    with RecordWriter(
+        path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest
+    ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
     return path

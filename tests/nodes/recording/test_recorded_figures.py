@@ -20,7 +20,7 @@ from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile, summarise
 from nodes.recording.wall_clock import LOG_OFFSET, PUBLISH_OFFSET
 from nodes.recording.writer import Output, RecordError, RecordWriter, mcap_writer
-from tests.support.recorded import PERIOD, drop
+from tests.support.recorded import PERIOD, PUBLISHES, drop
 from tests.support.whole import Whole, write
 
 OFFSETS = (LOG_OFFSET, PUBLISH_OFFSET)
@@ -59,7 +59,7 @@ def test_figures_of_a_run(whole: Whole, tmp_path: Path) -> None:
     assert recording.complete
     assert recording.cut == ""
     assert not recording.recovered
-    assert recording.manifest == {"scenario": "drop", "pace": "lockstep"}
+    assert recording.manifest == {"scenario": "drop", "pace": "lockstep", "publishes": PUBLISHES}
     ticks = recording.topics[DEVICE_STATE]
     assert (ticks.messages, ticks.gaps, ticks.first_seq, ticks.last_seq) == (200, 0, 0, 199)
     # Stamps are kept to the nanosecond.
