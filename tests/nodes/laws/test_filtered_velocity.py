@@ -36,7 +36,7 @@ def test_filter_is_the_low_pass_of_the_backward_difference() -> None:
 
 
 def test_a_high_cutoff_is_pd_and_a_low_one_costs_stiffness() -> None:
-    device = Plant(0.1, 1.0, 1.0)
+    device = Plant(T, 0.1, 1.0, 1.0)
 
     def limit(cutoff: float) -> float:
         derivative = without_spring(PDFiltered(stiffness=1.0, damping=3.0, cutoff=cutoff), T)

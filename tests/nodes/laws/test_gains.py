@@ -108,13 +108,6 @@ def test_paper_and_unlimited_differ_by_what_the_memory_lacks(order: float, taps:
     assert low < unlimited / paper < high
 
 
-def test_normalised_of_before_is_refused_with_what_to_write() -> None:
-    with pytest.raises(LawRefusedError, match=r"^law\.gains: 'normalised' .* write 'unlimited' .* or 'paper'"):
-        parse_law(
-            {"kind": "pd_alpha", "stiffness": 1.0, "damping": 1.0, "order": 0.5, "taps": 4, "gains": "normalised"}
-        )
-
-
 def test_gains_must_be_said() -> None:
     with pytest.raises(LawRefusedError, match=r"^law\.gains: is missing"):
         parse_law({"kind": "pd_alpha", "stiffness": 1.0, "damping": 1.0, "order": 0.5, "taps": 4})
