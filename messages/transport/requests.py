@@ -23,6 +23,7 @@ __all__ = [
     "MAX_REQUEST",
     "Connection",
     "ControlError",
+    "Desk",
     "Reply",
     "Request",
     "T",
@@ -132,6 +133,47 @@ def _decode(name: str, decoder: msgspec.msgpack.Decoder[T], frames: Sequence[byt
         return decoder.decode(frames[0])
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise MessageRefusedError(f"{name}: {error}") from error
+
+
+class Desk:
+    """Where a node takes requests and answers them, one after the other.
+
+    A ROUTER, as libzmq's own REP loses the next reply, whosever it is, when somebody sent no whole request and is gone (4.3.5:
+    its rollback keeps the state of the reply that it could not begin).
+
+    Parameters
+    ----------
+    context : zmq.Context
+        Context of the calling process.
+    """
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]]) -> None:
+        self.socket = context.socket(zmq.ROUTER)
+        self._envelope: list[bytes] = []
+
+    def take(self) -> list[bytes]:
+        """Wait for a request; its frames without the envelope that leads back to who asked.
+
+        Returns
+        -------
+        list of bytes
+            Frames as received.
+        """
+        frames = self.socket.recv_multipart()
+        # The peer, and what REQ puts before its request: an empty frame.
+        inside = frames.index(b"") + 1 if b"" in frames else 1
+        self._envelope, frames = frames[:inside], frames[inside:]
+        return frames
+
+    def answer(self, reply: bytes) -> None:
+        """Answer the request that was taken; who is gone gets nothing.
+
+        Parameters
+        ----------
+        reply : bytes
+            Encoded reply.
+        """
+        self.socket.send_multipart([*self._envelope, reply])
 
 
 class Connection:

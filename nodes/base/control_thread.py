@@ -21,7 +21,7 @@ from messages import topics
 from messages.codec import MessageRefusedError
 from messages.transport.endpoints import EndpointRefusedError, bind, remove_ipc, split
 from messages.transport.gate import Reopening
-from messages.transport.requests import Reply, Request, decode_request
+from messages.transport.requests import Desk, Reply, Request, decode_request
 from nodes.base import descriptors, realtime
 from nodes.base.kept import keep
 from nodes.base.leases import Leases
@@ -102,7 +102,8 @@ class ControlServer(threading.Thread):
 
     def _open(self) -> None:
         node = self._node
-        self._socket = self._context.socket(zmq.REP)
+        self._desk = Desk(self._context)
+        self._socket = self._desk.socket
         # Requests are carried by the thread that serves listeners, off the loop's processor where there is another.
         self._socket.setsockopt(zmq.AFFINITY, 1 << (int(self._context.get(zmq.IO_THREADS)) - 1))
         self._socket.rcvtimeo = self._patience_ms
@@ -234,7 +235,7 @@ class ControlServer(threading.Thread):
         node = self._node
         node.changes.serving.stop()
         try:
-            frames = self._socket.recv_multipart()
+            frames = self._desk.take()
             self._await_turn()
         except zmq.Again:
             return
@@ -248,7 +249,7 @@ class ControlServer(threading.Thread):
             encoded = msgspec.msgpack.encode(reply)
         except (TypeError, OverflowError, RecursionError) as error:
             encoded = msgspec.msgpack.encode(Reply(False, error=f"{node.setup.name}: unsendable result: {error}"))
-        self._socket.send(encoded)
+        self._desk.answer(encoded)
 
     def _keep(self) -> None:
         try:

@@ -24,7 +24,7 @@ from messages.codec import MessageRefusedError
 from messages.transport.endpoints import bind, split
 from messages.transport.gate import Gate
 from messages.transport.keys import identity
-from messages.transport.requests import Reply, decode_request
+from messages.transport.requests import Desk, Reply, decode_request
 from messages.transport.sockets import new_context
 from nodes.base import realtime
 from nodes.base.kinds import load, node_kinds
@@ -89,13 +89,14 @@ class Starter:
             signal.signal(number, self._on_signal)
         context = new_context()
         gate = Gate(context, self._deny)
-        socket = context.socket(zmq.REP)
+        desk = Desk(context)
+        socket = desk.socket
         try:
             bind(socket, self.control)
             gate.watch(socket)
             gate.start()
             socket.rcvtimeo = 200
-            return self._serve(socket)
+            return self._serve(desk)
         finally:
             gate.stop()
             # Long enough for the last answer to leave.
@@ -109,10 +110,10 @@ class Starter:
     def _deny(self, reason: str) -> None:
         print(f"[{self._name}] denied: {reason}", file=sys.stderr, flush=True)
 
-    def _serve(self, socket: zmq.Socket[bytes]) -> Setup | None:
+    def _serve(self, desk: Desk) -> Setup | None:
         while not self._stopping:
             try:
-                frames = socket.recv_multipart()
+                frames = desk.take()
             except zmq.Again:
                 continue
             setup = None
@@ -123,7 +124,7 @@ class Starter:
                 reply = self._reply(request.op)
             except (MessageRefusedError, ParameterError, runs.RunError) as error:
                 reply = Reply(False, error=f"{self._name}: {error}"[:4000])
-            socket.send(msgspec.msgpack.encode(reply))
+            desk.answer(msgspec.msgpack.encode(reply))
             if setup is not None:
                 return setup
         return None

@@ -144,7 +144,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
     """
     if len(launch.run.axes) != 1:
         raise ParameterError(
-            f"{launch.scenario}.run.axes: {launch.run.axes}; this loop plays one axis; sim.scene.spatial plays several"
+            f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis here; sim.scene.spatial plays several"
         )
     axis = launch.run.axes[0]
     period = launch.run.period

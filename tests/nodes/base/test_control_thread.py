@@ -107,6 +107,24 @@ def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> No
         assert control.stop()
 
 
+def test_half_a_request_of_one_who_is_gone_costs_nobody_an_answer(context: Context) -> None:
+    """REP of libzmq loses the answer to the next request, whosever it is."""
+    with private_runtime_dir() as folder:
+        control = server(context, folder)
+        with zmq.Context() as others:
+            for _ in range(20):
+                with others.socket(zmq.DEALER) as gone:
+                    connect(gone, f"ipc://{folder}/n.ctl")
+                    # Without the empty frame that REQ puts before it.
+                    gone.send(b"hello")
+        # Only then the node looks at them.
+        control.start()
+        for _ in range(5):
+            assert "monotonic_s" in call(context, f"ipc://{folder}/n.ctl", "clock", timeout=DEADLINE)
+        assert control._node.events.refused > 0
+        assert control.stop()
+
+
 def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) -> None:
     """ZeroMQ aborts a process that has none left when somebody connects: a node takes what it may, or ends while it can."""
     with running(tmp_path, "wall_press", "duration:=0") as launch:
