@@ -74,7 +74,7 @@ def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 
 def _compared(table: Table, virtual: Forces, drop: int) -> tuple[float, float, int]:
-    """Find the delay [ticks] at which the virtual device renders one drop best; with the error [N], and the drop's first row."""
+    """Find the delay [ticks] at which the virtual device renders one drop best; with the error [N], and the first row."""
     first = int(np.searchsorted(table["seq"], drop))
     force = table["force"][first : first + len(virtual[0.0]), 2]
     known = np.flatnonzero(np.isfinite(force))  # where no tick was lost
