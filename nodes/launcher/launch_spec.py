@@ -150,7 +150,7 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     open_port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0
 
 
-Figure = Literal["settling", "peak_force", "rest_force", "travel", "limit_cycle", "k_max"]
+Figure = Literal["settling", "peak_force", "rest_force", "travel", "limit_cycle", "k_max", "force", "proxy"]
 ModelTerm = Literal[
     "gravity",
     "damping",
@@ -165,6 +165,12 @@ ModelTerm = Literal[
     "workspace",
     "guard",
     "memory",
+    "axes",
+    "shape",
+    "triangles",
+    "surface_friction",
+    "tool_radius",
+    "bodies",
 ]
 
 

@@ -197,7 +197,7 @@ def _levels(solids: Sequence[Solid], touched: Array, normals: Array) -> Iterator
         found = meshes[0].mesh
         assert found is not None  # noqa: S101  # it is one
         for cells in _GRIDS:
-            yield from _decimated(found, cells, meshes[0])
+            yield from decimated(meshes[0], cells)
         for pieces in _PIECES:
             yield f"{pieces} convex piece{'s' if pieces > 1 else ''}", _pieces(found, pieces, meshes[0])
     points = np.concatenate(
@@ -221,8 +221,14 @@ def _slippery(solid: Solid) -> Solid:
     return solid._replace(friction=SLIPPERY)
 
 
-def _decimated(found: PreparedMesh, cells: int, whole: Solid) -> Iterator[tuple[str, list[Solid] | str]]:
-    """Draw corners in one cell of a grid together, and leave out the triangles that this flattens."""
+def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str]]:
+    """Draw corners in one cell of a grid together, and leave out the triangles that this flattens; what is none then says why.
+
+    Nothing for what is no mesh, or has no triangles to spare.
+    """
+    found = whole.mesh
+    if found is None:
+        return
     corners = found.corners
     low = corners.reshape(-1, 3).min(axis=0)
     size = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / cells

@@ -8,15 +8,16 @@ superfluous; a term that is neither there nor left out on purpose, and moves som
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from nodes.launcher.launch_spec import Model
 from nodes.stability.k_max import k_max, with_spring
 from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, NeedTerm
-from sim.measure.stopwatch import interleaved
+from sim.measure.stopwatch import Timing, interleaved
 from sim.scene.from_launch import LaunchedScene
 from sim.scene.loop import Trace
 
@@ -25,6 +26,9 @@ BUZZ = 1e-6
 
 _FORCE = 0.01
 _TAIL = 5
+
+S = TypeVar("S")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ class Finding:
     term : str
         The term, or two that were switched together, or a convention.
     switched : str
-        ``off`` or ``on``, with the value; ``other`` for a convention.
+        ``off``, with what there is in its place, or ``on``, with the value; ``other`` for a convention.
     verdict : str
         ``needed``, ``superfluous``, ``protects``, ``missing``, ``left out``, ``not needed``, ``brought by the loop``,
         ``convention``.
@@ -101,13 +105,13 @@ class Needs:
         Of the scene as it is.
     findings : tuple of Finding
         One for each term, pair and convention that was switched.
-    tick_us : float
-        Time per tick of the scene as it is, in plain Python [µs].
+    tick_us : float or None
+        Time per tick of the scene as it is, in plain Python [µs]; None where nothing was timed.
     """
 
     outcome: Outcome
     findings: tuple[Finding, ...]
-    tick_us: float
+    tick_us: float | None
 
     @property
     def superfluous(self) -> tuple[str, ...]:
@@ -176,75 +180,111 @@ def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]
     return figures
 
 
+class Variant(NamedTuple, Generic[S]):
+    """A scene with something switched: what, the scene, and how (`Finding.switched`)."""
+
+    terms: tuple[str, ...]
+    scene: S
+    switched: str
+
+
 def needs(scene: LaunchedScene, model: Model, rounds: int = 5, step: Callable[[str], None] | None = None) -> Needs:
     """Switch every term of a scene."""
-    variants = _variants(scene)
-    jobs: dict[str, tuple[Callable[[], object], int]] = {"": (lambda: scene.play(interpreted=True), scene.ticks)}
-    for label, (_, changed, _) in variants.items():
-        jobs[label] = (lambda changed=changed: changed.play(interpreted=True), scene.ticks)  # type: ignore[misc]
+
+    def changes(changed: LaunchedScene, trace: Trace) -> dict[str, float]:
+        return movement(before, outcome(changed, trace), scene.scene.period)
+
+    def play(changed: LaunchedScene) -> Trace:
+        return changed.play(interpreted=True)
+
+    contact = scene.scene.surface.kind == "plane"
+    variants = variants_of(scene, TERMS, CONVENTIONS if contact else {}, TOGETHER)
     with np.errstate(all="ignore"):
+        before = outcome(scene, play(scene))
+        findings, tick = judge(scene, variants, play, changes, scene.ticks, model, rounds, step)
+    return Needs(before, findings, tick)
+
+
+def judge(
+    scene: S,
+    variants: Sequence[Variant[S]],
+    play: Callable[[S], R],
+    changes: Callable[[S, R], dict[str, float]],
+    ticks: int,
+    model: Model,
+    rounds: int,
+    step: Callable[[str], None] | None,
+) -> tuple[tuple[Finding, ...], float | None]:
+    """Play a scene and its variants in turns: what each one moves and costs, and the time per tick of the scene [µs].
+
+    Without rounds nothing is timed.
+    """
+    played: dict[int, R] = {}
+
+    def job(i: int, changed: S) -> Callable[[], None]:
+        def run() -> None:
+            played[i] = play(changed)
+
+        return run
+
+    jobs: dict[str, tuple[Callable[[], object], int]] = {
+        str(i): (job(i, changed), ticks) for i, changed in enumerate([scene, *(v.scene for v in variants)])
+    }
+    timings: dict[str, Timing] = {}
+    if rounds:
         timings = interleaved(jobs, rounds, step)
-        before = outcome(scene, scene.play(interpreted=True))
-        findings = [
-            _finding(terms, outcome(changed, changed.play(interpreted=True)), before, scene, model, declared)
-            for terms, changed, declared in variants.values()
-        ]
-    whole = timings[""].median
-    costed = []
-    for label, finding in zip(variants, findings, strict=True):
-        mine = timings[label]
-        cost = 1e6 * (whole - mine.median) * (1.0 if finding.switched == "off" else -1.0)
-        spread = 0.5e6 * ((mine.high - mine.low) + (timings[""].high - timings[""].low)) if rounds > 1 else None
-        known = finding.switched != "other" and spread is not None and abs(cost) > spread
-        costed.append(replace(finding, cost_us=cost if known else None, cost_spread_us=spread))
-    return Needs(before, tuple(costed), 1e6 * whole)
+    else:
+        for i, (run, _) in enumerate(jobs.values()):
+            if i:
+                run()
+    found = []
+    for i, variant in enumerate(variants, 1):
+        finding = _finding(variant, changes(variant.scene, played[i]), model)
+        if timings:
+            whole, mine = timings["0"], timings[str(i)]
+            cost = 1e6 * (whole.median - mine.median) * (1.0 if finding.switched.startswith("off") else -1.0)
+            spread = 0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low)) if rounds > 1 else None
+            known = finding.switched != "other" and spread is not None and abs(cost) > spread
+            finding = replace(finding, cost_us=cost if known else None, cost_spread_us=spread)
+        found.append(finding)
+    return tuple(found), 1e6 * timings["0"].median if timings else None
 
 
-Variant = tuple[tuple[str, ...], LaunchedScene, str]
-
-
-def _variants(scene: LaunchedScene) -> dict[str, Variant]:
-    found: dict[str, Variant] = {}
-    by_name = {term.name: term for term in TERMS}
-    for term in TERMS:
+def variants_of(
+    scene: S,
+    terms: Sequence[NeedTerm[S]],
+    conventions: Mapping[str, Callable[[S], S]],
+    together: Sequence[tuple[str, str]],
+) -> list[Variant[S]]:
+    """Switch each term off where the scene has it and on where it has not, some together, and the conventions."""
+    found: list[Variant[S]] = []
+    by_name = {term.name: term for term in terms}
+    for term in terms:
         if term.declared(scene):
-            found[f"{term.name} off"] = ((term.name,), term.without(scene), "off")
+            simpler = f"off: {term.simpler}" if term.simpler else "off"
+            found.append(Variant((term.name,), term.without(scene), simpler))
         elif term.typical is not None:
             changed = term.typical(scene)
             if term.declared(changed):
-                found[f"{term.name} on"] = ((term.name,), changed, f"on, {term.value}")
-    for left, right in TOGETHER:
+                found.append(Variant((term.name,), changed, f"on, {term.value}"))
+    for left, right in together:
         pair = (by_name[left], by_name[right])
         if not any(term.declared(scene) or term.typical is None for term in pair):
-            changed = _both(pair, scene)
-            found[f"{left} and {right} on"] = ((left, right), changed, "on")
-    for name, switch in CONVENTIONS.items():
-        if scene.scene.surface.kind == "plane":
-            found[name] = ((name,), switch(scene), "other")
-    return found
+            changed = scene
+            for term in pair:
+                changed = changed if term.typical is None else term.typical(changed)
+            found.append(Variant((left, right), changed, "on"))
+    return found + [Variant((name,), switch(scene), "other") for name, switch in conventions.items()]
 
 
-def _both(pair: Sequence[NeedTerm], scene: LaunchedScene) -> LaunchedScene:
-    for term in pair:
-        if term.typical is not None:
-            scene = term.typical(scene)
-    return scene
-
-
-def _finding(
-    terms: tuple[str, ...],
-    after: Outcome,
-    before: Outcome,
-    scene: LaunchedScene,
-    model: Model,
-    switched: str,
-) -> Finding:
+def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model) -> Finding:
+    terms, _, switched = variant
     counts: set[str] = {*model.outcome}
-    changes = {name: value for name, value in movement(before, after, scene.scene.period).items() if name in counts}
+    changes = {name: value for name, value in moved_by.items() if name in counts}
     most = max(changes, key=lambda name: changes[name], default="")
     moved = changes.get(most, 0.0)
     matters = moved > model.tolerance
-    if switched == "off":
+    if switched.startswith("off"):
         verdict = "needed" if matters else "protects" if set(terms) <= PROTECTS else "superfluous"
     elif switched == "other":
         verdict = "convention"

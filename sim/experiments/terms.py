@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import msgspec
 
@@ -16,6 +17,8 @@ from nodes.laws import CompiledLaw
 from sim.device.model import DeviceModel
 from sim.scene.from_launch import LaunchedScene
 from sim.scene.loop import SceneSurface
+
+S = TypeVar("S")
 
 Switch = Callable[[LaunchedScene], LaunchedScene]
 
@@ -27,8 +30,8 @@ _SHORTEST = 3
 
 
 @dataclass(frozen=True)
-class NeedTerm:
-    """One term of a model.
+class NeedTerm(Generic[S]):
+    """One term of a model, of whatever describes the scene.
 
     Attributes
     ----------
@@ -42,13 +45,16 @@ class NeedTerm:
         From a scene to the same scene with a typical value; None where adding it would make another scene.
     value : str
         That value, for people.
+    simpler : str
+        What the scene has in its place without it, for people; empty for nothing.
     """
 
     name: str
-    declared: Callable[[LaunchedScene], bool]
-    without: Switch
-    typical: Switch | None = None
+    declared: Callable[[S], bool]
+    without: Callable[[S], S]
+    typical: Callable[[S], S] | None = None
     value: str = ""
+    simpler: str = ""
 
 
 def _device(scene: LaunchedScene, **changes: object) -> LaunchedScene:
@@ -83,7 +89,7 @@ def _longest(scene: LaunchedScene) -> int:
     return max(len(law.taps) for law in (scene.law, *(swap.law for swap in scene.swaps)))
 
 
-TERMS: tuple[NeedTerm, ...] = (
+TERMS: tuple[NeedTerm[LaunchedScene], ...] = (
     NeedTerm(
         "gravity",
         lambda scene: bool(scene.scene.device.gravity),

@@ -1,25 +1,31 @@
 """A launch of any axes in one process: the states and rules of the nodes themselves, tick by tick, as in lockstep.
 
-The loop of `sim.scene.loop` is for one axis and thousands of runs. This one plays what nodes can: shapes, several axes, laws
-with code of their own and swaps between them, all of the driver's safety. It is interpreted; no rule in it is its own.
+The loop of `sim.scene.loop` is for one axis and thousands of runs. This one plays what nodes can: shapes, things that move,
+several axes, laws with code of their own and swaps between them, all of the driver's safety. It is interpreted; no rule in it
+is its own.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from messages.types import Proxy, Vector
+from messages.types import ZERO, Proxy, Vector
 from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.render import begin_turning
 from nodes.coupling.renderer import ActiveLaw, Renderer
-from nodes.environment.meet import meeting_of
+from nodes.environment.bodies.node import MujocoParameters, load_world
+from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.node import EnvironmentParameters
-from nodes.environment.surfaces import meet_axes, numbers_of, parse_surface
+from nodes.environment.shapes.scene import Solid, new_memory, scene_table
+from nodes.environment.state import SHAPES
+from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
 from nodes.launcher.launch_spec import Launch
 from sim.device.driver import SimDriverParameters, parts_of
 from sim.device.state import read_axis, write_axis
@@ -38,6 +44,8 @@ class SpatialTrace(NamedTuple):
         What the encoders read [m].
     proxy : ndarray, shape (ticks, 3)
         Where the proxy was [m].
+    normal : ndarray, shape (ticks, 3)
+        Outward normal of what was touched; zero for a body that moves.
     contact : ndarray of bool, shape (ticks,)
         Whether something was touched.
     force : ndarray, shape (ticks, 3)
@@ -48,6 +56,7 @@ class SpatialTrace(NamedTuple):
 
     position: Rows
     proxy: Rows
+    normal: Rows
     contact: NDArray[np.bool_]
     force: Rows
     law: list[str]
@@ -62,6 +71,7 @@ class _Coupling:
         book = LawBook(name, period)
         self.renderer = renderer = Renderer([AXIS_INDEX[axis] for axis in launch.run.axes], parameters.memory)
         renderer.state.raw, renderer.state.clamp = parameters.history == "position", parameters.clamp
+        begin_turning(renderer.state, parameters.frame)
 
         def law(name: str) -> ActiveLaw:
             return ActiveLaw(name, "", book.compile(parameters, name), renderer.histories)
@@ -89,7 +99,39 @@ class _Coupling:
         return force if math.isfinite(force[0] + force[1] + force[2]) else renderer.fall_back(proxy)
 
 
-def play(launch: Launch, ticks: int | None = None) -> SpatialTrace:
+Ask = Callable[[int, Vector, Vector], Meeting]
+"""From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact."""
+
+
+def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None) -> Ask:
+    """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
+    period = launch.run.period
+    if not any(spec.kind == "mujoco" for spec in launch.nodes.values()):
+        name, environment = parameters_of(launch, "environment", EnvironmentParameters)
+        surface = parse_surface(environment.surface, f"{name}.surface")
+        meet_axes(surface, launch.run.axes, f"{name}.surface")
+        if solids is not None:
+            radius = getattr(surface, "tool_radius", 0.0)
+            numbers = Numbers(SHAPES, scene_table(solids, radius, period), new_memory(len(solids)))
+            meet = meeting_of(numbers)
+        else:
+            found = numbers_of(surface, period)
+            meet = surface.meeting_every(period) if found is None else meeting_of(found)
+        return lambda _, position, __: meet(position)
+    name, bodies = parameters_of(launch, "mujoco", MujocoParameters)
+    world = load_world(bodies, period, name)
+    delay = float(next_tick)
+
+    def ask(tick: int, position: Vector, force: Vector) -> Meeting:
+        world.follow(tick, position, force, tick - 1, delay, tick == 0)
+        return world.tool_position, ZERO, 0.0, True
+
+    return ask
+
+
+def play(
+    launch: Launch, ticks: int | None = None, solids: Sequence[Solid] | None = None, path: Rows | None = None
+) -> SpatialTrace:
     """Play a launch file.
 
     Parameters
@@ -98,6 +140,10 @@ def play(launch: Launch, ticks: int | None = None) -> SpatialTrace:
         With its arguments filled in; a device that exists, or several, are not played.
     ticks : int, optional
         How many; the launch file's own number when left out.
+    solids : sequence of Solid, optional
+        Shapes in place of the launch file's own.
+    path : ndarray, shape (at least ticks, 3), optional
+        Where the encoders find the device [m], whatever the force: no device is played then.
 
     Returns
     -------
@@ -112,25 +158,25 @@ def play(launch: Launch, ticks: int | None = None) -> SpatialTrace:
     run = launch.run
     period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)
     _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
-    name, environment = parameters_of(launch, "environment", EnvironmentParameters)
-    surface = parse_surface(environment.surface, f"{name}.surface")
-    meet_axes(surface, run.axes, f"{name}.surface")
-    numbers = numbers_of(surface, period)
-    meet = surface.meeting_every(period) if numbers is None else meeting_of(numbers)
     next_tick = run.apply == "next_tick"
+    meet = _environment(launch, next_tick, solids)
     axes = [AXIS_INDEX[axis] for axis in run.axes]
     devices = parts_of(driver.device, run.axes, period, next_tick, driver.ends)
     parts = [device.state for device in devices]
     rules = DriverRules(driver.device, period, next_tick, driver.safety, driver.passivity, axes)
     coupling = _Coupling(launch)
-    positions, proxies, forces = (np.zeros((ticks, 3)) for _ in range(3))
+    positions, proxies, normals, forces = (np.zeros((ticks, 3)) for _ in range(4))
     contacts, laws = np.zeros(ticks, dtype=np.bool_), []
+    force = ZERO
     for k in range(ticks):
-        place = [0.0, 0.0, 0.0]
-        for part in parts:
-            place[part.axis] = read_axis(part, k)
+        if path is None:
+            place = [0.0, 0.0, 0.0]
+            for part in parts:
+                place[part.axis] = read_axis(part, k)
+        else:
+            place = path[k].tolist()
         position = rules.sample_all(k, (place[0], place[1], place[2]))
-        proxy, normal, distance, contact = meet(position)
+        proxy, normal, distance, contact = meet(k, position, force)
         wanted = coupling.answer(
             Proxy(
                 seq=k,
@@ -145,6 +191,6 @@ def play(launch: Launch, ticks: int | None = None) -> SpatialTrace:
         force = rules.command_all(k, wanted)
         for part in parts:
             write_axis(part, force[part.axis], k, 0.0)
-        positions[k], proxies[k], contacts[k], forces[k] = position, proxy, contact, force
+        positions[k], proxies[k], normals[k], contacts[k], forces[k] = position, proxy, normal, contact, force
         laws.append(coupling.renderer.name)
-    return SpatialTrace(positions, proxies, contacts, forces, laws)
+    return SpatialTrace(positions, proxies, normals, contacts, forces, laws)

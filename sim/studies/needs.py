@@ -23,27 +23,35 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("scenario", help="name of a launch file, or the path of one")
     parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
-    parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of timing (default: %(default)s)")
+    parser.add_argument(
+        "--rounds", type=int, default=5, help="interleaved rounds of timing; 0 times nothing (default: %(default)s)"
+    )
     add_answer(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Say whether a scene models enough and no more."""
-    if arguments.rounds < 1:
-        raise UsageError(f"--rounds {arguments.rounds}: at least 1")
+    if arguments.rounds < 0:
+        raise UsageError(f"--rounds {arguments.rounds}: at least 0")
     from nodes.launcher import launch_file
     from nodes.parameters.store import ParameterError
     from sim.experiments.needs import needs
+    from sim.experiments.spatial_needs import spatial_needs
     from sim.measure.stopwatch import Progress
     from sim.scene.from_launch import from_launch
 
     try:
         launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(arguments.assignments))
-        scene = from_launch(launch)
+        step = Progress(arguments.rounds).step
+        scene = from_launch(launch) if len(launch.run.axes) == 1 else None
+        found = (
+            spatial_needs(launch, arguments.rounds, step)
+            if scene is None
+            else needs(scene, launch.model, arguments.rounds, step)
+        )
     except ParameterError as error:
         raise UsageError(str(error)) from error
-    found = needs(scene, launch.model, arguments.rounds, Progress(arguments.rounds).step)
     figures: dict[str, Any] = {
         "scenario": launch.scenario,
         "outcome": asdict(found.outcome),
@@ -52,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         "terms": [asdict(finding) for finding in found.findings],
         "superfluous": list(found.superfluous),
         "missing": list(found.missing),
-        "rest": _rest(scene, arguments.out / "needs_rest.png"),
+        "rest": None if scene is None else _rest(scene, arguments.out / "needs_rest.png"),
     }
     text = _text(launch.scenario, launch.model, found)
     if (told := figures["rest"]) is not None:
@@ -98,10 +106,11 @@ def _micrometres(length: float) -> str:
 def _text(name: str, model: Any, found: Needs) -> str:
     now = found.outcome
     stiffest = "" if now.h1_max_n_per_m is None else f", K_max (H(1)) {now.h1_max_n_per_m:.5g} N/m"
+    timed = "" if found.tick_us is None else f"; {found.tick_us:.3g} µs per tick in plain Python"
     lines = [
         f"{name}: for {', '.join(model.outcome)}; tolerance {100 * model.tolerance:g} %",
         f"settles in {now.settling_s:.3g} s, peak {now.peak_force_n:.3g} N, at rest {now.rest_force_n:.3g} N, swing at rest "
-        f"{_micrometres(now.limit_cycle_m)} µm{stiffest}; {found.tick_us:.3g} µs per tick in plain Python",
+        f"{_micrometres(now.limit_cycle_m)} µm{stiffest}{timed}",
         "",
         f"{'term':24} {'switched':34} {'moves':>9}  {'of which most':14} {'costs µs':>14}  verdict",
     ]

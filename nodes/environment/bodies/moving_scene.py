@@ -67,6 +67,8 @@ class MovingScene:
         Sampling period of the loop [s].
     where : str
         Path of the parameters, for errors.
+    held : bool
+        Whether all but the tool is held where it begins.
 
     Attributes
     ----------
@@ -83,13 +85,13 @@ class MovingScene:
         When MuJoCo is not installed, the file cannot be read, or the tool is none.
     """
 
-    def __init__(self, file: Path, tool: str, period: float, where: str) -> None:
+    def __init__(self, file: Path, tool: str, period: float, where: str, held: bool = False) -> None:
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
         try:
             # Opened here: the words of the operating system are clearer.
             with open(file, "rb"):
                 pass
-            self.model = mujoco.MjModel.from_xml_path(str(file))
+            self.model = _held(mujoco, file, tool) if held else mujoco.MjModel.from_xml_path(str(file))
         except OSError as error:
             raise ParameterError(f"{where}.scene: {file} cannot be read: {error.strerror}") from error
         except ValueError as error:
@@ -147,6 +149,22 @@ class MovingScene:
         for at, wanted, now in zip(self._slides, position, self.tool_position, strict=True):
             self.data.qpos[at] += wanted - now
         self._mujoco.mj_forward(self.model, self.data)
+
+    def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool) -> bool:
+        """Take the scene to a tick whose state tells the last force, the tick it answered and how much later it took effect.
+
+        Whether the scene diverged, and was put back to its beginning.
+        """
+        if first:
+            self.begin(position)
+            self.skip_to(tick)
+        else:
+            self.hand_over(force, since, delay)
+            self.advance(tick)
+        diverged = self.diverged()
+        if diverged:
+            self.begin(position)
+        return diverged
 
     def hand_over(self, force: Vector, tick: int, delay: float) -> None:
         """Note a force that was handed to the device at a tick, and how much later it took effect [ticks]."""
@@ -255,3 +273,16 @@ class MovingScene:
             self._mujoco.mj_step(model, data, round(1.0 / model.opt.timestep))
             depths.append(-float(data.qpos[0]))
         return (_LOADS[1] - _LOADS[0]) / max(depths[1] - depths[0], 1e-12)
+
+
+def _held(mujoco: Any, file: Path, tool: str) -> Any:
+    """Read a scene and leave out the joints of all bodies that are no part of the tool."""
+    spec = mujoco.MjSpec.from_file(str(file))
+    for body in spec.bodies:
+        line = body
+        while line is not None and line.name not in (tool, "world"):
+            line = line.parent
+        if line is None or line.name != tool:
+            for joint in body.joints:
+                spec.delete(joint)
+    return spec.compile()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import msgspec
 
@@ -27,10 +27,13 @@ class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         MJCF file; ``$(dirname)`` in a launch file is the folder that it stands in.
     tool : str
         Body of it that the coupling holds to the device.
+    bodies : str
+        ``dynamic``, or ``fixed`` to hold all but the tool where it begins.
     """
 
     scene: str
     tool: str = "tool"
+    bodies: Literal["dynamic", "fixed"] = "dynamic"
 
 
 class MujocoEnvironment(Node):
@@ -44,7 +47,7 @@ class MujocoEnvironment(Node):
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Read the scene before anything is started."""
-        _world(convert(setup.parameters, MujocoParameters, setup.name), setup)
+        load_world(convert(setup.parameters, MujocoParameters, setup.name), setup.period, setup.name)
         if list(setup.axes) != ["x", "y", "z"]:
             raise ParameterError(
                 f"{setup.name}.tool: the tool moves in three axes, but run.axes is [{', '.join(setup.axes)}]; "
@@ -59,7 +62,7 @@ class MujocoEnvironment(Node):
 
     def configure(self) -> None:
         """Load the scene, measure its contacts, and say what the stability figures have to know."""
-        self._world = _world(self.store.current, self.setup)
+        self._world = load_world(self.store.current, self.setup.period, self.setup.name)
         told = ", ".join(f"{pair.geom} {pair.stiffness:.3g} N/m" for pair in self._world.stiffness()) or "none"
         self.events.emit_each(
             "bodies",
@@ -71,14 +74,8 @@ class MujocoEnvironment(Node):
         simulated, world, seq = self.clock.simulated, self._world, state.seq
         if state.safety == "fault" and not simulated:
             return None
-        if self.counters.answered < 0:
-            world.begin(state.position)
-            world.skip_to(seq)
-        else:
-            world.hand_over(state.force, seq - 1 - state.age, state.delay)
-            world.advance(seq)
-        if world.diverged():
-            world.begin(state.position)
+        first = self.counters.answered < 0
+        if world.follow(seq, state.position, state.force, seq - 1 - state.age, state.delay, first):
             self.events.emit(
                 "bodies",
                 "the scene diverged and was put back to its beginning; a smaller option timestep may help",
@@ -102,5 +99,7 @@ class MujocoEnvironment(Node):
         answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
 
 
-def _world(parameters: MujocoParameters, setup: Setup) -> MovingScene:
-    return MovingScene(Path(parameters.scene).expanduser(), parameters.tool, setup.period, setup.name)
+def load_world(parameters: MujocoParameters, period: float, name: str) -> MovingScene:
+    """Load the scene of a node of this name."""
+    held = parameters.bodies == "fixed"
+    return MovingScene(Path(parameters.scene).expanduser(), parameters.tool, period, name, held)

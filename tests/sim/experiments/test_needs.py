@@ -17,6 +17,7 @@ from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Model
 from nodes.parameters.store import ParameterError
 from sim.experiments.needs import Needs, Outcome, movement, needs, outcome
+from sim.experiments.spatial_needs import spatial_needs
 from sim.experiments.terms import TERMS
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import Trace
@@ -39,23 +40,67 @@ def changed(tmp_path: Path, name: str, edit: Any) -> str:
     return str(path)
 
 
-def played_in_one_process(name: str) -> bool:
-    launch = launch_file.read(name, {})
-    try:
-        from_launch(launch)
-    except ParameterError:
-        return False
-    return True
+LAUNCHES = {name: launch_file.read(name, {}) for name in sorted(launch_file.scenarios())}
 
 
-SCENARIOS = sorted(launch_file.scenarios())
-PLAYED = [name for name in SCENARIOS if played_in_one_process(name)]
+def kinds(name: str) -> list[str]:
+    return [spec.kind for spec in LAUNCHES[name].nodes.values()]
 
 
-@pytest.mark.parametrize("scenario", sorted(set(SCENARIOS) - set(PLAYED)))
+CHAINS = [name for name in LAUNCHES if kinds(name).count("coupling") == 1]
+PLAYED = [name for name in CHAINS if len(LAUNCHES[name].run.axes) == 1]
+SPATIAL = [name for name in CHAINS if len(LAUNCHES[name].run.axes) > 1]
+
+
+@pytest.mark.parametrize("scenario", sorted(set(LAUNCHES) - set(CHAINS)))
 def test_what_one_process_cannot_play_is_refused_by_name(scenario: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "needs", scenario]) == 2
     assert "one process" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("scenario", SPATIAL)
+def test_scenes_in_three_axes_model_enough_and_no_more(scenario: str) -> None:
+    if "mujoco" in kinds(scenario):
+        pytest.importorskip("mujoco")
+    # The way on, over the shape and to where the hand stays.
+    found = spatial_needs(launch_file.read(scenario, {"duration": 1.5}), rounds=0)
+    assert (found.superfluous, found.missing) == ((), ())
+    judged = verdicts(found)
+    assert judged["hand"] == "needed"
+    # What a scene in three axes is made of is what it needs.
+    own = [
+        judged[term] for term in ("shape", "triangles", "surface_friction", "tool_radius", "bodies") if term in judged
+    ]
+    assert "needed" in own
+    assert set(own) <= {"needed", "left out"}
+
+
+def test_a_curved_surface_that_is_hardly_curved_needs_a_plane(tmp_path: Path) -> None:
+    """A sphere of 1 km: over 2 cm of way it falls off by 0.2 µm."""
+
+    def edit(data: dict[str, Any]) -> None:
+        surface = {"kind": "sphere", "radius": 1000.0, "position": [0.0, 0.0, -1000.0], "tool_radius": 0.001}
+        data["nodes"]["environment"]["parameters"]["surface"] = surface
+        hand = {"path": [[0.02, 0.0], [0.3, 0.02]], "stiffness": 150.0, "damping": 2.0, "mass": 0.05}
+        data["nodes"]["driver"]["parameters"]["device"]["hand"] = hand
+        data["run"]["duration"] = 0.3
+
+    found = spatial_needs(launch_file.read(changed(tmp_path, "sphere_feel", edit), {}), rounds=2)
+    shape = next(f for f in found.findings if f.term == "shape")
+    assert shape.verdict == "superfluous"
+    assert shape.switched == "off: the plane that touches it"
+    assert found.tick_us is not None
+    # A plane costs less than a ball, or so little less that the rounds do not tell.
+    assert shape.cost_us is None or shape.cost_us > -0.5 * found.tick_us
+
+
+def test_needs_in_three_axes_by_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "needs", "rough_plane", "duration:=0.8", "--rounds", "0", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert {finding["term"]: finding["verdict"] for finding in answer["terms"]}["surface_friction"] == "needed"
+    assert answer["rest"] is None
+    assert main(["study", "needs", "sphere_feel", "duration:=0.1", "--rounds", "0"]) == 2
+    assert "touches nothing" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("scenario", PLAYED)
@@ -120,6 +165,7 @@ def test_long_memory_that_nothing_depends_on_is_superfluous(tmp_path: Path) -> N
 def test_costs_are_told_for_every_term() -> None:
     launch = launch_file.read("floor_drop", {})
     found = needs(from_launch(launch), launch.model, rounds=3)
+    assert found.tick_us is not None
     assert found.tick_us > 0.0
     # No single term costs more than the whole tick several times over, whatever the machine.
     assert all(abs(f.cost_us) < 20.0 * found.tick_us for f in found.findings if f.cost_us is not None)

@@ -45,3 +45,18 @@ def test_one_process_plays_the_same(scenario: str, tmp_path: Path) -> None:
     assert np.array_equal(played.force, [state.force for state in states[1:]])
     assert np.array_equal(played.contact, contact[:-1])
     assert np.array_equal(played.proxy, [message.proxy for message in found[:-1]])
+
+
+@pytest.mark.parametrize("words", [("puck_push",), ("knob_turn", "apply:=next_tick")], ids=lambda words: words[0])
+def test_one_process_plays_what_moves(words: tuple[str, ...], tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    given = [*words[1:], "pace:=lockstep", "duration:=1.6"]
+    figures = launch_json(tmp_path, words[0], *given)
+    recording = Recording(tmp_path / figures["recording"])
+    states, found = recording.messages(DEVICE_STATE), recording.messages(PROXY)
+    played = play(launch_file.read(words[0], launch_file.parse_assignments(given)))
+    assert np.array_equal(played.position, [state.position for state in states[:-1]])
+    assert np.array_equal(played.force, [state.force for state in states[1:]])
+    assert np.array_equal(played.proxy, [message.proxy for message in found[:-1]])
+    # Something was pushed.
+    assert np.abs(played.force).max() > 0.1
