@@ -17,12 +17,19 @@ Energy that a law has dissipated is not in store, but E does not know that: cred
 instability later. So credit is forgotten when there is no force (no contact: nothing can be stored) and, where a stiffness is
 given, whenever it exceeds what a spring of that stiffness holds at the present force, F²/(2k). A debt is never forgotten.
 
+**Several axes have one account**, and the controller acts along the force that is wanted, whose direction stays: along a
+surface that leans or curves, what one axis takes another gives back, and accounts of their own would let the guard brake a
+motion that makes no energy. Dissipation along the rendering direction first is also what asks least of the motors (Porcini &
+Frisoli 2026, arXiv 2603.26347; they let what is left act across it, within each motor's limits, where here nothing does: it
+would be friction).
+
 A device may itself apply a force later than it was handed over (its latency). What acts is then what went into a line that
 much earlier, and what is still in the line will act before anything that is chosen now (THEORY.md §6).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import MutableSequence, Sequence
 from typing import Annotated, Any, Literal
 
@@ -136,31 +143,47 @@ def set_guard(s: Any, parameters: PassivityParameters | None) -> None:
 
 
 def count_step(s: Any) -> None:
-    """Count what acted between the two newest samples."""
+    """Count what acted between the two newest samples; of several axes in one account, which is kept with the first."""
+    account = s.axis[0]
     for n in range(s.axes):
         i = s.axis[n]
         step = s.position[i] - s.before[i]
         s.guard_step[i] = step / s.elapsed
-        s.guard_energy[i] = observe(s.guard_energy[i], s.acted[i], step)
-        s.guard_highest = max(s.guard_highest, s.guard_energy[i])
+        s.guard_energy[account] = observe(s.guard_energy[account], s.acted[i], step)
+    s.guard_highest = max(s.guard_highest, s.guard_energy[account])
 
 
 def guarded(s: Any, share: float) -> None:
     """Choose the force in place of what is wanted; what is on the device acts for a `share` of the tick before it."""
+    account = s.axis[0]
+    force = s.wanted[account]
+    if s.axes > 1:
+        # Along the force that is wanted, whose direction stays.
+        force = math.sqrt(s.wanted[0] ** 2 + s.wanted[1] ** 2 + s.wanted[2] ** 2)
+    if s.guard_bounded != 0:
+        energy = forget(s.guard_energy[account], force, s.guard_stiffness)
+    else:
+        energy = forget(s.guard_energy[account], force, None)
+    s.guard_energy[account] = energy
+    expected, step = energy - s.guard_allowance, 0.0
     for n in range(s.axes):
         i = s.axis[n]
-        step, wanted = s.guard_step[i], s.wanted[i]
-        if s.guard_bounded != 0:
-            energy = forget(s.guard_energy[i], wanted, s.guard_stiffness)
-        else:
-            energy = forget(s.guard_energy[i], wanted, None)
-        s.guard_energy[i] = energy
         waiting = 0.0
         if s.line_length > 0:
             waiting = backlog(reals_at(s.lines + 8 * i * s.line_length, s.line_length), s.line_part)
-        expected = energy - s.guard_allowance + (share * s.handed[i] + waiting) * step
-        s.wanted[i] = value = control(expected, wanted, step, s.guard_rate)
-        if abs(value) < abs(wanted):
-            s.lowered += 1
-        elif value != wanted:
-            s.raised += 1
+        expected += (share * s.handed[i] + waiting) * s.guard_step[i]
+        step += s.guard_step[i] if s.axes == 1 else s.wanted[i] * s.guard_step[i]
+    if s.axes > 1:
+        if force == 0.0:
+            return
+        step /= force
+    value = control(expected, force, step, s.guard_rate)
+    if abs(value) < abs(force):
+        s.lowered += 1
+    elif value != force:
+        s.raised += 1
+    else:
+        return
+    for n in range(s.axes):
+        i = s.axis[n]
+        s.wanted[i] = value if s.axes == 1 else s.wanted[i] * (value / force)

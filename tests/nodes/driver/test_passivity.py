@@ -8,6 +8,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -33,6 +34,7 @@ from nodes.recording.reader import Recording
 from sim.device.model import DeviceModel
 from sim.scene.from_launch import from_launch
 from sim.scene.loop import Scene, SceneSurface, Trace, run
+from sim.scene.spatial import play
 from tests.support.launching import haptic, launch_json, running, wait_for
 from tests.support.safety import state_of
 
@@ -134,6 +136,48 @@ def test_a_running_driver_takes_a_guard_up_and_keeps_the_launch_files(tmp_path: 
         with pytest.raises(ControlError, match="own guard is fixed"):
             launch.call("driver", "param.set", values={"passivity": None})
         launch.finish(signal.SIGINT, code=None)
+
+
+# -- several axes -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", ["sphere_feel", "rough_plane"])
+def test_a_guard_leaves_alone_what_makes_no_energy_along_a_surface(scenario: str) -> None:
+    """One axis gives back what another takes: with an account for each, the guard would brake the slide by its own size."""
+    free = launch_file.read(scenario, {"duration": 1.3})
+    driver = free.nodes["driver"]
+    parameters = {**driver.parameters, "passivity": {"guard": "on"}}
+    nodes = {**free.nodes, "driver": msgspec.structs.replace(driver, parameters=parameters)}
+    alone, watched = play(free), play(msgspec.structs.replace(free, nodes=nodes))
+    assert np.abs(alone.force).max() > 0.1
+    assert np.array_equal(alone.force, watched.force)
+    assert np.array_equal(alone.position, watched.position)
+
+
+@given(data=st.data())
+@settings(max_examples=50, deadline=None)
+def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(data: st.DataObject) -> None:
+    """E_{k+1} ≤ max(E_k, 0) + F_k·(Δ_{k+1} − Δ_k), and the force keeps its direction."""
+    s = state_of((0, 1, 2))
+    s.elapsed = 1
+    set_guard(s, ON)
+    rng = np.random.default_rng(data.draw(st.integers(0, 10_000)))
+    position, last, force, energy = np.zeros(3), np.zeros(3), np.zeros(3), 0.0
+    for _ in range(60):
+        moved = last + rng.normal(scale=1e-3, size=3)
+        after = energy + float(force @ moved)
+        # Rounding of a few products of some newtons and millimetres.
+        assert after <= max(energy, 0.0) + float(force @ (moved - last)) + 1e-14
+        s.before[:], s.position[:], s.acted[:] = position, position + moved, force
+        count_step(s)
+        position, last = position + moved, moved
+        wanted = rng.normal(scale=5.0, size=3)
+        s.wanted[:] = wanted
+        guarded(s, 0.0)
+        energy = s.guard_energy[0]
+        assert energy == pytest.approx(after if np.any(wanted) else max(after, 0.0), abs=1e-14)
+        force = np.array(s.wanted[:])
+        assert force == pytest.approx(wanted * (np.linalg.norm(force) / np.linalg.norm(wanted)), abs=1e-12)
 
 
 # -- the bound --------------------------------------------------------------------------------------------------------

@@ -144,7 +144,7 @@ def test_the_guard_judges_what_the_ramp_lets_through() -> None:
     for tick in range(1, 9):
         port.missed(tick, ZERO)
     # It moves out by 1 mm a tick, and 0.5 mJ are in store: 0.5 N of the 0.8 N that the ramp lets through.
-    port.s.guard_energy[2], port.s.guard_step[2] = -5e-4, 1e-3
+    port.s.guard_energy[0], port.s.guard_step[2] = -5e-4, 1e-3
     port.answer(force(9, 8.0), 9)
     assert port.force[2] == pytest.approx(0.5, rel=1e-12)  # a quotient
     assert port.s.lowered == 1
