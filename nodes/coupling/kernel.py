@@ -70,6 +70,17 @@ def _note(s: Any, saves: bool) -> None:
     """Save what a tick overwrites, or put it back."""
     undo = reals_at(s.undo, s.undo_count)
     at = 0
+    if s.turning == 1:
+        for k in range(9):
+            if saves:
+                s.turned_before[k] = s.turned[k]
+            else:
+                s.turned[k] = s.turned_before[k]
+        for k in range(3):
+            if saves:
+                s.turned_before[9 + k] = s.upright[k]
+            else:
+                s.upright[k] = s.turned_before[9 + k]
     for n in range(s.axes):
         history = reals_at(s.history[n], 2 * s.length)
         head = s.head[n]

@@ -24,6 +24,7 @@ from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.render import begin_turning
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.coupling.state import CouplingState
 from nodes.coupling.time_budget import Budget
@@ -45,6 +46,14 @@ def _least_delay(setup: Setup) -> float:
     return 1.0 if setup.apply == "next_tick" else 0.0
 
 
+def _check_frame(parameters: CouplingParameters, setup: Setup) -> None:
+    if parameters.frame == "surface" and len(setup.axes) < 3:
+        raise ParameterError(
+            f"{setup.name}.frame: surface turns the history in space, but run.axes is [{', '.join(setup.axes)}]; take world, "
+            "or name all three axes"
+        )
+
+
 class Coupling(Node):
     """Answers proxies with forces."""
 
@@ -60,6 +69,7 @@ class Coupling(Node):
         parameters: CouplingParameters = convert(setup.parameters, CouplingParameters, setup.name)
         book = LawBook(setup.name, setup.period)
         book.check(parameters)
+        _check_frame(parameters, setup)
         if parameters.stability == "refuse":
             Judgement(setup.name, setup.period, book).at_start(parameters, _least_delay(setup))
 
@@ -121,6 +131,7 @@ class Coupling(Node):
 
     def _settle(self, parameters: CouplingParameters, fallback: ActiveLaw) -> None:
         self.counters.raw, self.counters.clamp = parameters.history == "position", parameters.clamp
+        begin_turning(self.counters, parameters.frame)
         self._renderer.fallback = fallback
         self._budget = self._budget_of(parameters)
 
@@ -190,6 +201,7 @@ class Coupling(Node):
         action = action or ("set" if parameters.law == now.law else "switch")
         ramp = parameters.ramp if ramp is None else ramp
         self._book.refuse_fixed(now, parameters)
+        _check_frame(parameters, self.setup)
         for name, law in parameters.laws.items():
             if law != now.laws.get(name):
                 self._book.compile(parameters, name)

@@ -96,6 +96,9 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
         What a law that is not among `laws` (a preset, or any installed kind) is made with, where it has such parameters.
     history : str
         What feeds the laws outside contact: ``penetration`` (zero) or ``position`` (the raw distance).
+    frame : str
+        Axes in which the history keeps deflections: ``world``; ``surface``, which turn with the normal while it turns steadily,
+        so that a law feels nothing of the way itself (THEORY.md §15); or ``auto``, the latter where all three are computed.
     clamp : bool
         Whether a force into the wall is set to zero.
     memory : int
@@ -121,6 +124,7 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     laws: dict[LawName, Any] = {}
     usual: dict[str, bool | float | str | list[Any]] = {}
     history: Literal["penetration", "position"] = "penetration"
+    frame: Literal["auto", "world", "surface"] = "auto"
     clamp: bool = True
     memory: Annotated[int, msgspec.Meta(ge=2, le=1_000_000)] = 2048
     ramp: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0

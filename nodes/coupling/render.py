@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, MutableSequence, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from nodes.coupling.state import SLOTS
 from nodes.kernels import cross_fade, deflection, fir, one_sided, push, sections
@@ -42,6 +42,55 @@ class LawPort(NamedTuple):
     see: Callable[[Any, int, int, Any, int], None]
 
 
+LEAST_COSINE: Final = 0.9
+"""Of the angle by which a normal may turn in a tick: beyond some 25° it is an edge, and the history stays as it is."""
+
+_SHORTEST: Final = 0.5
+"""Length below which a normal is none; 1 for all that surfaces give."""
+
+
+def begin_turning(s: Any, frame: str) -> None:
+    """Let the axes of the history turn with the surface from now on, or no more: what was pushed stays true either way."""
+    turns = frame == "surface" or (frame == "auto" and s.axes == 3)
+    if turns == (s.turning == 1):
+        return
+    if s.turning == 0:
+        s.turned[:] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    s.upright[:] = (0.0, 0.0, 0.0)
+    s.turning = 1 if turns else 2
+
+
+def turn(
+    turned: MutableSequence[float], upright: MutableSequence[float], normal: Sequence[float], contact: bool
+) -> None:
+    """Turn axes (rows of a matrix) as a normal turns, by the shortest way; at an edge, and off the surface, leave them.
+
+    A deflection that keeps its angle to the surface keeps its components then: the history has seen nothing change.
+    """
+    a, b, c = upright[0], upright[1], upright[2]
+    x, y, z = normal[0], normal[1], normal[2]
+    if not contact or x * x + y * y + z * z < _SHORTEST:
+        upright[0] = upright[1] = upright[2] = 0.0
+        return
+    cosine = a * x + b * y + c * z
+    if cosine >= LEAST_COSINE:
+        # Rodrigues: v + w × v + w × (w × v)/(1 + cos) turns by the angle between both normals, with w their cross product.
+        u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
+        part = 1.0 / (1.0 + cosine)
+        for row in range(0, 9, 3):
+            p, q, r = turned[row], turned[row + 1], turned[row + 2]
+            d, e, f = v * r - w * q, w * p - u * r, u * q - v * p
+            p, q, r = (
+                p + d + part * (v * f - w * e),
+                q + e + part * (w * d - u * f),
+                r + f + part * (u * e - v * d),
+            )
+            # One step of Newton's towards length 1: rounding does not add up over hours.
+            scale = 1.5 - 0.5 * (p * p + q * q + r * r)
+            turned[row], turned[row + 1], turned[row + 2] = scale * p, scale * q, scale * r
+    upright[0], upright[1], upright[2] = x, y, z
+
+
 def _as_it_stands(function: Function) -> Function:
     return function
 
@@ -52,6 +101,17 @@ def make_render(
     """Make the tick of a port, and the bridge over ticks that were left out."""
     ring, force_of, see = port
     slots = SLOTS
+    turn_axes = made(turn)
+
+    @made
+    def turned_deflection(
+        s: Any, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool, raw: bool
+    ) -> float:
+        """Deflection along an axis that turns; all three of the world are computed then."""
+        value = 0.0
+        for i in range(3):
+            value += s.turned[3 * n + i] * deflection(position[i], proxy[i], distance, normal[i], contact, raw)
+        return value
 
     @made
     def render(
@@ -61,12 +121,18 @@ def make_render(
         raw, clamp = s.raw != 0, s.clamp != 0
         fading = s.fade_ramp > 0
         force[0] = force[1] = force[2] = along = 0.0
+        turned = s.turning != 0
+        if s.turning == 1 and s.pushes[0] < due:
+            turn_axes(s.turned, s.upright, normal, contact)
         for n in range(s.axes):
             i = s.axis[n]
             history = ring(s, n)
             head = s.head[n]
             if s.pushes[n] < due:
-                value = deflection(position[i], proxy[i], distance, normal[i], contact, raw)
+                if turned:
+                    value = turned_deflection(s, n, position, proxy, distance, normal, contact, raw)
+                else:
+                    value = deflection(position[i], proxy[i], distance, normal[i], contact, raw)
                 s.head[n] = head = push(history, head, s.length, value)
                 s.pushes[n] += 1
             value = force_of(s, n, 0, history, head)
@@ -75,8 +141,14 @@ def make_render(
                 for m in range(1, 1 + s.leaving):
                     old += s.weight[slots * n + m] * force_of(s, n, m, history, head)
                 value = cross_fade(old, value, s.fade_done, s.fade_ramp)
-            force[i] = value
-            along += value * normal[i]
+            if turned:
+                for j in range(3):
+                    force[j] += s.turned[3 * n + j] * value
+            else:
+                force[i] = value
+        for n in range(s.axes):
+            i = s.axis[n]
+            along += force[i] * normal[i]
         for n in range(s.axes):
             i = s.axis[n]
             force[i] = one_sided(force[i], normal[i], along, contact, raw, clamp)
@@ -98,7 +170,10 @@ def make_render(
         for n in range(s.axes):
             i = s.axis[n]
             history = ring(s, n)
-            newest = deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0)
+            if s.turning != 0:
+                newest = turned_deflection(s, n, position, proxy, distance, normal, contact, s.raw != 0)
+            else:
+                newest = deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0)
             before = history[s.head[n]]
             # Of a gap longer than the history only its end is ever seen.
             for k in range(max(1, missing + 1 - s.length), missing + 1):

@@ -48,4 +48,10 @@ class CouplingState(Structure):
         ("undo", c_int64),
         ("undo_count", c_int64),
         ("oldest", c_double * 3),
+        # axes of the history: 0 the world's, 1 turning with the surface, 2 turned no more; which ones they are (rows), the
+        # normal that they turned to last, and both as they were before the tick
+        ("turning", c_int64),
+        ("turned", c_double * 9),
+        ("upright", c_double * 3),
+        ("turned_before", c_double * 12),
     ]

@@ -12,6 +12,7 @@ from nodes.cli.dispatch import dispatch
 
 STUDIES: dict[str, str] = {
     "analyse": "sim.studies.analyse",
+    "curved": "sim.studies.curved",
     "design": "sim.studies.design",
     "detail": "sim.studies.detail",
     "edge": "sim.studies.edge",
