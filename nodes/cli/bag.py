@@ -100,9 +100,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     export.add_argument("file", type=Path)
     export.add_argument(
         "--format",
-        choices=("csv", "npz", "mat", "parquet", "ros2"),
+        choices=("csv", "npz", "mat", "parquet", "ros2", "foxglove"),
         help="csv: a directory, with a file per topic too (default); npz: numpy; mat: MATLAB; parquet: ticks only; "
-        "ros2: a directory that ros2 bag play takes. "
+        "ros2: a directory that ros2 bag play takes; foxglove: the recording with its scene in three dimensions. "
         "Taken from the ending of --out when left out",
     )
 
@@ -124,7 +124,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         (recover, "FILE.recovered.mcap"),
         (cut, "FILE.cut.mcap"),
         (few, "FILE.filter.mcap"),
-        (export, "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet"),
+        (export, "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet, .foxglove.mcap"),
         (plot, "FILE.png, FILE_xy.png, FILE_overlay.png; .svg and .pdf are what they are called"),
     ):
         own.add_argument(
@@ -387,8 +387,9 @@ def _export(arguments: argparse.Namespace) -> int:
     from nodes.recording.export import FORMATS as TABLES
     from nodes.recording.export_ros2 import export_ros2
     from nodes.recording.reader import Recording
+    from nodes.view.foxglove_scene import export_foxglove
 
-    formats = {**TABLES, "ros2": export_ros2}
+    formats = {**TABLES, "ros2": export_ros2, "foxglove": export_foxglove}
 
     source: Path = arguments.file
     ending = arguments.out.suffix.removeprefix(".") if arguments.out else ""
@@ -396,7 +397,11 @@ def _export(arguments: argparse.Namespace) -> int:
     if form not in formats:
         raise UsageError(f"{arguments.out}: {ending!r} is no format; take one of {', '.join(formats)} with --format")
     is_folder = form in ("csv", "ros2")
-    beside = source.with_name(f"{source.stem}_{form}") if is_folder else source.with_suffix(f".{form}")
+    beside = (
+        source.with_name(f"{source.stem}_{form}")
+        if is_folder
+        else source.with_suffix(f".{form}.mcap" if form == "foxglove" else f".{form}")
+    )
     out = _free(arguments.out or beside, arguments.force)
     files = formats[form](Recording(source), out, overwrite=arguments.force)
     answer(arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files)))

@@ -1,0 +1,271 @@
+"""A recording for Foxglove and Lichtblick with its scene in three dimensions: everything that was recorded, and ``/scene``.
+
+The scene is of Foxglove's own type, ``foxglove.SceneUpdate`` as JSON: what is touched once, as triangles, then device, proxy
+and force as they move, at most 60 times a second. Bodies that move are no part of a recording: their scene is stepped again by
+what was recorded, as the node stepped it, where MuJoCo and the file are there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from messages.topics import DEVICE_STATE, PROXY
+from messages.types import DeviceState, Proxy, Vector
+from nodes.environment.bodies.moving_scene import MovingScene
+from nodes.environment.bodies.node import MujocoParameters, load_world
+from nodes.parameters.store import ParameterError, convert
+from nodes.recording.reader import Recording
+from nodes.recording.recover import Copy
+from nodes.recording.writer import MANIFEST, PARAMETERS, Output, RecordError, discard, mcap_writer, versions
+from nodes.view.shape import shape_of
+
+SCENE, FRAME = "/scene", "haptic"
+
+MOST = 60.0
+"""Updates of the scene per second of the run."""
+
+PER_NEWTON = 0.01
+"""Length at which a force of 1 N is drawn [m]."""
+
+_SMALLEST = 0.001
+_NO_TURN = (0.0, 0.0, 0.0, 1.0)
+_LISTS = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models", "metadata")
+
+_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_ENTITY = {
+    "type": "object",
+    "properties": {
+        "timestamp": _TIME,
+        "frame_id": {"type": "string"},
+        "id": {"type": "string"},
+        "lifetime": _TIME,
+        "frame_locked": {"type": "boolean"},
+        **{name: {"type": "array", "items": {"type": "object"}} for name in _LISTS},
+    },
+    "required": ["timestamp", "frame_id", "id", "lifetime", "frame_locked", *_LISTS],
+}
+SCHEMA: dict[str, Any] = {
+    "title": "foxglove.SceneUpdate",
+    "type": "object",
+    "properties": {
+        "deletions": {"type": "array", "items": {"type": "object"}},
+        "entities": {"type": "array", "items": _ENTITY},
+    },
+    "required": ["deletions", "entities"],
+}
+"""The part of Foxglove's schema that is used here."""
+
+_STATE, _PROXY = msgspec.json.Decoder(DeviceState), msgspec.json.Decoder(Proxy)
+
+Colour = tuple[float, float, float, float]
+# Okabe and Ito's blue, orange, green and grey: they are told apart by all eyes, as in the project's figures.
+_SURFACE: Colour = (0.34, 0.71, 0.91, 0.6)
+_DEVICE: Colour = (0.3, 0.3, 0.3, 1.0)
+_TOOL: Colour = (0.9, 0.62, 0.0, 1.0)
+_FORCE: Colour = (0.0, 0.62, 0.45, 1.0)
+
+
+def _colour(of: Colour) -> dict[str, float]:
+    return dict(zip("rgba", of, strict=True))
+
+
+def _point(place: Any) -> dict[str, float]:
+    x, y, z = (float(value) for value in place)
+    return {"x": x, "y": y, "z": z}
+
+
+def _pose(place: Any, turn: Any = _NO_TURN) -> dict[str, Any]:
+    return {"position": _point(place), "orientation": dict(zip("xyzw", map(float, turn), strict=True))}
+
+
+def _entity(at: int, name: str, **primitives: list[dict[str, Any]]) -> dict[str, Any]:
+    stamp = {"sec": at // 10**9, "nsec": at % 10**9}
+    none: dict[str, list[dict[str, Any]]] = {kind: [] for kind in _LISTS}
+    # A lifetime of nothing: until another entity of this name comes.
+    whole = {
+        "timestamp": stamp,
+        "frame_id": FRAME,
+        "id": name,
+        "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": False,
+    }
+    return {**whole, **none, **primitives}
+
+
+def _ball(place: Any, radius: float, colour: Colour) -> dict[str, Any]:
+    return {"pose": _pose(place), "size": _point([2.0 * max(radius, _SMALLEST)] * 3), "color": _colour(colour)}
+
+
+def _surface(at: int, name: str, triangles: list[float]) -> dict[str, Any]:
+    points = [_point(triangles[i : i + 3]) for i in range(0, len(triangles), 3)]
+    drawn = {"pose": _pose((0.0, 0.0, 0.0)), "points": points, "color": _colour(_SURFACE), "colors": [], "indices": []}
+    return _entity(at, name, triangles=[drawn])
+
+
+class _Bodies:
+    """The geoms of a scene in which things move, stepped by what was recorded."""
+
+    def __init__(self, world: MovingScene) -> None:
+        import mujoco
+
+        self._world, self._library, self._first = world, mujoco, True
+
+    def follow(self, state: DeviceState) -> None:
+        """Step the scene to a tick."""
+        if state.safety == "fault":
+            return
+        self._world.follow(state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay, self._first)
+        self._first = False
+
+    def entity(self, at: int, name: str) -> dict[str, Any]:
+        """Draw all geoms of a simple kind."""
+        import numpy as np
+
+        model, data, kinds = self._world.model, self._world.data, self._library.mjtGeom
+        found: dict[str, list[dict[str, Any]]] = {"cubes": [], "spheres": [], "cylinders": []}
+        turn = np.empty(4)
+        for i in range(model.ngeom):
+            self._library.mju_mat2Quat(turn, data.geom_xmat[i])
+            size, kind = model.geom_size[i].tolist(), kinds(int(model.geom_type[i]))
+            drawn = {"pose": _pose(data.geom_xpos[i], (*turn[1:], turn[0])), "color": _colour(_SURFACE)}
+            if kind == kinds.mjGEOM_BOX:
+                found["cubes"].append({**drawn, "size": _point([2.0 * side for side in size])})
+            elif kind == kinds.mjGEOM_PLANE:
+                found["cubes"].append({**drawn, "size": _point([2.0 * (size[0] or 1.0), 2.0 * (size[1] or 1.0), 1e-4])})
+            elif kind == kinds.mjGEOM_SPHERE:
+                found["spheres"].append({**drawn, "size": _point([2.0 * size[0]] * 3)})
+            elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
+                whole = [2.0 * size[0], 2.0 * size[0], 2.0 * size[1]]
+                found["cylinders"].append({**drawn, "size": _point(whole), "bottom_scale": 1.0, "top_scale": 1.0})
+        return _entity(at, name, **found)
+
+
+class _Scene:
+    """What is drawn of the chains of a run."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.left_out: list[str] = []
+        self._surfaces: dict[str, list[float]] = {}
+        self._radius: dict[str, float] = {}
+        self._bodies: dict[str, _Bodies] = {}
+        self._next: dict[str, float] = {}
+        self._begun = False
+        period = 1.0 / float(recording.metadata.get(MANIFEST, {}).get("rate_hz", 500.0))
+        for node, text in recording.metadata.get(PARAMETERS, {}).items():
+            chain = node.rpartition("/")[0]
+            parameters: Mapping[str, Any] = msgspec.json.decode(text)
+            try:
+                if "surface" in parameters:
+                    shape = shape_of(parameters)
+                    self._surfaces[node] = shape.get("triangles", [])
+                    self._radius[chain] = shape.get("tool_radius", 0.0)
+                elif "scene" in parameters:
+                    made: MujocoParameters = convert(parameters, MujocoParameters, node)
+                    self._bodies[chain] = _Bodies(load_world(made, period, node))
+            except (ParameterError, OSError) as error:
+                self.left_out.append(f"{node}: {error}")
+
+    def updates(self, topic: str, data: bytes, at: int) -> Iterator[dict[str, Any]]:
+        """Turn a recorded message into what changes of the scene."""
+        if not self._begun:
+            self._begun = True
+            yield from (_surface(at, node, found) for node, found in self._surfaces.items() if found)
+            if self.left_out:
+                yield _entity(at, "left out", texts=[_text("; ".join(self.left_out))])
+        chain = topic.removesuffix(DEVICE_STATE).removesuffix(PROXY).strip("/")
+        before = f"{chain}/" if chain else ""
+        if topic.endswith(DEVICE_STATE):
+            state = _STATE.decode(data)
+            bodies = self._bodies.get(chain)
+            if bodies is not None:
+                bodies.follow(state)
+            if self._is_due(topic, state.stamp):
+                yield _entity(at, f"{before}device", spheres=[_ball(state.position, 0.0, _DEVICE)])
+                yield _entity(at, f"{before}force", lines=[_line(state.position, state.force)])
+                if bodies is not None:
+                    yield bodies.entity(at, f"{before}bodies")
+        elif topic.endswith(PROXY):
+            message = _PROXY.decode(data)
+            if self._is_due(topic, message.stamp):
+                yield _entity(at, f"{before}proxy", spheres=[_ball(message.proxy, self._radius.get(chain, 0.0), _TOOL)])
+
+    def _is_due(self, topic: str, stamp: float) -> bool:
+        """Tell whether a topic has not had its share."""
+        if stamp < self._next.get(topic, stamp):
+            return False
+        self._next[topic] = stamp + 1.0 / MOST - 1e-9
+        return True
+
+
+def _text(text: str) -> dict[str, Any]:
+    told = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "color": _colour(_DEVICE)}
+    return {"pose": _pose((0.0, 0.0, 0.05)), "text": text, **told}
+
+
+def _line(begin: Vector, force: Vector) -> dict[str, Any]:
+    end = [a + PER_NEWTON * b for a, b in zip(begin, force, strict=True)]
+    return {
+        "type": 0,
+        "pose": _pose((0.0, 0.0, 0.0)),
+        "thickness": _SMALLEST,
+        "scale_invariant": False,
+        "points": [_point(begin), _point(end)],
+        "color": _colour(_FORCE),
+        "colors": [],
+        "indices": [],
+    }
+
+
+def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+    """Write the recording once more, with its scene.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of any scene; one without a surface or bodies has device, proxy and force in it.
+    out : str or Path
+        The MCAP file.
+    overwrite : bool, optional
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    list of Path
+        The file.
+
+    Raises
+    ------
+    RecordError
+        When it cannot be written, or the recording cannot be read.
+    """
+    out = Path(out)
+    if out.exists() and out.samefile(recording.path):
+        raise RecordError(f"{out}: is the recording itself; give another name")
+    scene = _Scene(recording)
+    output = Output(out, overwrite)
+    try:
+        writer = mcap_writer(output, f"haptic-nodes {versions()['haptic-nodes']}")
+        copy = Copy(writer, recording.schemas, recording.channels)
+        for name, values in recording.metadata.items():
+            writer.add_metadata(name, values)
+        if scene.left_out:
+            writer.add_metadata("scene", {"left_out": "; ".join(scene.left_out)})
+        schema = writer.register_schema("foxglove.SceneUpdate", "jsonschema", msgspec.json.encode(SCHEMA))
+        channel = writer.register_channel(SCENE, "json", schema)
+        for topic, raw, _ in recording.raw():
+            copy.message(raw)
+            entities = list(scene.updates(topic, raw.data, raw.publish_time))
+            if entities:
+                update = msgspec.json.encode({"deletions": [], "entities": entities})
+                writer.add_message(channel, raw.log_time, update, raw.publish_time)
+        writer.finish()
+    except RecordError:
+        discard(out)
+        raise
+    finally:
+        output.close()
+    return [out]
