@@ -124,6 +124,8 @@ def conclusions(groups: Sequence[Group]) -> list[str]:
         lines.append(_kmax(ways))
     if "rate_force" in named:
         lines.append(_rates(named["rate_force"], named["rate_stiffness"]))
+    if "proxy_error" in named:
+        lines.append(_proxies(named["proxy_error"]))
     return lines
 
 
@@ -233,6 +235,22 @@ def _rates(force: Group, stiffness: Group) -> str:
         text += (
             f"; more than 2 % of the ticks were missed at {', '.join(f'{rate:g}' for rate in lost)} Hz on this machine"
         )
+    return text + "."
+
+
+def _proxies(group: Group) -> str:
+    ball = _find(group, "sphere")
+    meshes = [p for p in group.points if p.family == "mesh"]
+    bodies = [p for p in group.points if p.family == "body"]
+    coarse, fine = (way(meshes, key=lambda p: _number(p, "triangles")) for way in (min, max))
+    text = (
+        f"Proxy on a sphere: the closed form is {_figure(1e3 * ball.error)} nm off in {ball.cost:.2g} µs a call; "
+        f"{_number(coarse, 'triangles'):.0f} triangles {_figure(coarse.error)} µm in {coarse.cost:.2g} µs, "
+        f"{_number(fine, 'triangles'):.0f} {_figure(fine.error)} µm in {fine.cost:.2g} µs"
+    )
+    if bodies:
+        best = _best(bodies)
+        text += f"; a tool that is a body {_figure(best.error)} µm at best, in {best.cost:.2g} µs ({best.name})"
     return text + "."
 
 

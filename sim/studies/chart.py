@@ -1,4 +1,4 @@
-"""Chart speed against accuracy: realisations of D^α, also at equal demand, integrators, ways to K_max, loop rates."""
+"""Chart speed against accuracy: realisations of D^α, also at equal demand, integrators, ways to K_max, loop rates, proxies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim.studies.arguments import add_answer
 if TYPE_CHECKING:
     from sim.measure.stopwatch import Progress
 
-PARTS = ("derivatives", "demand", "integrators", "kmax", "rates")
+PARTS = ("derivatives", "demand", "integrators", "kmax", "rates", "proxies")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -42,6 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.chart.k_max import kmax_groups, kmax_steps
     from sim.chart.page import conclusions, draw, page
     from sim.chart.points import Group, as_json, keep, kept, save, with_front
+    from sim.chart.proxies import proxy_groups, proxy_steps
     from sim.chart.rates import rate_groups, rate_steps
     from sim.measure.launches import MeasurementError
     from sim.measure.stopwatch import Progress, machine
@@ -53,6 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
         "integrators": (integrator_groups, integrator_steps, 1),
         "kmax": (kmax_groups, kmax_steps, 1),
         "rates": (rate_groups, rate_steps, 30),
+        "proxies": (proxy_groups, proxy_steps, 20),
     }
     start = time.monotonic()
     progress = Progress(sum(makers[part][1](arguments.quick) * makers[part][2] for part in parts))

@@ -1,0 +1,68 @@
+"""Where the proxy is, against what a call costs: closed forms, meshes by level of detail, and a tool that is a body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nodes.parameters.store import ParameterError
+from sim.chart.points import Group, Point
+from sim.experiments.bodies import STEPS, body_error
+from sim.experiments.proxies import RADIUS, ProxyError, compare_proxies
+
+_FINEST, _QUICK_FINEST, _TICKS, _QUICK_TICKS = 6, 3, 4000, 800
+_STIFFNESS, _DEPTH, _SPEED, _PERIOD = 500.0, 4e-3, 0.2, 1e-3
+
+
+def proxy_steps(quick: bool = False) -> int:
+    """Count the pieces of work of `proxy_groups`."""
+    return 1 + len(_ways(quick))
+
+
+def _ways(quick: bool) -> list[tuple[float, float]]:
+    """List steps of the scene with time constants of its contacts [s]."""
+    steps = STEPS[1:2] if quick else STEPS
+    return [(step, contact) for step in steps for contact in dict.fromkeys((0.02, max(0.004, 2.0 * step), 2.0 * step))]
+
+
+def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
+    """Lead a tool along surfaces whose proxy is a closed form."""
+    found = compare_proxies(_QUICK_FINEST if quick else _FINEST, _QUICK_TICKS if quick else _TICKS)
+    step("proxies on closed forms and meshes")
+    points = [_point(row, f"mesh {row.triangles}" if row.triangles else row.name, bool(row.triangles)) for row in found]
+    note = ""
+    for size, contact in _ways(quick):
+        try:
+            row = body_error(size, _QUICK_TICKS if quick else _TICKS, _STIFFNESS, _DEPTH, _SPEED, _PERIOD, contact)
+        except ParameterError as error:
+            note = f" Bodies are left out: {error}."
+            break
+        points.append(Point(row.name, row.call_us, row.proxy_um, "body", _detail(row)))
+        step(row.name)
+    return [
+        Group(
+            "proxy_error",
+            "Proxy in three dimensions: its error against the time of a call",
+            "time of a call, median, compiled [µs]",
+            "largest error of the proxy [µm]",
+            tuple(points),
+            f"Led {1e3 * _DEPTH:g} mm below the surface at {_SPEED:g} m/s and {1.0 / _PERIOD:g} Hz; a sphere of "
+            f"{1e3 * RADIUS:g} mm, in closed form, of triangles, and as a body that is held and touched by a tool of 50 g. A "
+            "closed form is off by the skin that keeps the proxy outside; a mesh by its chords; a tool by the depth of its "
+            f"contact and by its mass. `haptic study proxies` has the forces, and the drag on closed ways.{note}",
+        )
+    ]
+
+
+def _point(row: ProxyError, name: str, is_mesh: bool) -> Point:
+    return Point(name, row.call_us, row.proxy_um, "mesh" if is_mesh else "closed form", _detail(row))
+
+
+def _detail(row: ProxyError) -> dict[str, float | int | str | None]:
+    return {
+        "triangles": row.triangles,
+        "rms_n": row.rms_n,
+        "noise_n": row.noise_n,
+        "drag": row.drag,
+        "call_p99_us": row.call_p99_us,
+        "rounds": row.rounds,
+    }
