@@ -136,31 +136,68 @@ def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
 
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
     period = plant.period
-    unit = period * period / plant.mass
+    return tick_matrix(
+        law,
+        period * period / plant.mass,
+        whole,
+        np.array([[a11, a12 / period], [a21 * period, a22]]),
+        np.array([new[0], new[1] * period]),
+        np.array([old[0], old[1] * period]),
+    )
+
+
+def tick_matrix(
+    law: CompiledLaw,
+    unit: float,
+    whole: int,
+    device: NDArray[np.float64],
+    new: NDArray[np.float64],
+    old: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """One tick of the closed loop of a law and any linear device whose first state is the position.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        Taps, and sections if any.
+    unit : float
+        T²/m, which scales forces to lengths so that the matrix is balanced [m/N].
+    whole : int
+        Whole ticks of the delay, i.
+    device : ndarray, shape (s, s)
+        The device's own matrix.
+    new, old : ndarray, shape (s,)
+        What the force of i ticks ago adds, and the one before.
+
+    Returns
+    -------
+    ndarray, shape (s + n + 2 r + i + 1,) squared
+        Of the device's state, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁.
+    """
+    import numpy as np
+
+    states = len(new)
     history = max(len(law.taps) - 1, 1 if law.sections else 0)
-    first_section, first_force = 2 + history, 2 + history + 2 * len(law.sections)
+    first_section, first_force = states + history, states + history + 2 * len(law.sections)
     size = first_force + whole + 1
     force = np.zeros(size)
     force[0] = -law.taps[0] * unit
-    force[2 : 1 + len(law.taps)] = -np.array(law.taps[1:]) * unit
+    force[states : states - 1 + len(law.taps)] = -np.array(law.taps[1:]) * unit
     step = np.zeros((size, size))
     for s, (b0, b1, a1, a2) in enumerate(law.sections):
         row = first_section + 2 * s
-        step[row, 0], step[row, 2], step[row, row], step[row, row + 1] = b0 * unit, b1 * unit, -a1, -a2
+        step[row, 0], step[row, states], step[row, row], step[row, row + 1] = b0 * unit, b1 * unit, -a1, -a2
         step[row + 1, row] = 1.0
         force -= step[row]
-    step[0, :2] = a11, a12 / period
-    step[1, :2] = a21 * period, a22
-    by_new = np.array([new[0], new[1] * period]) / unit
-    by_old = np.array([old[0], old[1] * period]) / unit
+    step[:states, :states] = device
     if whole == 0:
-        step[:2] += np.outer(by_new, force)
+        step[:states] += np.outer(new / unit, force)
     else:
-        step[:2, first_force + whole - 1] += by_new
-    step[:2, first_force + whole] += by_old
+        step[:states, first_force + whole - 1] += new / unit
+    step[:states, first_force + whole] += old / unit
     if history:
-        step[2, 0] = 1.0
-        step[np.arange(3, 2 + history), np.arange(2, 1 + history)] = 1.0
+        step[states, 0] = 1.0
+        step[np.arange(states + 1, states + history), np.arange(states, states + history - 1)] = 1.0
     step[first_force] += force
     step[np.arange(first_force + 1, size), np.arange(first_force, size - 1)] = 1.0
     return step

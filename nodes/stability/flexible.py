@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from nodes.laws import CompiledLaw
+from nodes.stability.closed_loop import tick_matrix
 
 if TYPE_CHECKING:
     import numpy as np
@@ -192,7 +193,7 @@ class FlexiblePlant:
 
 
 def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> float:
-    """Largest pole of the loop of a law and a flexible device: stable iff below 1.
+    """Largest pole of the loop of a law and a flexible device, as `nodes.stability.closed_loop.pole_radius` of a rigid one.
 
     Parameters
     ----------
@@ -206,7 +207,7 @@ def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> fl
     Returns
     -------
     float
-        Pole radius. The loop decays by this factor per tick.
+        Pole radius.
     """
     import numpy as np
 
@@ -214,7 +215,7 @@ def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> fl
 
 
 def loop_matrix(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix:
-    """One tick of the closed loop as a matrix: device, deflection history, sections and forces on their way.
+    """One tick of the loop of a law and a flexible device (`nodes.stability.closed_loop.tick_matrix`).
 
     Parameters
     ----------
@@ -228,35 +229,7 @@ def loop_matrix(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix
     Returns
     -------
     ndarray, shape (s + n + 2 r + i + 1,) squared
-        The state of the device, then as `nodes.stability.closed_loop.state_matrix`; forces are scaled by T²/m to lengths.
+        The state of the device first.
     """
-    import numpy as np
-
     whole, step, new, old = plant.held(period)
-    states = len(new)
-    # Forces in lengths, so that the matrix is balanced.
-    unit = period * period / plant.mass
-    history = max(len(law.taps) - 1, 1 if law.sections else 0)
-    first_section, first_force = states + history, states + history + 2 * len(law.sections)
-    size = first_force + whole + 1
-    force = np.zeros(size)
-    force[0] = -law.taps[0] * unit
-    force[states : states - 1 + len(law.taps)] = -np.array(law.taps[1:]) * unit
-    loop = np.zeros((size, size))
-    for s, (b0, b1, a1, a2) in enumerate(law.sections):
-        row = first_section + 2 * s
-        loop[row, 0], loop[row, states], loop[row, row], loop[row, row + 1] = b0 * unit, b1 * unit, -a1, -a2
-        loop[row + 1, row] = 1.0
-        force -= loop[row]
-    loop[:states, :states] = step
-    if whole == 0:
-        loop[:states] += np.outer(new / unit, force)
-    else:
-        loop[:states, first_force + whole - 1] += new / unit
-    loop[:states, first_force + whole] += old / unit
-    if history:
-        loop[states, 0] = 1.0
-        loop[np.arange(states + 1, states + history), np.arange(states, states + history - 1)] = 1.0
-    loop[first_force] += force
-    loop[np.arange(first_force + 1, size), np.arange(first_force, size - 1)] = 1.0
-    return loop
+    return tick_matrix(law, period * period / plant.mass, whole, step, new, old)

@@ -22,7 +22,7 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import analyse
 from sim.chart.points import Detail, Group, Point
-from sim.measure.stopwatch import interleaved
+from sim.measure.stopwatch import Timing, interleaved
 from sim.scene.compiled import compiled
 
 ORDERS = (0.5, 1.5)
@@ -109,73 +109,82 @@ def derivative_groups(step: Callable[[str], None], quick: bool = False) -> list[
             jobs[f"{kind} {taps}|node"] = (_in_node(law), _TICKS)
             jobs[f"{kind} {taps}|compiled"] = (_when_compiled(law), 20 * _TICKS)
         timings = interleaved(jobs, rounds, step)
-        timed, counted, stiff = [], [], []
+        details: dict[str, tuple[str, dict[str, Detail]]] = {}
         for kind, taps, law in found:
             name = f"{kind} {taps}"
-            figures = analyse(kind, order, taps, PERIOD)
-            node, fast = timings[f"{name}|node"], timings[f"{name}|compiled"]
-            stiffness, gain = _limits(law, order)
-            detail: dict[str, Detail] = {
-                "order": order,
-                "taps": taps,
-                "multiplies": figures.multiplies,
-                "states": figures.states,
-                "node_us": 1e6 * node.median,
-                "node_us_low": 1e6 * node.low,
-                "node_us_high": 1e6 * node.high,
-                "compiled_ns": 1e9 * fast.median,
-                "error_raw": figures.error(aligned=False),
-                "error_aligned": figures.error(),
-                "delay_ticks": figures.delay,
-                "leak": figures.leak,
-                "nyquist_gain": figures.nyquist,
-                "largest_pole": figures.pole,
-                "h1_max_n_per_m": stiffness,
-                "gain_max_n_s_per_m": gain,
-            }
-            for band, errors in figures.bands.items():
-                detail[f"error_{band}"] = errors.aligned
-            timed.append(Point(name, 1e6 * node.median, figures.error(), kind, detail))
-            counted.append(Point(name, float(figures.multiplies), figures.error(), kind, detail))
-            stiff.append(Point(name, 1e6 * node.median, stiffness, kind, detail))
+            timed = timings[f"{name}|node"], timings[f"{name}|compiled"]
+            details[name] = kind, _detail(kind, taps, law, order, *timed)
             step(f"D^{order:g} {name}")
-        best = max(point.error for point in stiff)
-        stiff = [Point(p.name, p.cost, 1.0 - p.error / best, p.family, p.detail) for p in stiff]
-        error = "relative error, best delay removed (rms)"
-        loss = f"stiffness lost against the best, {best:.0f} N/m"
-        note = (
-            f"Error against (jω)^α, 0.001 to 0.5 of Nyquist. T = {1e3 * PERIOD:g} ms; times by the "
-            f"coupling's own rendering, median of {rounds} interleaved rounds."
-        )
-        groups += [
-            Group(
-                f"derivative_time_{order:g}",
-                f"D^{order:g}: time",
-                "time per tick in the node [µs]",
-                error,
-                tuple(timed),
-                note,
-            ),
-            Group(
-                f"derivative_multiplies_{order:g}",
-                f"D^{order:g}: multiplies",
-                "multiplies per tick",
-                error,
-                tuple(counted),
-                note,
-            ),
-            Group(
-                f"derivative_stiffness_{order:g}",
-                f"D^{order:g}: stiffness left",
-                "time per tick in the node [µs]",
-                loss,
-                tuple(stiff),
-                f"H(1) at which the pole radius reaches 1: m = {MASS} kg, b = {DAMPING} N s/m, {DELAY:g} tick of delay, "
-                f"normalised gain {GAIN:g} N s/m for all.",
-                linear=True,
-            ),
-        ]
+        groups += _groups(order, details, rounds)
     return groups
+
+
+def _detail(kind: str, taps: int, law: CompiledLaw, order: float, node: Timing, fast: Timing) -> dict[str, Detail]:
+    """Tell everything about one realisation."""
+    figures = analyse(kind, order, taps, PERIOD)
+    stiffness, gain = _limits(law, order)
+    return {
+        "order": order,
+        "taps": taps,
+        "multiplies": figures.multiplies,
+        "states": figures.states,
+        "node_us": 1e6 * node.median,
+        "node_us_low": 1e6 * node.low,
+        "node_us_high": 1e6 * node.high,
+        "compiled_ns": 1e9 * fast.median,
+        "error_raw": figures.error(aligned=False),
+        "error_aligned": figures.error(),
+        "delay_ticks": figures.delay,
+        "leak": figures.leak,
+        "nyquist_gain": figures.nyquist,
+        "largest_pole": figures.pole,
+        "h1_max_n_per_m": stiffness,
+        "gain_max_n_s_per_m": gain,
+        **{f"error_{band}": errors.aligned for band, errors in figures.bands.items()},
+    }
+
+
+def _groups(order: float, details: dict[str, tuple[str, dict[str, Detail]]], rounds: int) -> list[Group]:
+    """Put the realisations of one order side by side: time, multiplies, stiffness."""
+
+    def points(cost: str, error: Callable[[dict[str, Any]], float]) -> tuple[Point, ...]:
+        return tuple(
+            Point(name, float(told[cost] or 0.0), error(told), kind, told) for name, (kind, told) in details.items()
+        )
+
+    def aligned(told: dict[str, Any]) -> float:
+        return float(told["error_aligned"])
+
+    def lost(told: dict[str, Any]) -> float:
+        return 1.0 - float(told["h1_max_n_per_m"]) / best
+
+    best = max(float(told["h1_max_n_per_m"] or 0.0) for _, told in details.values())
+    error, time = "relative error, best delay removed (rms)", "time per tick in the node [µs]"
+    note = (
+        f"Error against (jω)^α, 0.001 to 0.5 of Nyquist. T = {1e3 * PERIOD:g} ms; times by the "
+        f"coupling's own rendering, median of {rounds} interleaved rounds."
+    )
+    return [
+        Group(f"derivative_time_{order:g}", f"D^{order:g}: time", time, error, points("node_us", aligned), note),
+        Group(
+            f"derivative_multiplies_{order:g}",
+            f"D^{order:g}: multiplies",
+            "multiplies per tick",
+            error,
+            points("multiplies", aligned),
+            note,
+        ),
+        Group(
+            f"derivative_stiffness_{order:g}",
+            f"D^{order:g}: stiffness left",
+            time,
+            f"stiffness lost against the best, {best:.0f} N/m",
+            points("node_us", lost),
+            f"H(1) at which the pole radius reaches 1: m = {MASS} kg, b = {DAMPING} N s/m, {DELAY:g} tick of delay, "
+            f"normalised gain {GAIN:g} N s/m for all.",
+            linear=True,
+        ),
+    ]
 
 
 def derivative_steps(quick: bool = False) -> int:

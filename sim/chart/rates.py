@@ -157,32 +157,7 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
     for (tick, apply, rate), runs in launched.items():
         family = f"{tick} {apply}"
         name = f"{rate:g} Hz {family}"
-        errors = sorted(force_error(one.onset, one.force, time, wanted) for one in runs)
-        delay = statistics.median(one.delay for one in runs)
-        period = 1.0 / rate
-        limit = 0.0
-        if math.isfinite(delay):
-            law = without_spring(PD(stiffness=1.0, damping=GAIN), period)
-            limit = k_max(law, Plant(period, MASS, DAMPING, delay)).k_max_n_per_m or 0.0
-        tries = (factor * limit for factor in _TRIES if limit > 0.0)
-        stable = next((k for k in tries if calms_down(launch(rate, apply, k, tick=tick).height)), 0.0)
-        detail: dict[str, Detail] = {
-            "rate_hz": rate,
-            "delay_ticks": delay if math.isfinite(delay) else None,
-            "delay_us": 1e6 * delay * period if math.isfinite(delay) else None,
-            "missed": statistics.median(one.figures["missed"] + one.figures["overruns"] for one in runs),
-            "ticks": statistics.median(one.figures["ticks"] + one.figures["overruns"] for one in runs),
-            "response_us_p99": statistics.median(float(one.figures["response_us"]["p99"]) for one in runs),
-            "cpu_s": statistics.median(
-                sum(float(one.figures["nodes"][node]["cpu"]) for node in ("driver", "environment", "coupling"))
-                for one in runs
-            ),
-            "force_error": statistics.median(errors),
-            "force_error_low": errors[0],
-            "force_error_high": errors[-1],
-            "k_max_n_per_m": limit,
-            "k_settled_n_per_m": stable,
-        }
+        stable, detail = _at_rate(tick, apply, rate, runs, [force_error(r.onset, r.force, time, wanted) for r in runs])
         points.append((name, rate, stable, family, detail))
         step(f"stiffness at {name}")
     best = max(stable for _, _, stable, _, _ in points) or 1.0
@@ -210,6 +185,38 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
             linear=True,
         ),
     ]
+
+
+def _at_rate(
+    tick: str, apply: str, rate: float, runs: list[Launched], errors: list[float]
+) -> tuple[float, dict[str, Detail]]:
+    """Find the stiffest floor that calms down in launches at one rate, and tell everything about them."""
+    errors = sorted(errors)
+    delay = statistics.median(one.delay for one in runs)
+    period = 1.0 / rate
+    limit = 0.0
+    if math.isfinite(delay):
+        law = without_spring(PD(stiffness=1.0, damping=GAIN), period)
+        limit = k_max(law, Plant(period, MASS, DAMPING, delay)).k_max_n_per_m or 0.0
+    tries = (factor * limit for factor in _TRIES if limit > 0.0)
+    stable = next((k for k in tries if calms_down(launch(rate, apply, k, tick=tick).height)), 0.0)
+    return stable, {
+        "rate_hz": rate,
+        "delay_ticks": delay if math.isfinite(delay) else None,
+        "delay_us": 1e6 * delay * period if math.isfinite(delay) else None,
+        "missed": statistics.median(one.figures["missed"] + one.figures["overruns"] for one in runs),
+        "ticks": statistics.median(one.figures["ticks"] + one.figures["overruns"] for one in runs),
+        "response_us_p99": statistics.median(float(one.figures["response_us"]["p99"]) for one in runs),
+        "cpu_s": statistics.median(
+            sum(float(one.figures["nodes"][node]["cpu"]) for node in ("driver", "environment", "coupling"))
+            for one in runs
+        ),
+        "force_error": statistics.median(errors),
+        "force_error_low": errors[0],
+        "force_error_high": errors[-1],
+        "k_max_n_per_m": limit,
+        "k_settled_n_per_m": stable,
+    }
 
 
 def _choices(quick: bool) -> list[tuple[str, str, float]]:

@@ -89,88 +89,53 @@ def covariance_of(found: Fit) -> Array:
     return np.asarray(between * np.outer(wider, wider), dtype=np.float64)
 
 
-def conclude(experiment: Experiment, choice: Choice, grid: Encoder) -> Identified:
-    """Turn what was chosen into estimates; a refuted model gives its parameters no value."""
-    from scipy.stats import t
+class _Widths:
+    """Values of a fit's unknowns, each with the half width of its 95 % interval."""
 
-    found, test = choice.model, choice.test
+    def __init__(self, found: Fit) -> None:
+        from scipy.stats import t
 
-    covariance = covariance_of(found)
-    quantile = float(t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, len(found.starts) - len(found.free))))
-    index = {int(which): i for i, which in enumerate(found.free)}
-    g = float(found.theta[MOBILITY])
-    force = float(np.std(experiment.force)) if len(experiment.force) else 0.0
+        self._found, self._covariance = found, covariance_of(found)
+        self._quantile = float(t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, len(found.starts) - len(found.free))))
+        self._index = {int(which): i for i, which in enumerate(found.free)}
+        self.mobility = float(found.theta[MOBILITY])
+        self.mass_off = self._quantile * math.sqrt(self._covariance[0, 0]) / self.mobility
 
-    def per_mass(which: int) -> tuple[float, float]:
-        """Value and half width of an unknown times mass."""
-        value = float(found.theta[which]) / g
-        slope = np.zeros(len(found.free))
+    def __contains__(self, which: int) -> bool:
+        return which in self._index
+
+    def per_mass(self, which: int) -> tuple[float, float]:
+        """Give an unknown times mass."""
+        index, g = self._index, self.mobility
+        value = float(self._found.theta[which]) / g
+        slope = np.zeros(len(self._found.free))
         slope[index[which]] = 1.0 / g
         slope[index[MOBILITY]] -= value / g
-        return value, quantile * math.sqrt(max(float(slope @ covariance @ slope), 0.0))
+        return value, self._quantile * math.sqrt(max(float(slope @ self._covariance @ slope), 0.0))
 
-    def direct(which: int, unit: float = 1.0) -> tuple[float, float]:
-        """Value and half width of an unknown as it stands."""
-        width = quantile * math.sqrt(covariance[index[which], index[which]])
-        return float(found.theta[which]) * unit, width * unit
+    def direct(self, which: int, unit: float = 1.0) -> tuple[float, float]:
+        """Give an unknown as it stands."""
+        i = self._index[which]
+        return float(self._found.theta[which]) * unit, self._quantile * math.sqrt(self._covariance[i, i]) * unit
 
-    relative = quantile * math.sqrt(covariance[0, 0]) / g
-    speeds = np.diff(experiment.position) / experiment.period
-    speed = float(np.sqrt(np.mean(speeds**2)))
-    if relative > 0.5 or force == 0.0:
-        why = "no force was given: nothing tells the mass" if force == 0.0 else (
-            f"its error would be {100 * relative:.0f} %: push with forces that change more, or record longer"
-        )  # fmt: skip
-        mass = Estimate(None, why=why)
-        damping = friction = stiffness = load = Estimate(None, why=f"the mass is not known ({why})")
-    else:
-        # An interval of 1/m is one of m, and not symmetric.
-        mass = Estimate(1.0 / g, 1.0 / (g * (1.0 + relative)), 1.0 / (g * (1.0 - relative)))
-        damping = _bounded(*per_mass(DAMPING), max(float(found.theta[DAMPING]) / g, force / speed if speed else 0.0))
-        friction = _bounded(*per_mass(FRICTION), 0.5 * force)
-        load_value, load_width = per_mass(LOAD)
-        load = Estimate(load_value, load_value - load_width, load_value + load_width)
-        stiffness = Estimate(0.0, 0.0, 0.0)
-        if STIFFNESS in index:
-            stiffness = _bounded(*per_mass(STIFFNESS), math.inf)
-    late, late_width = direct(DELAY)
-    # Nobody knows how late an unsteady sample is on average; evenly spread from 0 on it is 1.7 of its standard deviations.
-    late_width += 2.0 * choice.unsteady / experiment.period
-    if late_width > 0.5 or force == 0.0:
-        why = f"its error would be {late_width:.2g} ticks: the force must change often, by much more than friction"
-        own = Estimate(None, why="no force was given" if force == 0.0 else why)
-    else:
-        own = Estimate(late, max(late - late_width, 0.0), late + late_width)
+
+def conclude(experiment: Experiment, choice: Choice, grid: Encoder) -> Identified:
+    """Turn what was chosen into estimates; a refuted model gives its parameters no value."""
+    found, test = choice.model, choice.test
+    widths = _Widths(found)
+    own = _own_delay(experiment, choice, widths)
+    total = own
     median, shortest, longest, jitter = _delays(experiment)
-    if own.value is None:
-        total = own
-    else:
+    if own.value is not None:
         _, low, high = own.known()
         total = Estimate(own.value + median, low + median, high + median)
         shortest, longest = shortest + low, longest + high
-    terms: dict[str, Estimate] = {}
-    for name, which, least in (
-        ("quadratic", QUADRATIC, choice.quadratic_bound / g),
-        ("lag", LAG, choice.lag_bound),
-    ):
-        terms[name] = Estimate(0.0, 0.0, least)
-        if which in index:
-            value, width = per_mass(which) if which == QUADRATIC else direct(which, experiment.period)
-            terms[name] = Estimate(value, max(value - width, 0.0), value + width)
-    seen = (
-        f"none seen; one above {choice.mode_bound:.0f} Hz, with a quarter of the mass, would not show"
-        if choice.mode_bound > 0.0
-        else "none seen, and none with a quarter of the mass would show: push longer, or faster"
-    )
-    for name, which in (("frequency", FREQUENCY), ("share", SHARE), ("loss", LOSS)):
-        terms[name] = Estimate(None, choice.mode_bound if name == "frequency" else None, why=seen)
-        if which in index:
-            value, width = direct(which)
-            terms[name] = Estimate(value, max(value - width, 0.0), value + width)
     estimates = {
-        "mass": mass, "damping": damping, "friction": friction, "delay": total, "device_delay": own,
-        "stiffness": stiffness, "load": load, **terms,
-    }  # fmt: skip
+        **_mechanics(experiment, widths, float(found.theta[DAMPING])),
+        **_terms(experiment.period, choice, widths),
+        "delay": total,
+        "device_delay": own,
+    }
     unbelieved = {}
     if choice.why:
         unbelieved, unknown = estimates, Estimate(None, why=f"the model is refuted: {choice.why}")
@@ -180,7 +145,7 @@ def conclude(experiment: Experiment, choice: Choice, grid: Encoder) -> Identifie
         encoder=_step(grid),
         jitter=jitter,
         delay_range=(shortest, longest),
-        held=STIFFNESS in index and float(found.theta[STIFFNESS]) > 0.0,
+        held=STIFFNESS in widths and float(found.theta[STIFFNESS]) > 0.0,
         residual=found.rms,
         held_out=HeldOut(
             # The middle one: a window that a stall spoilt says nothing about the model.
@@ -197,6 +162,75 @@ def conclude(experiment: Experiment, choice: Choice, grid: Encoder) -> Identifie
         why=choice.why,
         unbelieved=unbelieved,
     )
+
+
+def _pushing(experiment: Experiment) -> float:
+    """Tell how much the force changed, root mean square [N]."""
+    return float(np.std(experiment.force)) if len(experiment.force) else 0.0
+
+
+def _mechanics(experiment: Experiment, widths: _Widths, damping_per_mass: float) -> dict[str, Estimate]:
+    """Estimate mass, damping, friction, stiffness and load: none of them where nothing tells the mass."""
+    g, relative, force = widths.mobility, widths.mass_off, _pushing(experiment)
+    if relative > 0.5 or force == 0.0:
+        why = "no force was given: nothing tells the mass" if force == 0.0 else (
+            f"its error would be {100 * relative:.0f} %: push with forces that change more, or record longer"
+        )  # fmt: skip
+        unknown = Estimate(None, why=f"the mass is not known ({why})")
+        return {"mass": Estimate(None, why=why), **dict.fromkeys(("damping", "friction", "stiffness", "load"), unknown)}
+    speeds = np.diff(experiment.position) / experiment.period
+    speed = float(np.sqrt(np.mean(speeds**2)))
+    load, load_width = widths.per_mass(LOAD)
+    held = STIFFNESS in widths
+    return {
+        # An interval of 1/m is one of m, and not symmetric.
+        "mass": Estimate(1.0 / g, 1.0 / (g * (1.0 + relative)), 1.0 / (g * (1.0 - relative))),
+        "damping": _bounded(*widths.per_mass(DAMPING), max(damping_per_mass / g, force / speed if speed else 0.0)),
+        "friction": _bounded(*widths.per_mass(FRICTION), 0.5 * force),
+        "load": Estimate(load, load - load_width, load + load_width),
+        "stiffness": _bounded(*widths.per_mass(STIFFNESS), math.inf) if held else Estimate(0.0, 0.0, 0.0),
+    }
+
+
+def _own_delay(experiment: Experiment, choice: Choice, widths: _Widths) -> Estimate:
+    """Estimate the device's own delay [ticks]."""
+    late, width = widths.direct(DELAY)
+    # Nobody knows how late an unsteady sample is on average; evenly spread from 0 on it is 1.7 of its standard deviations.
+    width += 2.0 * choice.unsteady / experiment.period
+    if _pushing(experiment) == 0.0:
+        return Estimate(None, why="no force was given")
+    if width > 0.5:
+        why = f"its error would be {width:.2g} ticks: the force must change often, by much more than friction"
+        return Estimate(None, why=why)
+    return Estimate(late, max(late - width, 0.0), late + width)
+
+
+def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate]:
+    """Estimate what devices have beyond a rigid mass; of what the data do not ask for, the bound below which it would hide."""
+
+    def positive(value: float, width: float) -> Estimate:
+        return Estimate(value, max(value - width, 0.0), value + width)
+
+    seen = (
+        f"none seen; one above {choice.mode_bound:.0f} Hz, with a quarter of the mass, would not show"
+        if choice.mode_bound > 0.0
+        else "none seen, and none with a quarter of the mass would show: push longer, or faster"
+    )
+    terms = {
+        "quadratic": Estimate(0.0, 0.0, choice.quadratic_bound / widths.mobility),
+        "lag": Estimate(0.0, 0.0, choice.lag_bound),
+        "frequency": Estimate(None, choice.mode_bound, why=seen),
+        "share": Estimate(None, why=seen),
+        "loss": Estimate(None, why=seen),
+    }
+    if QUADRATIC in widths:
+        terms["quadratic"] = positive(*widths.per_mass(QUADRATIC))
+    if LAG in widths:
+        terms["lag"] = positive(*widths.direct(LAG, period))
+    for name, which in (("frequency", FREQUENCY), ("share", SHARE), ("loss", LOSS)):
+        if which in widths:
+            terms[name] = positive(*widths.direct(which))
+    return terms
 
 
 def _bounded(value: float, width: float, too_wide: float) -> Estimate:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from nodes.cli.main import RefusedError, UsageError
@@ -32,8 +32,16 @@ RETRIES = 3
 """How often a job is given to another worker when one dies."""
 
 
-def add_cluster(parser: argparse.ArgumentParser) -> None:
-    """Declare where a sweep runs."""
+class Study(NamedTuple):
+    """Rows of a study in the order of its jobs, and the ledger that holds them."""
+
+    rows: list[Row]
+    ledger: Path
+
+
+def add_sweep(parser: argparse.ArgumentParser) -> None:
+    """Declare where a sweep runs, and whether it goes on."""
+    parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
     parser.add_argument("--workers", type=int, default=0, help="processes on this machine (default: one per core)")
     parser.add_argument(
         "--cluster", metavar="ADDRESS", help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786"
@@ -168,3 +176,22 @@ def sweep(
                 future.cancel()
             raise
     return [done[key_of(parameters)] for parameters in jobs]
+
+
+def swept(
+    arguments: argparse.Namespace, job: Job, jobs: Sequence[Mapping[str, Any]], name: str, chunk: int = 1
+) -> Study:
+    """Do the jobs of a study as its arguments say, with progress on stderr; what was done before is in its ledger."""
+    from sim.measure.stopwatch import Progress
+
+    ledger = begun(arguments, name)
+    with executor(arguments) as pool:
+        return Study(sweep(job, jobs, pool, ledger, chunk, Progress(len(jobs)).step), ledger)
+
+
+def begun(arguments: argparse.Namespace, name: str) -> Path:
+    """Name the ledger of a study; with --fresh there is none yet."""
+    ledger = Path(arguments.out) / f"{name}.jsonl"
+    if arguments.fresh:
+        ledger.unlink(missing_ok=True)
+    return ledger

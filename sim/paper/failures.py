@@ -104,48 +104,29 @@ def edges() -> Iterator[FailureEdge]:
 
 def traps() -> list[Claim]:
     """Make every named trap spring."""
-    biases = {n: euler_bias(n) for n in (2, 4, 10, 50)}
-    worst = max(abs(found / predicted - 1.0) for found, predicted in biases.values())
     first = next(m for m in range(1, 400) if gamma_coefficient(0.5, m) == 0.0)
-    limit = leak_boundary()
-    inside, outside = leak_law(0.999 * limit), leak_law(1.001 * limit)
-    # A hand heavy enough that only the leak, not the damping, can make it unstable.
-    radii = [pole_radius(law, Plant(PERIOD, 5.0, 1.0)) for law in (inside, outside)]
     whole, split = tustin_whole(500.0, 0.05), tustin_split(500.0, 0.05)
     bad, good = (pole_radius(law, Plant(PERIOD, 0.1, 1.0)) for law in (whole, split))
-    fragile = fragility()
     noisy = {name: chatter_bound(name) for name in ("pd", "optimum")}
     passive = 2.0 * (1.0 - 2.0) / PERIOD
     really = k_max(without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0)).k_max_n_per_m or 0.0
     slow, fast = descent_outcomes(0.03), descent_outcomes(3.0)
     return [
-        Claim(
-            "THEORY.md §3",
-            "semi-implicit Euler with n_sub sub-steps overstates K_max by 1/(1 − 1/n_sub)",
-            verdict(worst < 0.01, worst < 0.1),
-            "heavy device (10 kg), found/predicted: "
-            + ", ".join(f"n={n} {found:.3f}/{predicted:.3f}" for n, (found, predicted) in biases.items()),
-        ),
+        _euler_claim(),
         Claim(
             "THEORY.md §1",
             "the printed Gamma ratio gives 0 from m = 171 on",
             verdict(first == 171),
             f"first zero at m = {first}; the recursion gives {recursive_coefficient(0.5, first):.3e} there (α = 0.5)",
         ),
-        Claim(
-            "THEORY.md §1",
-            "truncation leaks until H(1) ≤ 0",
-            verdict(inside.h1 > 0.0 > outside.h1 and radii[0] < 1.0 < radii[1]),
-            f"PDα 1.5, 4 taps, K = 1000: at B = {limit:.1f} N s/m nothing is felt; pole radius − 1 at B ∓ 0.1 %: "
-            f"{radii[0] - 1.0:+.1e}, {radii[1] - 1.0:+.1e}",
-        ),
+        _leak_claim(),
         Claim(
             "THEORY.md §7",
             "Tustin-CFE of the whole α > 1 is unstable; split off the integer part",
             verdict(not whole.stable_sections() and split.stable_sections() and bad > 1.0 > good),
             f"α = 1.5, degree 2, in the loop: pole radius {bad:.3f} whole, {good:.5f} split",
         ),
-        _fragile_claim(fragile),
+        _fragile_claim(fragility()),
         Claim(
             "THEORY.md §5",
             "encoder noise is multiplied with H(−1): chatter iff f_c < Δ·H(−1)/2",
@@ -166,6 +147,32 @@ def traps() -> list[Claim]:
             f"starts by outcome: rate 0.03 {slow}, rate 3 {fast}",
         ),
     ]
+
+
+def _euler_claim() -> Claim:
+    biases = {n: euler_bias(n) for n in (2, 4, 10, 50)}
+    worst = max(abs(found / predicted - 1.0) for found, predicted in biases.values())
+    return Claim(
+        "THEORY.md §3",
+        "semi-implicit Euler with n_sub sub-steps overstates K_max by 1/(1 − 1/n_sub)",
+        verdict(worst < 0.01, worst < 0.1),
+        "heavy device (10 kg), found/predicted: "
+        + ", ".join(f"n={n} {found:.3f}/{predicted:.3f}" for n, (found, predicted) in biases.items()),
+    )
+
+
+def _leak_claim() -> Claim:
+    limit = leak_boundary()
+    inside, outside = leak_law(0.999 * limit), leak_law(1.001 * limit)
+    # A hand heavy enough that only the leak, not the damping, can make it unstable.
+    radii = [pole_radius(law, Plant(PERIOD, 5.0, 1.0)) for law in (inside, outside)]
+    return Claim(
+        "THEORY.md §1",
+        "truncation leaks until H(1) ≤ 0",
+        verdict(inside.h1 > 0.0 > outside.h1 and radii[0] < 1.0 < radii[1]),
+        f"PDα 1.5, 4 taps, K = 1000: at B = {limit:.1f} N s/m nothing is felt; pole radius − 1 at B ∓ 0.1 %: "
+        f"{radii[0] - 1.0:+.1e}, {radii[1] - 1.0:+.1e}",
+    )
 
 
 def _fragile_claim(fragile: dict[str, dict[str, tuple[float, bool]]]) -> Claim:

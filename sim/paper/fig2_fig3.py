@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,66 +107,20 @@ def _by_memory(source: str, claim: str, judge: Callable[[int], bool], unlimited:
 def claims_2(taps: int) -> list[Claim]:
     """Judge what the paper's section 3.2 says about figure 2, and what THEORY.md adds."""
     theta, low, high = figure_2(taps)
-    curves = {(a, n): one_term(theta, a, n + 1) for a in {*LOW_ORDERS, *HIGH_ORDERS} for n in MEMORIES}
     pd = -np.cos(theta)
-    below, above = LOW_ORDERS[:-1], HIGH_ORDERS[1:]
-    free = {a: term_curve(theta, a) for a in {*LOW_ORDERS, *HIGH_ORDERS}}
-    start = {(a, n): _at_zero(a, n + 1) for a in (*above, 2.0) for n in MEMORIES}
-    n = taps - 1
+    orders = {*LOW_ORDERS, *HIGH_ORDERS}
+    curves = {(a, n): one_term(theta, a, n + 1) for a in orders for n in MEMORIES}
+    curves |= {(a, math.inf): term_curve(theta, a) for a in orders}
+    finite = [curve for (_, n), curve in curves.items() if n < math.inf]
     return [
         Claim(
             "paper, fig. 2 and eq. (9)",
             "per term, B_α is chosen such that f(ω_N) = 1",
-            verdict(all(abs(curve[-1] - 1.0) < 1e-12 for curve in curves.values())),
-            f"gains: paper is that of the sum to n; |f(ω_N) − 1| ≤ {max(abs(c[-1] - 1.0) for c in curves.values()):.0e}",
+            verdict(all(abs(curve[-1] - 1.0) < 1e-12 for curve in finite)),
+            f"gains: paper is that of the sum to n; |f(ω_N) − 1| ≤ {max(abs(c[-1] - 1.0) for c in finite):.0e}",
         ),
-        _by_memory(
-            "paper, section 3.2, fig. 2(a)",
-            "0 < α < 1: f rises monotonically with ω",
-            lambda n: all(bool((np.diff(curves[a, n]) > 0.0).all()) for a in below),
-            all(bool((np.diff(free[a]) > 0.0).all()) for a in below),
-            f"α = 0.7 alone: {_for_which({n: bool((np.diff(curves[0.7, n]) > 0.0).all()) for n in MEMORIES})}",
-        ),
-        _by_memory(
-            "paper, section 3.2, fig. 2",
-            "the zero of f moves right as α grows",
-            lambda n: _rising([_last_zero(theta, curves[a, n]) for a in (*below, *HIGH_ORDERS)]),
-            _rising([_last_zero(theta, free[a]) for a in (*below, *HIGH_ORDERS)]),
-            f"n = {n}: "
-            + ", ".join(f"{t.order:g} at {t.zero:.3f}" for t in (*low, *high[1:]))
-            + " ω_N; unlimited: α/(α+1)",
-        ),
-        _by_memory(
-            "paper, section 3.2, fig. 2(a)",
-            "0 < α < 1: more passive than PD at low frequencies, less at middle ones",
-            lambda n: all(_order_of_signs(curves[a, n] - pd) == "-+" for a in below),
-            all(_order_of_signs(free[a] - pd) == "-+" for a in below),
-            "α = 0.3 needs n ≥ 5, 0.5 n ≥ 3, 0.7 n ≥ 2",
-        ),
-        _by_memory(
-            "paper, section 3.2, fig. 2(b)",
-            "1 < α < 2: f has a minimum between 0 and ω_N",
-            lambda n: all(0 < int(np.argmin(curves[a, n])) < theta.size - 1 for a in above),
-            all(0 < int(np.argmin(free[a])) < theta.size - 1 for a in above),
-            f"n = {n}: "
-            + ", ".join(f"{t.order:g} at {theta[int(np.argmin(t.curve))] / math.pi:.2f} ω_N" for t in high[1:]),
-        ),
-        _by_memory(
-            "paper, section 3.2, fig. 2(b)",
-            "1 < α < 2: f(0) rises to zero with α",
-            lambda n: _rising([start[a, n] for a in (*above, 2.0)]) and abs(start[2.0, n]) < 1e-9,
-            False,
-            f"n = {n}: "
-            + ", ".join(f"{a:g}: {_at_zero(a, taps):+.3f}" for a in (*above, 2.0))
-            + "; unlimited: f(0) = 0 for all",
-        ),
-        _by_memory(
-            "paper, section 3.2, fig. 2(b)",
-            "1 < α < 2: less passive than PD at low frequencies, more at middle ones",
-            lambda n: all(_order_of_signs(curves[a, n] - pd) == "+-" for a in above),
-            all(_order_of_signs(free[a] - pd) == "+-" for a in above),
-            "",
-        ),
+        *_below_1(theta, curves, [*low, *high[1:]], taps),
+        *_above_1(theta, curves, high[1:], taps),
         _by_memory(
             "paper, section 3.2",
             "a single term is not enough: none is more passive than PD at low and middle frequencies both",
@@ -181,6 +135,89 @@ def claims_2(taps: int) -> list[Claim]:
             f"largest difference {np.abs(low[-1].curve - pd).max():.0e}",
         ),
         *_ours_2(theta, taps),
+    ]
+
+
+Curves = Mapping[tuple[float, float], Vector]
+"""f of one term by its order and memory n; n infinite for unlimited memory."""
+
+
+def _below_1(theta: Vector, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
+    """Judge what is said of orders below 1, and of the zero of all orders."""
+    pd, below = -np.cos(theta), LOW_ORDERS[:-1]
+
+    def rises(n: float, orders: Sequence[float] = below) -> bool:
+        return all(bool((np.diff(curves[a, n]) > 0.0).all()) for a in orders)
+
+    def moves(n: float) -> bool:
+        return _rising([_last_zero(theta, curves[a, n]) for a in (*below, *HIGH_ORDERS)])
+
+    def crosses(n: float) -> bool:
+        return all(_order_of_signs(curves[a, n] - pd) == "-+" for a in below)
+
+    zeros = ", ".join(f"{term.order:g} at {term.zero:.3f}" for term in shown)
+    return [
+        _by_memory(
+            "paper, section 3.2, fig. 2(a)",
+            "0 < α < 1: f rises monotonically with ω",
+            rises,
+            rises(math.inf),
+            f"α = 0.7 alone: {_for_which({n: rises(n, (0.7,)) for n in MEMORIES})}",
+        ),
+        _by_memory(
+            "paper, section 3.2, fig. 2",
+            "the zero of f moves right as α grows",
+            moves,
+            moves(math.inf),
+            f"n = {taps - 1}: {zeros} ω_N; unlimited: α/(α+1)",
+        ),
+        _by_memory(
+            "paper, section 3.2, fig. 2(a)",
+            "0 < α < 1: more passive than PD at low frequencies, less at middle ones",
+            crosses,
+            crosses(math.inf),
+            "α = 0.3 needs n ≥ 5, 0.5 n ≥ 3, 0.7 n ≥ 2",
+        ),
+    ]
+
+
+def _above_1(theta: Vector, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
+    """Judge what is said of orders above 1."""
+    pd, above = -np.cos(theta), HIGH_ORDERS[1:]
+
+    def dips(n: float) -> bool:
+        return all(0 < int(np.argmin(curves[a, n])) < theta.size - 1 for a in above)
+
+    def starts_at_zero(n: int) -> bool:
+        return _rising([_at_zero(a, n + 1) for a in (*above, 2.0)]) and abs(_at_zero(2.0, n + 1)) < 1e-9
+
+    def crosses(n: float) -> bool:
+        return all(_order_of_signs(curves[a, n] - pd) == "+-" for a in above)
+
+    lowest = ", ".join(f"{term.order:g} at {theta[int(np.argmin(term.curve))] / math.pi:.2f} ω_N" for term in shown)
+    starts = ", ".join(f"{a:g}: {_at_zero(a, taps):+.3f}" for a in (*above, 2.0))
+    return [
+        _by_memory(
+            "paper, section 3.2, fig. 2(b)",
+            "1 < α < 2: f has a minimum between 0 and ω_N",
+            dips,
+            dips(math.inf),
+            f"n = {taps - 1}: {lowest}",
+        ),
+        _by_memory(
+            "paper, section 3.2, fig. 2(b)",
+            "1 < α < 2: f(0) rises to zero with α",
+            starts_at_zero,
+            False,
+            f"n = {taps - 1}: {starts}; unlimited: f(0) = 0 for all",
+        ),
+        _by_memory(
+            "paper, section 3.2, fig. 2(b)",
+            "1 < α < 2: less passive than PD at low frequencies, more at middle ones",
+            crosses,
+            crosses(math.inf),
+            "",
+        ),
     ]
 
 

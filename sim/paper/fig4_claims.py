@@ -16,16 +16,83 @@ from sim.paper.fig4 import CUTOFF, DELAYS, LAWS, Curve, Setting, best, published
 def claims_4(setting: Setting, curves: list[Curve], spreads: list[tuple[float, str, float]]) -> list[Claim]:
     """Judge what the paper and THEORY.md state about the drop test."""
     by = {(c.law, c.delay, c.touch): c for c in curves}
-    mass, period = setting.mass, setting.period
     pd, optimum = by["pd", 0.0, False], by["paper_optimum", 0.0, False]
-    passive = 2.0 * setting.damping / period
+    others = [name for name in LAWS if name != "pd"]
+    return [
+        # The paper's own unit first: nominal K.
+        *(
+            _against_pd(setting, by["pd", delay, False], by["paper_optimum", delay, False], felt=False)
+            for delay in (0.0, 1.0)
+        ),
+        *_thesis(setting, [pd, optimum]),
+        _peak_of_pd(setting),
+        _conditional(setting, pd),
+        *(
+            _against_pd(setting, by["pd", delay, touch], by[name, delay, touch], felt=True)
+            for delay in DELAYS
+            for touch in (False, True)
+            for name in others
+            if (name, delay, touch) in by
+        ),
+        _leak(setting, optimum),
+        _conventions(setting, [pd, optimum], spreads),
+        _horizon(setting, curves),
+        _swing(setting, [pd, optimum]),
+    ]
+
+
+def _peak_of_pd(setting: Setting) -> Claim:
+    mass, period = setting.mass, setting.period
     peak = 2.0 * math.sqrt(2.0) - 2.0
-    boundary = k_max(
-        without_spring(PD(stiffness=1.0, damping=peak * mass / period), period),
-        Plant(period, mass, 0.0),
-        "pole_radius",
-    ).k_max_n_per_m
+    derivative = without_spring(PD(stiffness=1.0, damping=peak * mass / period), period)
+    boundary = k_max(derivative, Plant(period, mass, 0.0), "pole_radius").k_max_n_per_m
     kappa = (boundary or 0.0) * period * period / mass
+    return Claim(
+        "THEORY.md §3",
+        "PD, b → 0, d = 0: κ_max peaks at 0.6863 at β = 2√2 − 2",
+        verdict(abs(kappa - 0.6863) < 5e-5),
+        f"K_max T²/m by pole radius there: {kappa:.5f}",
+    )
+
+
+def _conditional(setting: Setting, pd: Curve) -> Claim:
+    passive, stiffest = 2.0 * setting.damping / setting.period, best(pd, felt=True)[0]
+    return Claim(
+        "THEORY.md §2",
+        "on a known device the loop bears more than the passive limit 2b/T: conditional stability",
+        verdict(stiffest > passive),
+        f"PD settles up to H(1) = {stiffest:.0f} N/m, 2b/T = {passive:.0f} N/m",
+    )
+
+
+def _leak(setting: Setting, optimum: Curve) -> Claim:
+    top, where = best(optimum, felt=True)
+    nominal = optimum.found[where].k_max_n_per_m or math.nan
+    return Claim(
+        "THEORY.md §1",
+        "nominal K is not the stiffness felt: a truncated term leaks",
+        verdict(abs(top / nominal - 1.0) > 0.01),
+        f"the paper's optimum at its stiffest, B = {setting.gains[where]:.3g}: K = {nominal:.0f}, H(1) = {top:.0f} N/m "
+        f"({100.0 * (top / nominal - 1.0):+.1f} %)",
+    )
+
+
+def _conventions(setting: Setting, curves: list[Curve], spreads: list[tuple[float, str, float]]) -> Claim:
+    stiffest = {c.law: setting.gains[best(c, felt=True)[1]] for c in curves}
+    anywhere = max(spreads)
+    before = max(s for s in spreads if s[2] <= stiffest[s[1]])
+    calm = {s[2] for s in spreads} - {s[2] for s in spreads if s[0] > 0.17}
+    return Claim(
+        "THEORY.md §4",
+        "two conventions (history, clamping) change K_max by up to about 17 %",
+        verdict(0.12 <= anywhere[0] <= 0.2, bool(calm)),
+        f"d = 0, four combinations, PD and optimum: only if {_ranges(setting.gains, calm)} is it up to 17 %; below the "
+        f"stiffest point of each law up to {100.0 * before[0]:.1f} % ({before[1]}, B = {before[2]:.3g}), anywhere up to "
+        f"{100.0 * anywhere[0]:.0f} % ({anywhere[1]}, B = {anywhere[2]:.3g})",
+    )
+
+
+def _horizon(setting: Setting, curves: list[Curve]) -> Claim:
     shares = [
         f.k_max_n_per_m / linear
         for c in curves
@@ -35,72 +102,26 @@ def claims_4(setting: Setting, curves: list[Curve], spreads: list[tuple[float, s
     ]
     middle = sorted(shares)[len(shares) // 2]
     within = sum(0.7 <= s <= 0.99 for s in shares) / len(shares)
-    rings, angles = _rings(setting, [pd, optimum])
-    stiffest = {c.law: setting.gains[best(c, felt=True)[1]] for c in (pd, optimum)}
-    anywhere = max(spreads)
-    before = max(s for s in spreads if s[2] <= stiffest[s[1]])
-    calm = {s[2] for s in spreads} - {s[2] for s in spreads if s[0] > 0.17}
+    return Claim(
+        "THEORY.md §4",
+        "the drop test reads 70–99 % of the linear limit",
+        verdict(within == 1.0, within > 0.5),
+        f"horizon {setting.criterion.ticks} ticks: {100.0 * min(shares):.0f} … {100.0 * max(shares):.0f} %, median "
+        f"{100.0 * middle:.0f} %; {100.0 * within:.0f} % of the points are within",
+    )
+
+
+def _swing(setting: Setting, curves: list[Curve]) -> Claim:
+    rings, angles = _rings(setting, curves)
     near = [gain for ratio, gain in rings if abs(ratio - 1.0) < 0.2]
-    top, where = best(optimum, felt=True)
-    nominal = optimum.found[where].k_max_n_per_m or math.nan
-    claims = [
-        Claim(
-            "THEORY.md §3",
-            "PD, b → 0, d = 0: κ_max peaks at 0.6863 at β = 2√2 − 2",
-            verdict(abs(kappa - 0.6863) < 5e-5),
-            f"K_max T²/m by pole radius there: {kappa:.5f}",
-        ),
-        Claim(
-            "THEORY.md §2",
-            "on a known device the loop bears more than the passive limit 2b/T: conditional stability",
-            verdict(best(pd, felt=True)[0] > passive),
-            f"PD settles up to H(1) = {best(pd, felt=True)[0]:.0f} N/m, 2b/T = {passive:.0f} N/m",
-        ),
-    ]
-    others = [name for name in LAWS if name != "pd"]
-    # The paper's own unit first: nominal K, no delay.
-    late = _against_pd(setting, by["pd", 1.0, False], by["paper_optimum", 1.0, False], felt=False)
-    claims[:0] = [_against_pd(setting, pd, optimum, felt=False), late, *_thesis(setting, [pd, optimum])]
-    for delay in DELAYS:
-        for touch in (False, True):
-            claims += [
-                _against_pd(setting, by["pd", delay, touch], by[name, delay, touch], felt=True)
-                for name in others
-                if (name, delay, touch) in by
-            ]
-    claims += [
-        Claim(
-            "THEORY.md §1",
-            "nominal K is not the stiffness felt: a truncated term leaks",
-            verdict(abs(top / nominal - 1.0) > 0.01),
-            f"the paper's optimum at its stiffest, B = {setting.gains[where]:.3g}: K = {nominal:.0f}, H(1) = {top:.0f} N/m "
-            f"({100.0 * (top / nominal - 1.0):+.1f} %)",
-        ),
-        Claim(
-            "THEORY.md §4",
-            "two conventions (history, clamping) change K_max by up to about 17 %",
-            verdict(0.12 <= anywhere[0] <= 0.2, bool(calm)),
-            f"d = 0, four combinations, PD and optimum: only if {_ranges(setting.gains, calm)} is it up to 17 %; below the "
-            f"stiffest point of each law up to {100.0 * before[0]:.1f} % ({before[1]}, B = {before[2]:.3g}), anywhere up to "
-            f"{100.0 * anywhere[0]:.0f} % ({anywhere[1]}, B = {anywhere[2]:.3g})",
-        ),
-        Claim(
-            "THEORY.md §4",
-            "the drop test reads 70–99 % of the linear limit",
-            verdict(within == 1.0, within > 0.5),
-            f"horizon {setting.criterion.ticks} ticks: {100.0 * min(shares):.0f} … {100.0 * max(shares):.0f} %, median "
-            f"{100.0 * middle:.0f} %; {100.0 * within:.0f} % of the points are within",
-        ),
-        Claim(
-            "THEORY.md §2",
-            "at the limit the known mass rings at about √(K/m)",
-            verdict(len(near) == len(rings), bool(near)),
-            f"measured/√(K/m), PD and optimum at d = 0: {min(rings)[0]:.2f} … {max(rings)[0]:.2f}; only if "
-            f"{_ranges(setting.gains, set(near))} is it within 20 %. Against the angle of the exact pole: "
-            f"{min(angles):.3f} … {max(angles):.3f}, median {sorted(angles)[len(angles) // 2]:.4f}",
-        ),
-    ]
-    return claims
+    return Claim(
+        "THEORY.md §2",
+        "at the limit the known mass rings at about √(K/m)",
+        verdict(len(near) == len(rings), bool(near)),
+        f"measured/√(K/m), PD and optimum at d = 0: {min(rings)[0]:.2f} … {max(rings)[0]:.2f}; only if "
+        f"{_ranges(setting.gains, set(near))} is it within 20 %. Against the angle of the exact pole: "
+        f"{min(angles):.3f} … {max(angles):.3f}, median {sorted(angles)[len(angles) // 2]:.4f}",
+    )
 
 
 def _rings(setting: Setting, curves: list[Curve]) -> tuple[list[tuple[float, float]], list[float]]:

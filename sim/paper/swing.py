@@ -136,12 +136,8 @@ def recorded_swing(path: Path, damping: float | None = None) -> Swing:
     loop = measure(path)
     recording = Recording(path)
     law = _law(recording, path)
-    compiled = law.compile(loop.period)
-    if compiled.evaluate is not None:
-        raise CannotTellError(f"{law.kind} has code of its own, so no poles")
-    fits, ticks = windows(_contact(recording))
     known = loop.damping if damping is None else damping
-    return _told(law, compiled, Plant(loop.period, 1.0, 0.0, loop.median), fits, known, ticks)
+    return swing_of(law, Plant(loop.period, 1.0, 0.0, loop.median), _contact(recording), known)
 
 
 def windows(inside: Vector) -> tuple[list[Decay], int]:
@@ -162,7 +158,12 @@ def windows(inside: Vector) -> tuple[list[Decay], int]:
     return fits, end
 
 
-def _told(law: Law, compiled: CompiledLaw, loop: Plant, fits: list[Decay], damping: float | None, ticks: int) -> Swing:
+def swing_of(law: Law, loop: Plant, inside: Vector, damping: float | None) -> Swing:
+    """Say what the positions of a contact tell of K_max [m]: period and delay of the loop are known, its mass is not."""
+    compiled = law.compile(loop.period)
+    if compiled.evaluate is not None:
+        raise CannotTellError(f"{law.kind} has code of its own, so no poles")
+    fits, ticks = windows(inside)
     derivative = without_spring(law, loop.period)
     plants = []
     for fit in (fit for fit in fits if fit.residual <= _RESIDUAL):
@@ -233,7 +234,7 @@ def _contact(recording: Recording) -> Vector:
     states = recording.messages(DEVICE_STATE)
     force = np.array([state.force for state in states])
     axis = int(np.abs(force).max(axis=0).argmax())
-    first, last = _longest(np.abs(force[:, axis]) > 0.0)
+    first, last = longest(np.abs(force[:, axis]) > 0.0)
     inside = states[first:last]
     forces = recording.messages(FORCE)
     rendered = {message.seq: message for message in forces}
@@ -253,7 +254,7 @@ def _limited(state: DeviceState, rendered: float, axis: int) -> bool:
     return abs(state.force[axis] - rendered) > 1e-9 * max(1.0, abs(rendered))
 
 
-def _longest(contact: NDArray[np.bool_]) -> tuple[int, int]:
+def longest(contact: NDArray[np.bool_]) -> tuple[int, int]:
     """Longest run of true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], contact.astype(int), [0]])))
     runs = edges.reshape(-1, 2)

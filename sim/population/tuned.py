@@ -61,6 +61,7 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
         "holds": told["holds"],
         "delivered": told["holds"],
         "edge_n_per_m": told["edge_by_poles_h1_n_per_m"],
+        "edge_between_n_per_m": told["edge_by_poles_between_n_per_m"],
         "predicted_edge_n_per_m": figures["edge_linear_h1_n_per_m"],
         "true_radius": true_radius(compiled, device, period),
         "true_edge_n_per_m": true_edge(compiled, device, period),
@@ -116,11 +117,9 @@ def true_edge(law: CompiledLaw, device: RicherModel, period: float) -> float | N
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Count what was delivered, and what of it was wrong."""
     tried = [row for row in rows if row["holds"] is not None]
-    edges = [
-        row["edge_n_per_m"] / row["true_edge_n_per_m"] - 1.0
-        for row in tried
-        if row["edge_n_per_m"] and row["true_edge_n_per_m"]
-    ]
+    judged = [row for row in tried if row["edge_between_n_per_m"] and row["true_edge_n_per_m"]]
+    edges = [row["edge_n_per_m"] / row["true_edge_n_per_m"] - 1.0 for row in judged if row["edge_n_per_m"]]
+    inside = [low <= row["true_edge_n_per_m"] <= high for row in judged for low, high in [row["edge_between_n_per_m"]]]
     return {
         "devices": len(rows),
         "refused": sum(bool(row["refuted"]) for row in rows),
@@ -131,4 +130,6 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "edges": len(edges),
         "edge_error_largest": max(map(abs, edges), default=None),
         "edges_within_5_percent": sum(abs(error) <= 0.05 for error in edges),
+        "intervals": len(inside),
+        "intervals_that_hold_the_edge": sum(inside),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nodes.cli.main import UsageError, add_json
 from nodes.laws import Law, law_names, load_law
@@ -14,6 +14,9 @@ from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.stability.plant import Plant
 from sim.device.presets import HANDS
+
+if TYPE_CHECKING:
+    from sim.design.recorded_loop import Measured
 
 
 def positive(text: str) -> float:
@@ -56,15 +59,41 @@ def _number(text: str) -> float:
     return value
 
 
-def add_device(parser: argparse.ArgumentParser, ranges: bool = False) -> None:
-    """Declare the device and its loop."""
+def add_loop(parser: argparse.ArgumentParser, delay: float = 0.0) -> None:
+    """Declare the damping of the device, and the loop."""
     parser.add_argument(
-        "--mass", type=interval if ranges else positive, default=(0.1, 0.1) if ranges else 0.1, help="moving mass [kg]"
+        "--damping", type=not_negative, default=1.0, help="viscous damping of the device [N s/m] (default: %(default)s)"
     )
-    parser.add_argument("--damping", type=not_negative, default=1.0, help="viscous damping of the device [N s/m]")
-    parser.add_argument("--delay", type=not_negative, default=0.0, help="delay of the loop [ticks], fractions allowed")
+    parser.add_argument(
+        "--delay",
+        type=not_negative,
+        default=delay,
+        help="delay of the loop [ticks], fractions allowed (default: %(default)s)",
+    )
     parser.add_argument("--rate", type=positive, default=500.0, help="rate of the loop [Hz] (default: %(default)s)")
-    parser.add_argument("--hand", type=not_negative, default=0.0, help="stiffness of a hand on the device [N/m]")
+
+
+def add_device(parser: argparse.ArgumentParser, delay: float = 0.0, hand: float = 0.0) -> None:
+    """Declare the device and its loop."""
+    parser.add_argument("--mass", type=positive, default=0.1, help="moving mass [kg] (default: %(default)s)")
+    add_loop(parser, delay)
+    parser.add_argument(
+        "--hand",
+        type=not_negative,
+        default=hand,
+        help="stiffness of a hand on the device [N/m] (default: %(default)s)",
+    )
+
+
+def recorded(path: Path) -> Measured:
+    """Read what a recording tells of its loop."""
+    from nodes.recording.writer import RecordError
+    from sim.design.recorded_loop import measure
+
+    try:
+        return measure(path)
+    except (RecordError, ValueError, OSError) as error:
+        raise UsageError(str(error)) from error
 
 
 def add_law(parser: argparse.ArgumentParser) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from nodes.cli.main import UsageError, answer
 from nodes.recording.figure_style import COLOURS, INK, save_figure, styled, threshold
-from sim.measure.sweep import add_cluster
+from sim.measure.sweep import add_sweep, swept
 from sim.results import fresh
 from sim.studies import arguments as shared
 
@@ -29,16 +29,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="devices that are not rigid: joints, lags, backlash and more, kind by kind",
     )
     parser.add_argument("--tune", action="store_true", help="tune a law for each device too: seconds per device")
-    parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
-    add_cluster(parser)
+    add_sweep(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Sweep over the devices."""
-    from sim.measure.stopwatch import Progress
-    from sim.measure.sweep import executor, sweep
     from sim.population.study import study_device, summary
 
     if not 1 <= arguments.devices <= 100_000:
@@ -56,11 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
         }
         for number in range(arguments.devices)
     ]
-    ledger = arguments.out / "coverage.jsonl"
-    if arguments.fresh:
-        ledger.unlink(missing_ok=True)
-    with executor(arguments) as pool:
-        rows = sweep(study_device, jobs, pool, ledger, 1 if arguments.tune else 8, Progress(len(jobs)).step)
+    rows, ledger = swept(arguments, study_device, jobs, "coverage", 1 if arguments.tune else 8)
     found = summary(rows)
     picture = arguments.out / "coverage.png"
     draw(picture, rows)
@@ -73,8 +66,6 @@ def _outside(arguments: argparse.Namespace) -> int:
     """Sweep over devices that are not rigid."""
     from scipy.stats import binom
 
-    from sim.measure.stopwatch import Progress
-    from sim.measure.sweep import executor, sweep
     from sim.population.outside import KINDS
     from sim.population.outside_study import ALLOWED, study_outside, summary_outside
 
@@ -91,11 +82,7 @@ def _outside(arguments: argparse.Namespace) -> int:
         }
         for number in range(arguments.devices)
     ]
-    ledger = arguments.out / "coverage_outside.jsonl"
-    if arguments.fresh:
-        ledger.unlink(missing_ok=True)
-    with executor(arguments) as pool:
-        rows = sweep(study_outside, jobs, pool, ledger, 1, Progress(len(jobs)).step)
+    rows, ledger = swept(arguments, study_outside, jobs, "coverage_outside")
     found = summary_outside(rows)
     lines = [
         f"{'kind':18} {'devices':>7} {'rigid':>6} {'richer':>7} {'refused':>8} {'false':>6} {'named':>6}  intervals missed"

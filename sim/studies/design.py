@@ -13,7 +13,6 @@ from typing import Any
 from nodes.cli.main import UsageError, answer
 from nodes.laws import CompiledLaw
 from nodes.recording.figure_style import OMEGA, save_figure, styled, threshold
-from nodes.recording.writer import RecordError
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
@@ -31,7 +30,7 @@ from sim.design.families import (
 )
 from sim.design.landing import best_pd_windowed, drops
 from sim.design.passive import Passive, stiffest_passive
-from sim.design.recorded_loop import Measured, measure
+from sim.design.recorded_loop import Measured
 from sim.design.replay import replayed_radius
 from sim.experiments.terms import RESOLUTION
 from sim.results import fresh
@@ -117,10 +116,7 @@ def _demand(arguments: argparse.Namespace) -> tuple[Demand, Measured | None]:
     rate, delay = arguments.rate or 500.0, arguments.delay or (1.0, 1.0)
     run = None
     if arguments.from_run is not None:
-        try:
-            run = measure(arguments.from_run)
-        except (RecordError, ValueError, OSError) as error:
-            raise UsageError(str(error)) from error
+        run = shared.recorded(arguments.from_run)
         rate, delay = arguments.rate or 1.0 / run.period, arguments.delay or run.delay
     nyquist = arguments.nyquist
     if (arguments.friction is None) != (arguments.resolution is None):
@@ -191,51 +187,45 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
             f"one: {figures['replayed_radius']}"
         )
     if law.found is not None and law.law is not None:
-        path = fresh(arguments.out / "designed.yaml")
-        lands = all(drops(law.found.law, demand).values())
-        comment = _describe(demand) + ("" if lands else "\nit does NOT bear a landing")
-        path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
-        if not lands:
+        told, said = _designed(arguments, demand, law, pd)
+        plot = fresh(arguments.out / "design.png")
+        _draw(plot, demand, law, pd, passive)
+        figures |= {"designed": told, "plot": str(plot)}
+        if not told["lands"]:
             lines.insert(
                 0, "This law does NOT bear a landing: a drop on a floor does not settle; without --no-land it would"
             )
-        figures["designed"] = _row(law, demand) | {
-            "yaml": str(path),
-            "lands": lands,
-            "every_delay": certificate(law.found.law, demand),
-        }
-        proof = figures["designed"]["every_delay"]
-        told = {True: "certified", False: "NOT stable", None: "not decided"}.get(
-            proof, "the range is wider than a tick"
-        )
-        lines += [
-            _line(figures["designed"]),
-            f"{'':13}  every sequence of these delays, five masses: {told} (THEORY.md §10)",
-            _line(figures["best_pd"]),
-            f"haptic param load coupling {path}",
-        ]
-        plot = fresh(arguments.out / "design.png")
-        _draw(plot, demand, law, pd, passive)
-        figures["plot"] = str(plot)
-        lines.append(str(plot))
+        lines += [*said, str(plot)]
         if arguments.friction is not None:
-            lines += _at_rest(arguments, law.found, demand, figures["designed"])
+            lines += _at_rest(arguments, law.found, demand, told)
     else:
         lines.append(
             "no law of this length keeps the demand: allow a larger radius, a narrower range, more taps or --no-land"
         )
     if passive is not None:
-        path = fresh(arguments.out / "passive.yaml")
-        told = f"passive for any mass and hand: {_describe(demand)}"
-        path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=told), encoding="utf-8")
-        figures["passive"] = _passive_row(passive, demand) | {"yaml": str(path)}
-        lines.append(
-            f"passive        H(1) {passive.h1_n_per_m:9.2f} N/m  H(-1) {passive.h_nyquist_n_per_m:9.1f} N/m  "
-            f"radius {figures['passive']['pole_radius']:.6f}  "
-            f"K T/b {passive.ratio:.4f} (bound {passive.bound_n_per_m * demand.period / demand.damping:.4f})  {path}"
-        )
+        figures["passive"] = _passive_row(passive, demand, arguments.out)
+        lines.append(_passive_line(passive, demand, figures["passive"]))
     answer(arguments.json, figures, "\n".join(lines))
     return 0 if law.found is not None else 1
+
+
+def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tuned) -> tuple[dict[str, Any], list[str]]:
+    """Write the designed law down; its figures, and what is said of it."""
+    assert law.found is not None  # noqa: S101  # the caller looked
+    assert law.law is not None  # noqa: S101  # the caller looked
+    path = fresh(arguments.out / "designed.yaml")
+    lands = all(drops(law.found.law, demand).values())
+    comment = _describe(demand) + ("" if lands else "\nit does NOT bear a landing")
+    path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
+    every = certificate(law.found.law, demand)
+    told = _row(law, demand) | {"yaml": str(path), "lands": lands, "every_delay": every}
+    proof = {True: "certified", False: "NOT stable", None: "not decided"}.get(every, "the range is wider than a tick")
+    return told, [
+        _line(told),
+        f"{'':13}  every sequence of these delays, five masses: {proof} (THEORY.md §10)",
+        _line(_row(pd, demand)),
+        f"haptic param load coupling {path}",
+    ]
 
 
 def _at_rest(arguments: argparse.Namespace, found: Robust, demand: Demand, figures: dict[str, Any]) -> list[str]:
@@ -303,7 +293,11 @@ def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
     }
 
 
-def _passive_row(passive: Passive, demand: Demand) -> dict[str, Any]:
+def _passive_row(passive: Passive, demand: Demand, out: Path) -> dict[str, Any]:
+    """Write the passive law down; its figures."""
+    path = fresh(out / "passive.yaml")
+    told = f"passive for any mass and hand: {_describe(demand)}"
+    path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=told), encoding="utf-8")
     law = CompiledLaw(tuple(passive.taps.tolist()))
     radius = max(
         pole_radius(law, Plant(demand.period, mass, demand.damping, delay, hand))
@@ -317,7 +311,16 @@ def _passive_row(passive: Passive, demand: Demand) -> dict[str, Any]:
         "damping_needed_n_s_per_m": passive.damping_needed_n_s_per_m,
         "ratio": passive.ratio,
         "bound_n_per_m": passive.bound_n_per_m,
+        "yaml": str(path),
     }
+
+
+def _passive_line(passive: Passive, demand: Demand, row: dict[str, Any]) -> str:
+    return (
+        f"passive        H(1) {passive.h1_n_per_m:9.2f} N/m  H(-1) {passive.h_nyquist_n_per_m:9.1f} N/m  "
+        f"radius {row['pole_radius']:.6f}  "
+        f"K T/b {passive.ratio:.4f} (bound {passive.bound_n_per_m * demand.period / demand.damping:.4f})  {row['yaml']}"
+    )
 
 
 def _line(row: dict[str, Any]) -> str:

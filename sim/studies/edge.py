@@ -36,6 +36,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gain", type=shared.interval, default=(1.0, 40.0), help="B, LOW..HIGH [N s/m] (default: 1..40)"
     )
+    parser.add_argument(
+        "--drops", type=int, help="of random devices instead: how often the interval of a swing holds the true K_max"
+    )
     parser.add_argument("--points", type=int, default=24, help="gains, in geometric steps (default: %(default)s)")
     parser.add_argument(
         "--device-damping",
@@ -51,6 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare laws, or predict from a recording."""
     if arguments.recording is not None:
         return _predict(arguments)
+    if arguments.drops is not None:
+        return _drops(arguments)
     low, high = arguments.gain
     if not 0.0 < low < high or arguments.points < 2:
         raise UsageError(f"--gain {low:g}..{high:g} --points {arguments.points}: needs 0 < LOW < HIGH and 2 points")
@@ -83,6 +88,29 @@ def run(arguments: argparse.Namespace) -> int:
         f"pd_windowed is left out: no taps, so no f(w); its K_max is by drops (study kmax --method simulation)\n{plot}"
     )
     answer(arguments.json, figures, text)
+    return 0
+
+
+def _drops(arguments: argparse.Namespace) -> int:
+    from sim.measure.stopwatch import Progress
+    from sim.paper.swing_drops import counted, dropped
+
+    if not 1 <= arguments.drops <= 100_000:
+        raise UsageError(f"--drops {arguments.drops}: between 1 and 100000")
+    progress, rows = Progress(arguments.drops), []
+    for number in range(arguments.drops):
+        name = list(LAWS)[number % len(LAWS)]
+        rows.append(dropped(number, name, LAWS[name], 1.0 / arguments.rate))
+        progress.step(name, 1)
+    laws = {name: counted([row for row in rows if row["law"] == name]) for name in LAWS}
+    lines = [f"{'law':20} {'drops':>6} {'told':>6} {'hold K_max':>11} {'worst miss':>11} {'median width':>13}"]
+    for name, one in {**laws, "all": counted(rows)}.items():
+        if one["told"]:
+            lines.append(
+                f"{name:20} {one['drops']:6d} {one['told']:6d} {one['hold']:11d} {100.0 * one['worst_miss']:9.2f} % "
+                f"{100.0 * one['median_width']:11.2f} %"
+            )
+    answer(arguments.json, {**counted(rows), "laws": laws, "rows": rows}, "\n".join(lines))
     return 0
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from nodes.cli.main import UsageError, answer
 from nodes.recording.figure_style import COLOURS, MARKERS, styled, threshold
-from sim.measure.sweep import Row, add_cluster, executor, read_ledger, sweep
+from sim.measure.sweep import Row, add_sweep, begun, executor, read_ledger, sweep
 from sim.studies import arguments as shared
 
 if TYPE_CHECKING:
@@ -32,21 +32,16 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--friction", type=shared.not_negative, default=0.06, help="its friction [N], a remembered figure"
     )
     parser.add_argument("--horizon", type=int, default=2500, help="of a drop [ticks] (default: %(default)s)")
-    parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
-    add_cluster(parser)
+    add_sweep(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Drop, draw, and check the claims."""
+def _setting(arguments: argparse.Namespace) -> Setting:
     import numpy as np
 
     from sim.experiments.drop import Criterion
-    from sim.measure.stopwatch import Progress
-    from sim.paper.claims import save, table
-    from sim.paper.fig4 import Setting, as_json, curves_of, designs, drops, point, spread_of_conventions
-    from sim.paper.fig4_claims import claims_4
+    from sim.paper.fig4 import Setting
 
     low, high = arguments.gain
     if not 0.0 < low < high or arguments.points < 2:
@@ -56,18 +51,19 @@ def run(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"--horizon: {error}") from error
     gains = tuple(np.geomspace(low, high, arguments.points).tolist())
-    setting = Setting(
-        arguments.mass,
-        arguments.damping,
-        1.0 / arguments.rate,
-        gains,
-        arguments.resolution,
-        arguments.friction,
-        criterion,
-    )
-    ledger = arguments.out / "fig4.jsonl"
-    if arguments.fresh:
-        ledger.unlink(missing_ok=True)
+    device = arguments.mass, arguments.damping, 1.0 / arguments.rate
+    return Setting(*device, gains, arguments.resolution, arguments.friction, criterion)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Drop, draw, and check the claims."""
+    from sim.measure.stopwatch import Progress
+    from sim.paper.claims import save, table
+    from sim.paper.fig4 import as_json, curves_of, designs, drops, point, spread_of_conventions
+    from sim.paper.fig4_claims import claims_4
+
+    setting = _setting(arguments)
+    ledger = begun(arguments, "fig4")
     first = designs(setting)
     # A design takes as long as some hundred points; the bar moves by points.
     progress = Progress(len(first) + len(drops(setting, [job | {"taps": [0.0]} for job in first])))
@@ -101,8 +97,8 @@ def run(arguments: argparse.Namespace) -> int:
         table(claims) if claims else f"interrupted: what was found is in {ledger}, and the same command goes on there"
     )
     head = (
-        f"figure 4: drop of {setting.mass:g} kg, {setting.damping:g} N s/m, {arguments.rate:g} Hz, {len(gains)} gains B of "
-        f"{low:g} to {high:g} N s/m, {criterion.ticks} ticks"
+        f"figure 4: drop of {setting.mass:g} kg, {setting.damping:g} N s/m, {arguments.rate:g} Hz, {arguments.points} gains B "
+        f"of {setting.gains[0]:g} to {setting.gains[-1]:g} N s/m, {setting.criterion.ticks} ticks"
     )
     answer(arguments.json, saved, f"{head}\n{text}\n{saved['plot']}\n{saved['data']}")
     return 0 if complete else 130

@@ -9,27 +9,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from nodes.cli.main import answer
+from nodes.cli.main import UsageError, answer
 from nodes.recording.figure_style import save_figure, styled
-from sim.measure.sweep import add_cluster
+from sim.measure.sweep import add_sweep, swept
 from sim.results import fresh
 from sim.studies import arguments as shared
 
-SPREADS = (1.0, 1.05, 1.2, 1.5)
-"""Factors by which the frequency of the joint may be off in either direction."""
-HAND = 500.0
-"""Stiffest hand [N/m]."""
+KNOWN = (0.0, 5.0, 20.0, 50.0)
+"""How far the frequency of the joint may be off in either direction [%]."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--mass", type=shared.positive, default=0.1, help="of the device [kg] (default: %(default)s)")
-    parser.add_argument(
-        "--damping", type=shared.positive, default=1.0, help="of the device [N s/m] (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--delay", type=shared.not_negative, default=1.2, help="of the loop [ticks] (default: %(default)s)"
-    )
+    shared.add_device(parser, delay=1.2, hand=500.0)
     parser.add_argument(
         "--share", type=shared.positive, default=0.3, help="of the mass behind the joint (default: %(default)s)"
     )
@@ -42,10 +34,20 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jitter", type=shared.not_negative, default=0.2, help="of the delay, above it [ticks] (default: %(default)s)"
     )
+    parser.add_argument(
+        "--known",
+        type=shared.not_negative,
+        nargs="+",
+        default=KNOWN,
+        help="how far off the joint's frequency may be [%%] (default: 0 5 20 50)",
+    )
+    parser.add_argument(
+        "--land",
+        action=argparse.BooleanOptionalAction,
+        help="only laws that land, certified for every sequence of delays; or only by poles, in seconds (default: both)",
+    )
     parser.add_argument("--taps", type=int, default=2, help="of the law (default: %(default)s)")
-    parser.add_argument("--rate", type=shared.positive, default=500.0, help="of the loop [Hz] (default: %(default)s)")
-    parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
-    add_cluster(parser)
+    add_sweep(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -94,22 +96,19 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Design for less and less that is known."""
-    from sim.measure.stopwatch import Progress
-    from sim.measure.sweep import executor, sweep
-
+    if not 1 <= arguments.taps <= 12:
+        raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
+    if arguments.share >= 1.0:
+        raise UsageError(f"--share {arguments.share:g}: the joint bears a part of the mass, below 1")
     given = ("mass", "damping", "delay", "jitter", "share", "frequency", "loss", "taps", "rate")
     device = {name: getattr(arguments, name) for name in given}
     jobs: list[dict[str, Any]] = [
         {**device, "hand": hand, "spread": spread, "lands": lands}
-        for lands in (False, True)
-        for hand in (0.0, HAND)
-        for spread in (None, *SPREADS)
+        for lands in ((False, True) if arguments.land is None else (arguments.land,))
+        for hand in sorted({0.0, arguments.hand})
+        for spread in (None, *(1.0 + off / 100.0 for off in sorted(set(arguments.known))))
     ]
-    ledger = arguments.out / "price.jsonl"
-    if arguments.fresh:
-        ledger.unlink(missing_ok=True)
-    with executor(arguments) as pool:
-        rows = sweep(study_price, jobs, pool, ledger, 1, Progress(len(jobs)).step)
+    rows, ledger = swept(arguments, study_price, jobs, "price")
     told = [{**job, **row} for job, row in zip(jobs, rows, strict=True)]
     picture = arguments.out / "price.png"
     draw(picture, told)
@@ -117,25 +116,29 @@ def run(arguments: argparse.Namespace) -> int:
         f"{arguments.mass:g} kg, joint of {arguments.frequency:g} Hz with {100 * arguments.share:g} % of it, delay "
         f"{arguments.delay:g} to {arguments.delay + arguments.jitter:g} ticks, {arguments.taps} taps, pole radius at most 0.99",
         f"{'known':22} {'hand':24} {'asked':22} {'H(1) [N/m]':>10}  on the device",
+        *map(_line, told),
     ]
-    for one in told:
-        known = "believed rigid" if one["spread"] is None else f"joint to {100 * (one['spread'] - 1):.0f} %"
-        hand = "no hand" if one["hand"] == 0.0 else f"hands of 0 to {one['hand']:g} N/m"
-        asked = "lands, every sequence" if one["lands"] else "poles alone"
-        if one["h1_n_per_m"] is None:
-            lines.append(f"{known:22} {hand:24} {asked:22} {'no law':>10}")
-            continue
-        verdict = "stable" if one["radius"] < 1.0 else f"UNSTABLE, pole radius {one['radius']:.3f}"
-        proof = "" if one["certified"] else ", NOT certified for every sequence of delays"
-        lines.append(
-            f"{known:22} {hand:24} {asked:22} {one['h1_n_per_m']:10.5g}  {verdict}, {one['drops_settled']} drops settle{proof}"
-        )
     answer(
         arguments.json,
         {"rows": told, "ledger": str(ledger), "plot": str(picture)},
         "\n".join([*lines, str(ledger), str(picture)]),
     )
     return 0
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    known = "believed rigid" if row["spread"] is None else f"joint to {100 * (row['spread'] - 1):.0f} %"
+    asked = "lands, every sequence" if row["lands"] else "poles alone"
+    start = f"{known:22} {_held(row['hand']):24} {asked:22}"
+    if row["h1_n_per_m"] is None:
+        return f"{start} {'no law':>10}"
+    verdict = "stable" if row["radius"] < 1.0 else f"UNSTABLE, pole radius {row['radius']:.3f}"
+    proof = "" if row["certified"] else ", NOT certified for every sequence of delays"
+    return f"{start} {row['h1_n_per_m']:10.5g}  {verdict}, {row['drops_settled']} drops settle{proof}"
+
+
+def _held(hand: float) -> str:
+    return "no hand" if hand == 0.0 else f"hands of 0 to {hand:g} N/m"
 
 
 @styled
@@ -145,17 +148,16 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     axes = figure.subplots()
-    for lands in (False, True):
-        for hand, mark in ((0.0, "o"), (HAND, "s")):
-            known = [row for row in rows if (row["hand"], row["lands"]) == (hand, lands) and row["spread"] is not None]
-            held = "no hand" if hand == 0.0 else f"hands of 0 to {hand:g} N/m"
-            axes.plot(
-                [100.0 * (row["spread"] - 1.0) for row in known],
-                [row["h1_n_per_m"] if row["h1_n_per_m"] is not None else math.nan for row in known],
-                marker=mark,
-                ls="-" if lands else ":",
-                label=f"{held}, {'lands, every sequence of delays' if lands else 'poles alone'}",
-            )
+    kinds = sorted({(row["lands"], row["hand"]) for row in rows})
+    for lands, hand in kinds:
+        known = [row for row in rows if (row["lands"], row["hand"]) == (lands, hand) and row["spread"] is not None]
+        axes.plot(
+            [100.0 * (row["spread"] - 1.0) for row in known],
+            [row["h1_n_per_m"] if row["h1_n_per_m"] is not None else math.nan for row in known],
+            marker="o" if hand == 0.0 else "s",
+            ls="-" if lands else ":",
+            label=f"{_held(hand)}, {'lands, every sequence of delays' if lands else 'poles alone'}",
+        )
     axes.set(xlabel="frequency of the joint known to ± [%]", ylabel="H(1) of the designed law [N/m]", ylim=(0.0, None))
     axes.grid(alpha=0.3)
     axes.legend()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from nodes.cli.main import UsageError, answer
-from sim.measure.sweep import add_cluster
+from sim.measure.sweep import add_sweep, swept
 from sim.studies import arguments as shared
 
 ORDERS = (0.3, 0.5, 0.7, 0.9, 1.0)
@@ -21,13 +22,14 @@ FAMILIES = ("pd", "Kelvin-Voigt", "Maxwell", "standard linear solid", "passive F
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--mass", type=shared.interval, default=(0.05, 0.2), help="LOW..HIGH [kg] (default: 0.05..0.2)")
-    parser.add_argument("--damping", type=shared.positive, default=1.0, help="of the device [N s/m] (default: 1)")
-    parser.add_argument("--delay", type=int, default=1, help="of the loop, whole ticks (default: %(default)s)")
-    parser.add_argument("--rate", type=shared.positive, default=500.0, help="of the loop [Hz] (default: %(default)s)")
+    shared.add_loop(parser, delay=1.0)
+    parser.add_argument(
+        "--from-run", type=Path, metavar="RECORDING", help="take rate and median delay from a recording instead"
+    )
     parser.add_argument("--taps", type=int, default=8, help="of the short memory, n + 1 (default: %(default)s)")
     parser.add_argument("--nyquist", type=shared.positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
-    parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
-    add_cluster(parser)
+    parser.add_argument("--families", nargs="+", choices=FAMILIES, default=FAMILIES, help="which (default: all)")
+    add_sweep(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -41,7 +43,7 @@ def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
     from sim.design.landing import drops
     from sim.design.passive import stiffest_passive
 
-    period, delay = 1.0 / job["rate"], (float(job["delay"]),) * 2
+    period, delay = 1.0 / job["rate"], (job["delay"],) * 2
     lightest, heaviest = job["mass"]
     asked = Demand((lightest, heaviest), job["damping"], delay, period, 0.99, job["nyquist"])
     family = job["family"]
@@ -64,11 +66,14 @@ def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
     if law is None:
         return told | {"h1_n_per_m": None}
     settled = drops(law, asked)
+    needed = damping_needed(law, period, delay[0])
     return told | {
         "h1_n_per_m": law.h1,
         "h_nyquist_n_per_m": law.h_nyquist,
         "radius": _radius(law, asked),
-        "damping_needed_n_s_per_m": damping_needed(law, period, delay[0]),
+        "damping_needed_n_s_per_m": needed,
+        # The programme ends at the device's own damping, to its tolerance.
+        "passive": needed <= job["damping"] * (1.0 + 1e-6),
         "at_nyquist_without_delay_n_s_per_m": 0.5 * period * law.h_nyquist,
         "drops_settled": f"{sum(settled.values())} of {len(settled)}",
     }
@@ -111,10 +116,12 @@ def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
 
     lightest, heaviest = job["mass"]
     masses = np.geomspace(lightest, heaviest, 11).tolist()
+    # The servo hands forces over at its own ticks.
+    late = round(job["delay"] * SERVO)
 
     def keeps(stiffness: float, damper: float) -> bool:
         law = CompiledLaw((stiffness,))
-        devices = (TwoRate(mass, job["damping"], damper, SERVO, job["delay"] * SERVO) for mass in masses)
+        devices = (TwoRate(mass, job["damping"], damper, SERVO, late) for mass in masses)
         return all(two_rate_radius(law, period, device) <= 0.99 for device in devices)
 
     best = (0.0, 0.0)
@@ -133,46 +140,48 @@ def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
     return {
         "family": "two rates",
         "law": {"stiffness": best[0], "servo_damping": best[1], "ratio": SERVO},
+        "delay_ticks": late / SERVO,
         "h1_n_per_m": best[0] or None,
     }
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Tune every family, and compare."""
-    from sim.measure.stopwatch import Progress
-    from sim.measure.sweep import executor, sweep
-
     if not 2 <= arguments.taps <= 32:
         raise UsageError(f"--taps {arguments.taps}: between 2 and 32")
-    if not (arguments.mass[0] > 0.0 and arguments.delay >= 0):
-        raise UsageError("--mass must be positive, --delay at least 0")
-    given = ("mass", "damping", "delay", "rate", "taps", "nyquist")
-    jobs = [{name: getattr(arguments, name) for name in given} | {"family": family} for family in FAMILIES]
-    jobs = [job | {"mass": list(job["mass"])} for job in jobs]
-    ledger = arguments.out / "relatives.jsonl"
-    if arguments.fresh:
-        ledger.unlink(missing_ok=True)
-    with executor(arguments) as pool:
-        rows = sweep(tune_family, jobs, pool, ledger, 1, Progress(len(jobs)).step)
+    if not (arguments.mass[0] > 0.0 and arguments.damping > 0.0):
+        raise UsageError("--mass and --damping must be positive: nothing is passive without damping")
+    if arguments.from_run is not None:
+        measured = shared.recorded(arguments.from_run)
+        arguments.rate, arguments.delay = 1.0 / measured.period, measured.median
+    given = {name: getattr(arguments, name) for name in ("damping", "delay", "rate", "taps", "nyquist")}
+    jobs = [given | {"mass": list(arguments.mass), "family": family} for family in arguments.families]
+    rows, ledger = swept(arguments, tune_family, jobs, "relatives")
     low, high = arguments.mass
     lines = [
-        f"m {low:g}..{high:g} kg, b {arguments.damping:g} N s/m, delay {arguments.delay} ticks at {arguments.rate:g} Hz, pole "
-        f"radius <= 0.99, |H(-1)| <= {arguments.nyquist:g} N/m",
+        f"m {low:g}..{high:g} kg, b {arguments.damping:g} N s/m, delay {arguments.delay:.4g} ticks at {arguments.rate:g} Hz, "
+        f"pole radius <= 0.99, |H(-1)| <= {arguments.nyquist:g} N/m",
         f"{'family':22} {'H(1) [N/m]':>10} {'H(-1)':>9}  {'passive with b of':>18} {'by ω_N, d = 0':>14}  drops settled",
+        *map(_line, rows),
+        f"passive at this delay: those with a b of at most {arguments.damping:g} N s/m (THEORY.md §16)",
     ]
-    for row in rows:
-        if not row["h1_n_per_m"]:
-            why = "bears nothing for ever: H(1) = 0" if row["family"] == "Maxwell" else "no law keeps the demand"
-            lines.append(f"{row['family']:22} {why}")
-            continue
-        if row["family"] == "two rates":
-            told = f"a servo's damper of {row['law']['servo_damping']:.3g} N s/m at {SERVO} times the rate"
-            lines.append(f"{row['family']:22} {row['h1_n_per_m']:10.1f} {'':9}  {told}")
-            continue
-        lines.append(
-            f"{row['family']:22} {row['h1_n_per_m']:10.1f} {row['h_nyquist_n_per_m']:9.0f}  "
-            f"{row['damping_needed_n_s_per_m']:18.3f} {row['at_nyquist_without_delay_n_s_per_m']:14.3f}  {row['drops_settled']}"
-        )
-    lines.append(f"passive at this delay: those with a b of at most {arguments.damping:g} N s/m (THEORY.md §16)")
-    answer(arguments.json, {"rows": rows, "ledger": str(ledger)}, "\n".join([*lines, str(ledger)]))
+    answer(
+        arguments.json,
+        {"delay_ticks": arguments.delay, "rate_hz": arguments.rate, "rows": rows, "ledger": str(ledger)},
+        "\n".join([*lines, str(ledger)]),
+    )
     return 0
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    if not row["h1_n_per_m"]:
+        why = "bears nothing for ever: H(1) = 0" if row["family"] == "Maxwell" else "no law keeps the demand"
+        return f"{row['family']:22} {why}"
+    if row["family"] == "two rates":
+        told = f"a servo's damper of {row['law']['servo_damping']:.3g} N s/m at {SERVO} times the rate"
+        late = f"{row['delay_ticks']:g} ticks late; haptic study two_rate for other rates"
+        return f"{row['family']:22} {row['h1_n_per_m']:10.1f} {'':9}  {told}, {late}"
+    return (
+        f"{row['family']:22} {row['h1_n_per_m']:10.1f} {row['h_nyquist_n_per_m']:9.0f}  "
+        f"{row['damping_needed_n_s_per_m']:18.3f} {row['at_nyquist_without_delay_n_s_per_m']:14.3f}  {row['drops_settled']}"
+    )

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nodes.cli.main import UsageError, answer
-from sim.measure.sweep import add_cluster
+from sim.measure.sweep import add_sweep, swept
 from sim.studies import arguments as shared
 
 
@@ -30,16 +30,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--refuted", action="store_true", help="design on refuted models too: what the knocks alone keep from delivery"
     )
-    parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
-    add_cluster(parser)
+    add_sweep(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Sweep over the devices."""
-    from sim.measure.stopwatch import Progress
-    from sim.measure.sweep import executor, sweep
     from sim.population.tuned import kinds, summary, tune_device
 
     if not 1 <= arguments.devices <= 100_000:
@@ -59,25 +56,24 @@ def run(arguments: argparse.Namespace) -> int:
         }
         for number in range(arguments.devices)
     ]
-    ledger = arguments.out / "tuned.jsonl"
-    if arguments.fresh:
-        ledger.unlink(missing_ok=True)
-    with executor(arguments) as pool:
-        rows = sweep(tune_device, jobs, pool, ledger, 1, Progress(len(jobs)).step)
+    rows, ledger = swept(arguments, tune_device, jobs, "tuned")
     found = summary(rows)
     answer(arguments.json, found | {"rows": rows, "ledger": str(ledger)}, _text(found, rows, str(ledger)))
-    return 1 if found["delivered_unstable"] or found["edges_within_5_percent"] < found["edges"] else 0
+    missed = (
+        found["edges"] - found["edges_within_5_percent"] + found["intervals"] - found["intervals_that_hold_the_edge"]
+    )
+    return 1 if found["delivered_unstable"] or missed else 0
 
 
 def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], ledger: str) -> str:
-    lines = [f"{'device':20} {'law [N/m]':>10} {'edge told':>10} {'true edge':>10} {'true radius':>11}  outcome"]
+    lines = [f"{'device':20} {'law [N/m]':>10} {'edge told':>22} {'true edge':>10} {'true radius':>11}  outcome"]
     for row in rows:
         if row["holds"] is None:
-            lines.append(f"{row['kind']:20} {'':43}  no law: {row['stopped'][:70]}")
+            lines.append(f"{row['kind']:20} {'':55}  no law: {row['stopped'][:70]}")
             continue
         outcome = "delivered" if row["delivered"] else f"not delivered: {row['ended']}"
         lines.append(
-            f"{row['kind']:20} {row['h1_n_per_m']:10.0f} {_shown(row['edge_n_per_m'])} {_shown(row['true_edge_n_per_m'])} "
+            f"{row['kind']:20} {row['h1_n_per_m']:10.0f} {_told(row):>22} {_shown(row['true_edge_n_per_m'])} "
             f"{row['true_radius']:11.4f}  {outcome}"
         )
     worst = found["edge_error_largest"]
@@ -85,9 +81,19 @@ def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], ledger: s
         f"{found['devices']} devices: {found['refused']} refuted, {found['tried']} laws tried "
         f"({found['unstable_laws_designed']} of them unstable on the true device), {found['delivered']} delivered, "
         f"{found['delivered_unstable']} of these unstable; {found['edges_within_5_percent']} of {found['edges']} edges "
-        "within 5 %" + ("" if worst is None else f", the worst {100 * worst:.1f} % off")
+        "within 5 %"
+        + ("" if worst is None else f", the worst {100 * worst:.1f} % off")
+        + f"; {found['intervals_that_hold_the_edge']} of {found['intervals']} intervals hold the edge"
     )
     return "\n".join([*lines, ledger])
+
+
+def _told(row: Mapping[str, Any]) -> str:
+    """Show the edge that was told: one figure, or the interval."""
+    if row["edge_n_per_m"]:
+        return f"{row['edge_n_per_m']:.0f}"
+    ends = row["edge_between_n_per_m"]
+    return f"{ends[0]:.0f} to {ends[1]:.0f}" if ends else "none"
 
 
 def _shown(value: float | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -12,26 +13,28 @@ AGREES = 0.1
 """An edge so far from the predicted one is another device's: then the model tells nothing of this one's poles either."""
 MARGIN = 1.05
 """A law holds when it rests up to so many times itself: what dry friction lends a small knock, a large one lacks."""
+CERTAIN = 1.05
+"""The edge by poles gets one figure where neither end of its interval is further from it; else the interval alone."""
 
 
 def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     """Judge a law by the knocks on its device.
 
-    Knocks see the edge a little early where a motion dies slowly, and late where friction is strong. How much is known from the
-    model, on which edges by knocks and by poles are both known: the edge that the poles of the device have is the measured one,
-    times the ratio of these two. Where device and model do not agree about the edge, that ratio is worth nothing: dry friction
-    may hold a mode that the model does not have. Such a law is not delivered, even if small knocks on it come to rest.
+    Knocks see the edge a little early where a motion dies slowly, and late where friction is strong (`by_poles`). Where
+    device and model do not agree about the edge, the model tells nothing: dry friction may hold a mode that it does not have.
+    Such a law is not delivered, even if small knocks on it come to rest.
     """
     h1, factor, rested = predicted["h1_n_per_m"], edge.factor, edge.rested
     expected = predicted["edge_factor"]
     agrees = factor is expected is None or (factor and expected and abs(factor / expected - 1.0) <= AGREES)
-    correction = predicted["edge_linear_factor"] / predicted["edge_factor"] if predicted["edge_factor"] else 1.0
-    # Between the last that rests and the first that does not.
-    by_poles = None if factor is None or rested is None or not agrees else correction * factor
+    ends = None
+    if factor is not None and rested is not None and agrees:
+        ends = by_poles(factor, expected, predicted["edge_linear_factor"])
+    certain = ends is not None and ends[1] <= ends[0] * CERTAIN**2
     below_law = [step for step in edge.steps if step.factor <= 1.0 + 1e-12]
     climbed = bool(below_law) and all(step.rests for step in below_law) and below_law[-1].factor > 1.0 / STEP
     rests = climbed and rested is not None and rested >= 1.0
-    holds = bool(rests and agrees and (by_poles is None or by_poles >= MARGIN))
+    holds = bool(rests and agrees and (ends is None or ends[0] >= MARGIN))
     ended = edge.ended
     if rests and not agrees and (factor is not None or edge.ended.startswith("every")):
         ended = f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that was identified"
@@ -40,12 +43,24 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
         "agrees": bool(agrees),
         "edge_factor": factor,
         "edge_h1_n_per_m": None if factor is None else factor * h1,
-        "edge_by_poles_h1_n_per_m": None if by_poles is None else by_poles * h1,
+        "edge_by_poles_h1_n_per_m": math.sqrt(ends[0] * ends[1]) * h1 if ends and certain else None,
+        "edge_by_poles_between_n_per_m": [end * h1 for end in ends] if ends else None,
         "stiffest_at_rest_n_per_m": None if rested is None else rested * h1,
         **compared(predicted["edge_factor"], factor),
         "ended": ended,
         "steps": [asdict(step) for step in edge.steps],
     }
+
+
+def by_poles(measured: float, expected: float, linear: float) -> tuple[float, float]:
+    """Give the interval of the factor at which a pole of the device reaches the unit circle.
+
+    Two ways lead there: the poles of the model, which knows the device by thousands of ticks, and the measured knocks, times
+    the ratio of poles and knocks on the model. Friction that is a little off moves the second by several steps; a model that
+    is wrong and not refuted moves the first. So the interval holds both, and a step more on either side.
+    """
+    corrected = measured * linear / expected
+    return min(linear, corrected) / STEP, max(linear, corrected) * STEP
 
 
 def compared(predicted: float | None, measured: float | None) -> dict[str, Any]:
@@ -69,8 +84,7 @@ def headline(told: Mapping[str, Any]) -> str:
         why = f" ({stopped})" if stopped else ""
         return f"Not tried: a law of {designed['h1_n_per_m']:.4g} N/m was designed, but not tried on the device{why}{lands}."
     if after["holds"]:
-        edge = after["edge_by_poles_h1_n_per_m"]
-        until = f"its edge is at {edge:.4g} N/m" if edge else f"no edge was found up to {_most(after):.4g} N/m"
+        until = edge_in_words(after)
         broken = f", {stopped}" if stopped else ""
         return f"The law holds: {designed['h1_n_per_m']:.4g} N/m were tried on the device{broken}, {until}{lands}."
     rested = after["stiffest_at_rest_n_per_m"]
@@ -82,5 +96,10 @@ def headline(told: Mapping[str, Any]) -> str:
     return f"The law does NOT hold: {after['ended']}; {softer}. Nothing was delivered."
 
 
-def _most(after: Mapping[str, Any]) -> float:
-    return float(after["stiffest_at_rest_n_per_m"] or 0.0)
+def edge_in_words(after: Mapping[str, Any]) -> str:
+    """Say where the edge is: a figure where it is known to 5 %, else the interval alone."""
+    ends, edge = after["edge_by_poles_between_n_per_m"], after["edge_by_poles_h1_n_per_m"]
+    if ends is None:
+        return f"no edge was found up to {after['stiffest_at_rest_n_per_m'] or 0.0:.4g} N/m"
+    between = f"between {ends[0]:.4g} and {ends[1]:.4g} N/m"
+    return f"its edge lies {between}" if edge is None else f"its edge is at {edge:.4g} N/m, {between}"

@@ -59,11 +59,16 @@ def predicted_rows(told: Mapping[str, Any]) -> list[Row]:
 def verified_rows(told: Mapping[str, Any]) -> list[Row]:
     """Tell what was measured."""
     edge, rested = told["edge_h1_n_per_m"], told["stiffest_at_rest_n_per_m"]
+    ends, poles = told["edge_by_poles_between_n_per_m"], told["edge_by_poles_h1_n_per_m"]
+    between = number(None) if ends is None else f"{number(ends[0])} to {number(ends[1], 'N/m')}"
     return [
         ("the law holds", number(told["holds"])),
         ("came to rest up to", "nothing" if rested is None else number(rested, "N/m")),
         ("edge, by knocks on the device", "none was found" if edge is None else number(edge, "N/m")),
-        ("edge, by poles: less what friction lends a knock", number(told["edge_by_poles_h1_n_per_m"], "N/m")),
+        (
+            "edge, by poles: less what friction lends a knock",
+            between if poles is None else f"{number(poles, 'N/m')} ({between})",
+        ),
         ("beside the prediction", told["edge_compared"]),
         ("knocks", f"{len(told['steps'])} stiffnesses; {told['ended']}"),
     ]

@@ -21,6 +21,7 @@ from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.bench.tap_timing import TapTimings
+from sim.chart.derivative_errors import analyse
 from sim.chart.derivatives import largest_stable, with_stiffness
 from sim.chart.equal_demand import NYQUIST, RADII, keeps, laws, tuned
 from sim.chart.integrators import DAMPING, MASS, PERIOD, drop, integrators, reference, spring_limit
@@ -146,6 +147,16 @@ def test_equal_demand_is_kept_just_inside_and_broken_just_outside(radius: float)
         best = best_pd(Demand((0.05, 0.2), 1.0, (1.0, 1.0), 0.002, radius, NYQUIST)).found
         assert best is not None
         assert stiffness == pytest.approx(best.h1_n_per_m, rel=5e-3)
+
+
+def test_a_long_fir_is_less_precise_than_a_short_recursive_filter_and_easier() -> None:
+    """What the paper's section 3 says of the two (THEORY.md §11), over three decades up to half of Nyquist."""
+    fir, filtered = (analyse(kind, 0.5, taps, 0.002) for kind, taps in (("gl", 64), ("oustaloup_matched", 13)))
+    assert fir.error() > filtered.error()
+    assert fir.error(aligned=False) > filtered.error(aligned=False)
+    assert fir.multiplies > filtered.multiplies
+    # Easier: no poles that could be unstable, and nothing to choose but its length.
+    assert fir.pole == 0.0 < filtered.pole < 1.0
 
 
 # --- integrators: the reference is scipy's matrix exponential --------------------------------------------------------

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from nodes.cli.main import RefusedError, UsageError
-from sim.measure.sweep import add_cluster, check_cluster, executor, key_of, read_ledger, sweep
+from sim.measure.sweep import add_sweep, check_cluster, executor, key_of, read_ledger, sweep
 from tests.support import ROOT
 from tests.support.launching import wait_for
 
@@ -42,7 +42,7 @@ SQUARES = [x**2 for x in range(7)]
 
 def arguments(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    add_cluster(parser)
+    add_sweep(parser)
     return parser.parse_args(list(words))
 
 

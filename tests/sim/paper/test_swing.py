@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +16,11 @@ from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.design.recorded_loop import measure
 from sim.device.model import DeviceModel
-from sim.experiments.drop import drop_scene, free_scene
-from sim.paper.swing import CannotTellError, _law, _longest, _told, recorded_swing, ringing, windows
+from sim.experiments.drop import free_scene
+from sim.paper.swing import CannotTellError, _law, recorded_swing, ringing, windows
+from sim.paper.swing_drops import counted, dropped
 from sim.scene.loop import run
+from sim.studies.edge import LAWS
 from tests.support.launching import launch_json
 
 T = 0.002
@@ -74,40 +75,26 @@ def _told_without_damping(path: Path) -> tuple[float, float]:
         return recorded_swing(path).k_max_n_per_m
 
 
-DERIVATIVES: dict[str, dict[str, Any]] = {
-    "pd": {"kind": "pd", "stiffness": 1.0},
-    "filtered": {"kind": "pd_filtered", "stiffness": 1.0, "cutoff": 100.0},
-    "half": {"kind": "pd_alpha", "stiffness": 1.0, "order": 0.5, "taps": 20, "gains": "paper"},
-    "optimum": {"kind": "paper_optimum"},
-}
-
-
-@pytest.mark.parametrize("name", DERIVATIVES)
+@pytest.mark.parametrize("name", LAWS)
 def test_friction_and_encoder_do_not_move_the_edge_out_of_the_interval(name: str) -> None:
     # Random devices, dropped: dry friction makes the swing die faster, which is not taken for damping.
-    random = np.random.default_rng(3)
-    told = 0
-    for share in (0.3, 0.5, 0.5, 0.7, 0.85):
-        plant = Plant(T, 10.0 ** random.uniform(-1.3, -0.5), random.uniform(0.5, 2.0), random.choice([0.0, 0.4, 1.0]))
-        law = parse_law({**DERIVATIVES[name], "damping": 40.0 * plant.mass})
-        derivative = without_spring(law, T)
-        limit = k_max(derivative, plant).k_max_n_per_m
-        assert limit is not None
-        whole = with_spring(derivative, share * limit)
-        device = DeviceModel(
-            mass=plant.mass, damping=plant.damping, delay=plant.delay, friction=0.03, resolution=2.3e-5
-        )
-        trace = run(drop_scene(device, T, False, True), whole, 500)
-        first, last = _longest(np.abs(trace.force) > 0.0)
-        try:
-            fits, ticks = windows(trace.measured[first:last])
-            low, high = _told(law, whole, plant, fits, plant.damping, ticks).k_max_n_per_m
-        except CannotTellError:
-            continue
-        told += 1
-        assert low < limit < high
-        assert high - low < 0.3 * limit
-    assert told >= 2
+    rows = [dropped(number, name, LAWS[name], T) for number in range(6)]
+    found = counted(rows)
+    assert found["told"] >= 2
+    assert found["hold"] == found["told"]
+    assert found["median_width"] < 0.3
+    assert all(row["why"] for row in rows if row["between_n_per_m"] is None)
+
+
+def test_drops_are_counted_law_by_law(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "edge", "--drops", "5", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert figures["drops"] == sum(one["drops"] for one in figures["laws"].values()) == 5
+    missed = {"between_n_per_m": [90.0, 98.0], "k_max_n_per_m": 100.0}
+    held = {"between_n_per_m": [98.0, 102.0], "k_max_n_per_m": 100.0}
+    told = counted([missed, held, {"between_n_per_m": None, "k_max_n_per_m": 100.0}])
+    assert (told["drops"], told["told"], told["hold"], told["worst_miss"]) == (3, 2, 1, pytest.approx(0.02))
+    assert main(["study", "edge", "--drops", "0"]) == 2
 
 
 @pytest.mark.parametrize(("theta", "decay"), [(0.2, 0.98), (1.0, 0.999), (0.4, 1.01)])

@@ -1,0 +1,238 @@
+"""Studies whose rows come from a sweep, through their verbs on the smallest grids; and who judges the tuned devices."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from messages.topics import DEVICE_STATE
+from messages.types import DeviceState
+from nodes.cli.main import main
+from nodes.laws import CompiledLaw
+from nodes.recording.writer import RecordWriter
+from nodes.stability.k_max import k_max
+from nodes.stability.plant import Plant
+from sim.device.model import DeviceModel
+from sim.measure.sweep import read_ledger
+from sim.population.outside import KINDS
+from sim.population.outside_study import summary_outside
+from sim.population.tuned import summary, true_edge, true_radius
+from sim.population.virtual import draw
+from sim.scene.richer import RicherModel
+from sim.tune.knock import scaled
+
+T = 0.002
+
+
+@pytest.fixture(autouse=True)
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do the jobs in this process: what a new one costs is not looked at (tests/sim/measure has the pools)."""
+    monkeypatch.setattr("sim.measure.sweep.executor", lambda _: ThreadPoolExecutor(1))
+
+
+def study(capsys: pytest.CaptureFixture[str], folder: Path, *words: str, code: int = 0) -> dict[str, Any]:
+    assert main(["study", *words, "--out", str(folder), "--json"]) == code
+    told: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
+    return told
+
+
+def test_a_joint_that_nobody_knows_of_costs_the_wall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("price", "--known", "0", "20", "--no-land", "--hand", "0")
+    told = study(capsys, tmp_path, *words)
+    rigid, exact, wide = told["rows"]
+    assert (rigid["spread"], exact["spread"], wide["spread"]) == (None, 1.0, 1.2)
+    # Stable where it was believed, and nothing settles on the device that is.
+    assert rigid["radius"] > 1.0
+    assert rigid["drops_settled"].startswith("0 of")
+    assert max(exact["radius"], wide["radius"]) <= 0.99 + 1e-9
+    assert rigid["h1_n_per_m"] > exact["h1_n_per_m"] > wide["h1_n_per_m"]
+    assert Path(told["plot"]).stat().st_size > 10_000
+    # Again it is only read; what is asked besides is added.
+    before = Path(told["ledger"]).read_text(encoding="utf-8")
+    assert main(["study", *words, "--out", str(tmp_path)]) == 0
+    assert "UNSTABLE, pole radius" in capsys.readouterr().out
+    assert Path(told["ledger"]).read_text(encoding="utf-8") == before
+
+
+@pytest.mark.parametrize("words", [("--share", "1"), ("--taps", "0"), ("--damping", "-1")])
+def test_a_device_that_cannot_be_has_no_price(words: tuple[str, ...], tmp_path: Path) -> None:
+    assert main(["study", "price", *words, "--out", str(tmp_path)]) == 2
+
+
+def recorded(folder: Path, delay: float) -> Path:
+    """Write a run whose forces came so late [ticks]."""
+    path = folder / "run.mcap"
+    with RecordWriter(path, {"rate_hz": 1.0 / T, "pace": "realtime"}) as writer:
+        for seq in range(200):
+            state = DeviceState(seq=seq, stamp=seq * T, position=(0.0, 0.0, 0.0), force_seq=seq - 1, delay=delay)
+            writer.write(DEVICE_STATE, state, state.stamp)
+    return path
+
+
+def test_relatives_are_judged_at_the_delay_that_was_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("relatives", "--families", "pd", "Maxwell", "passive FIR", "--mass", "0.1")
+    late = study(capsys, tmp_path, *words, "--from-run", str(recorded(tmp_path, 1.3)))
+    assert late["delay_ticks"] == pytest.approx(1.3)
+    pd, maxwell, passive = late["rows"]
+    assert maxwell["h1_n_per_m"] == 0.0
+    # Passive whatever hand holds it is what nearly all the stiffness of a tuned law is not.
+    assert (pd["passive"], passive["passive"]) == (False, True)
+    assert passive["damping_needed_n_s_per_m"] == pytest.approx(1.0, rel=1e-6)
+    # No law at all is passive beyond 2b/(T(1 + d)): at a fraction of a tick as at the whole one below it.
+    assert 2.0 / (T * (1.0 + 2.3)) < passive["h1_n_per_m"] < 2.0 / (T * (1.0 + 1.0))
+    soon = study(capsys, tmp_path, *words, "--delay", "1")
+    for before, after in zip(soon["rows"], late["rows"], strict=True):
+        assert before["h1_n_per_m"] > after["h1_n_per_m"] or before["family"] == "Maxwell"
+    assert len(read_ledger(Path(late["ledger"]))) == 6
+    assert main(["study", "relatives", "--damping", "0", "--out", str(tmp_path)]) == 2
+    assert main(["study", "relatives", "--from-run", str(tmp_path / "none.mcap"), "--out", str(tmp_path)]) == 2
+
+
+def test_coverage_outside_counts_what_is_said_of_devices(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = study(capsys, tmp_path, "coverage", "--outside", "--devices", "1", "--seconds", "3")
+    assert told["devices"] == 1
+    (kind,) = told["kinds"]
+    assert kind == next(iter(KINDS))
+    one = told["kinds"][kind]
+    assert one["rigid"] + one["richer"] + one["refused"] + one["false"] == 1
+    (row,) = read_ledger(Path(told["ledger"])).values()
+    assert row["refuted"] or row["off"]
+    assert main(["study", "coverage", "--outside", "--tune", "--out", str(tmp_path)]) == 2
+
+
+def outside(kind: str, off: float = 0.5, refuted: bool = False) -> dict[str, Any]:
+    """Give what a study keeps of one device."""
+    return {
+        "kind": kind,
+        "refuted": refuted,
+        "why": "",
+        "terms": [],
+        "residual_steps": 0.29,
+        "whiteness": 1.0,
+        "off": {} if refuted else {"mass": off},
+    }
+
+
+def put(ledger: Path, job: dict[str, Any], row: dict[str, Any]) -> None:
+    with open(ledger, "a", encoding="utf-8") as file:
+        file.write(json.dumps({"job": job, "row": row}) + "\n")
+
+
+@pytest.mark.parametrize(("wrong", "code"), [(0, 0), (3, 0), (6, 1)])
+def test_false_certainty_beyond_chance_is_a_failure(
+    wrong: int, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Of 32 devices: at most 5 % may be false, and 3 are still chance (binomial tail 0.21), 6 are not (0.005).
+    for number in range(32):
+        kind = list(KINDS)[number % len(KINDS)]
+        job = {"kind": kind, "number": number // len(KINDS), "seed": 1, "seconds": 8.0, "rate": 500.0}
+        put(tmp_path / "coverage_outside.jsonl", job, outside(kind, 2.5 if number < wrong else 1.5))
+    told = study(capsys, tmp_path, "coverage", "--outside", "--devices", "32", code=code)
+    assert (told["false"], told["missed"]) == (wrong, 32)
+
+
+def test_what_is_refused_is_never_false() -> None:
+    kinds = list(KINDS)
+    told = summary_outside([outside(kinds[0], refuted=True), outside(kinds[0], 2.5), outside(kinds[1], 0.5)])
+    assert (told["refused"], told["false"], told["intervals"], told["missed"]) == (1, 1, 2, 1)
+
+
+# -- who judges the tuned devices --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("mass", "damping", "delay"), [(0.1, 1.0, 0.0), (0.3, 2.0, 1.0), (0.05, 0.5, 1.4)])
+@pytest.mark.parametrize("start", [0.3, 3.0])
+def test_the_true_edge_of_a_spring_is_its_k_max(start: float, mass: float, damping: float, delay: float) -> None:
+    limit = k_max(CompiledLaw((0.0,)), Plant(T, mass, damping, delay)).k_max_n_per_m
+    assert limit is not None
+    device = RicherModel(DeviceModel(mass=mass, damping=damping, delay=delay))
+    # From below the edge and from above it; bisected 20 times from steps of 2 %.
+    assert true_edge(CompiledLaw((start * limit,)), device, T) == pytest.approx(limit, rel=1e-6)
+
+
+def test_a_law_that_is_unstable_far_below_itself_is_judged_from_itself_upwards() -> None:
+    """Looked for from below, its edge was 362 N/m, a twelfth of a law that is stable."""
+    law = CompiledLaw((14637.851675576338, -10684.824134320634, -7546.077294457547, 7797.369406764558))
+    device = RicherModel(draw(2, 1, held=False))
+    assert true_radius(scaled(law, 0.08), device, T) > 1.0 > true_radius(law, device, T)
+    edge = true_edge(law, device, T)
+    assert edge is not None
+    assert edge > 1.5 * law.h1
+    inside, outside_it = (true_radius(scaled(law, share * edge / law.h1), device, T) for share in (0.999, 1.001))
+    assert inside < 1.0 < outside_it
+
+
+def test_a_delay_that_jitters_counts_at_its_worst() -> None:
+    rigid = DeviceModel(mass=0.1, damping=1.0, delay=1.0)
+    law = CompiledLaw((300.0,))
+    late, later = (true_edge(law, RicherModel(rigid, late=late), T) for late in (0.0, 0.7))
+    at_worst = true_edge(law, RicherModel(DeviceModel(mass=0.1, damping=1.0, delay=1.7)), T)
+    assert late is not None
+    assert later is not None
+    assert later == at_worst < late
+
+
+def test_nothing_is_told_of_an_edge_far_above_the_law() -> None:
+    assert true_edge(CompiledLaw((1.0,)), RicherModel(DeviceModel(mass=0.1, damping=1.0)), T) is None
+
+
+def device_row(**told: Any) -> dict[str, Any]:
+    """Give what a study keeps of one tuned device: delivered, its edge within 2 %."""
+    return {
+        "kind": "inside the model",
+        "refuted": None,
+        "holds": True,
+        "delivered": True,
+        "h1_n_per_m": 1000.0,
+        "true_radius": 0.98,
+        "edge_n_per_m": 1500.0,
+        "edge_between_n_per_m": [1470.0, 1530.0],
+        "true_edge_n_per_m": 1510.0,
+        "ended": "",
+    } | told
+
+
+@pytest.mark.parametrize(
+    ("told", "code"),
+    [
+        ({}, 0),
+        # The interval alone, which holds it.
+        ({"edge_n_per_m": None, "edge_between_n_per_m": [1350.0, 1550.0]}, 0),
+        ({"true_edge_n_per_m": 1560.0}, 1),
+        ({"edge_n_per_m": None, "true_edge_n_per_m": 1600.0}, 1),
+        ({"true_radius": 1.01}, 1),
+        ({"true_radius": 1.01, "holds": False, "delivered": False, "edge_between_n_per_m": None}, 0),
+    ],
+)
+def test_an_unstable_delivery_and_a_false_edge_are_failures(
+    told: dict[str, Any], code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = {
+        "number": 0,
+        "kind": "inside the model",
+        "seed": 1,
+        "seconds": 8.0,
+        "rate": 500.0,
+        "taps": 4,
+        "nyquist": 1e4,
+        "land": True,
+        "refuted": False,
+    }
+    put(tmp_path / "tuned.jsonl", job, device_row(**told))
+    found = study(capsys, tmp_path, "tuned", "--devices", "1", code=code)
+    assert found["devices"] == 1
+    assert main(["study", "tuned", "--devices", "1", "--out", str(tmp_path)]) == code
+    assert "intervals hold the edge" in capsys.readouterr().out
+
+
+def test_an_edge_is_within_5_percent_or_counted_as_off() -> None:
+    rows = [device_row(), device_row(true_edge_n_per_m=1590.0), device_row(edge_n_per_m=None)]
+    found = summary(rows)
+    assert (found["edges"], found["edges_within_5_percent"]) == (2, 1)
+    assert (found["intervals"], found["intervals_that_hold_the_edge"]) == (3, 2)
