@@ -98,7 +98,9 @@ def ringing(position: Vector) -> Decay:
     from scipy.optimize import least_squares
 
     size = float(np.ptp(position))
-    if len(position) < _SHORTEST or size < 1e-9:
+    if len(position) < _SHORTEST:
+        raise CannotTellError(f"{len(position)} ticks of contact before it bounces, at least {_SHORTEST} are needed")
+    if size < 1e-9:
         raise CannotTellError(f"{len(position)} ticks of contact that move by {size:.2g} m: nothing swings")
     x, k = (position - position.mean()) / size, np.arange(len(position))
 

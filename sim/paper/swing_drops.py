@@ -38,7 +38,7 @@ def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> di
     device = DeviceModel(
         mass=plant.mass, damping=plant.damping, delay=plant.delay, friction=friction, resolution=RESOLUTION
     )
-    trace = run(drop_scene(device, period, raw=False, clamp=True), rendered, TICKS)
+    trace = run(drop_scene(device, period, raw=False, clamp=True), rendered.compile(period), TICKS)
     first, last = longest(np.abs(trace.force) > 0.0)
     try:
         swing = swing_of(rendered, plant, trace.measured[first:last], plant.damping)

@@ -37,7 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--known",
         type=shared.not_negative,
-        nargs="+",
+        nargs="*",
         default=KNOWN,
         help="how far off the joint's frequency may be [%%] (default: 0 5 20 50)",
     )

@@ -24,7 +24,7 @@ def recorded(folder: Path, device: RicherModel) -> Path:
     """Push a device and record what a driver would tell: each state with the force of the tick before."""
     run = excite_outside(device, T, 4.0, seed=1)
     path = folder / "push.mcap"
-    with RecordWriter(path, {"rate_hz": 1.0 / T, "pace": "lockstep"}) as writer:
+    with RecordWriter(path, {"rate_hz": str(1.0 / T), "pace": "lockstep"}) as writer:
         for seq, (position, force) in enumerate(zip(run.position, [0.0, *run.force[:-1]], strict=True)):
             state = DeviceState(
                 seq=seq,

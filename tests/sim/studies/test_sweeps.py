@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -41,24 +42,25 @@ def study(capsys: pytest.CaptureFixture[str], folder: Path, *words: str, code: i
 
 
 def test_a_joint_that_nobody_knows_of_costs_the_wall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("price", "--known", "0", "20", "--no-land", "--hand", "0")
+    words = ("price", "--no-land", "--hand", "0", "--known")
     told = study(capsys, tmp_path, *words)
-    rigid, exact, wide = told["rows"]
-    assert (rigid["spread"], exact["spread"], wide["spread"]) == (None, 1.0, 1.2)
-    # Stable where it was believed, and nothing settles on the device that is.
+    (rigid,) = told["rows"]
+    # Stable on the device that is believed in; on the one that is there nothing settles.
     assert rigid["radius"] > 1.0
-    assert rigid["drops_settled"].startswith("0 of")
-    assert max(exact["radius"], wide["radius"]) <= 0.99 + 1e-9
-    assert rigid["h1_n_per_m"] > exact["h1_n_per_m"] > wide["h1_n_per_m"]
-    assert Path(told["plot"]).stat().st_size > 10_000
-    # Again it is only read; what is asked besides is added.
-    before = Path(told["ledger"]).read_text(encoding="utf-8")
-    assert main(["study", *words, "--out", str(tmp_path)]) == 0
-    assert "UNSTABLE, pole radius" in capsys.readouterr().out
-    assert Path(told["ledger"]).read_text(encoding="utf-8") == before
+    assert rigid["drops_settled"] == "0 of 12"
+    # What was done before is only read, whatever is asked besides (tests/sim/design/test_beyond.py designs for a joint).
+    (job,) = (json.loads(line)["job"] for line in Path(told["ledger"]).read_text(encoding="utf-8").splitlines())
+    row = {"h1_n_per_m": 958.0, "radius": 0.988, "drops_settled": "12 of 12", "certified": True}
+    put(Path(told["ledger"]), {**job, "spread": 1.2}, row)
+    assert main(["study", *words, "20", "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"believed rigid .* UNSTABLE, pole radius 1\.\d+, 0 of 12 drops settle, NOT certified", text)
+    assert re.search(r"joint to 20 % .* 958  stable, 12 of 12 drops settle$", text, re.MULTILINE)
+    assert (tmp_path / "price.png").stat().st_size > 10_000
+    assert len(read_ledger(Path(told["ledger"]))) == 2
 
 
-@pytest.mark.parametrize("words", [("--share", "1"), ("--taps", "0"), ("--damping", "-1")])
+@pytest.mark.parametrize("words", [("--share", "1"), ("--taps", "0"), ("--taps", "13")])
 def test_a_device_that_cannot_be_has_no_price(words: tuple[str, ...], tmp_path: Path) -> None:
     assert main(["study", "price", *words, "--out", str(tmp_path)]) == 2
 
@@ -66,7 +68,7 @@ def test_a_device_that_cannot_be_has_no_price(words: tuple[str, ...], tmp_path: 
 def recorded(folder: Path, delay: float) -> Path:
     """Write a run whose forces came so late [ticks]."""
     path = folder / "run.mcap"
-    with RecordWriter(path, {"rate_hz": 1.0 / T, "pace": "realtime"}) as writer:
+    with RecordWriter(path, {"rate_hz": str(1.0 / T), "pace": "realtime"}) as writer:
         for seq in range(200):
             state = DeviceState(seq=seq, stamp=seq * T, position=(0.0, 0.0, 0.0), force_seq=seq - 1, delay=delay)
             writer.write(DEVICE_STATE, state, state.stamp)
@@ -160,7 +162,7 @@ def test_a_law_that_is_unstable_far_below_itself_is_judged_from_itself_upwards()
     """Looked for from below, its edge was 362 N/m, a twelfth of a law that is stable."""
     law = CompiledLaw((14637.851675576338, -10684.824134320634, -7546.077294457547, 7797.369406764558))
     device = RicherModel(draw(2, 1, held=False))
-    assert true_radius(scaled(law, 0.08), device, T) > 1.0 > true_radius(law, device, T)
+    assert true_radius(scaled(law, 0.2), device, T) > 1.0 > true_radius(law, device, T)
     edge = true_edge(law, device, T)
     assert edge is not None
     assert edge > 1.5 * law.h1
