@@ -109,7 +109,7 @@ def claims_2(taps: int) -> list[Claim]:
     theta, low, high = figure_2(taps)
     pd = -np.cos(theta)
     orders = {*LOW_ORDERS, *HIGH_ORDERS}
-    curves = {(a, n): one_term(theta, a, n + 1) for a in orders for n in MEMORIES}
+    curves: dict[tuple[float, float], Vector] = {(a, n): one_term(theta, a, n + 1) for a in orders for n in MEMORIES}
     curves |= {(a, math.inf): term_curve(theta, a) for a in orders}
     finite = [curve for (_, n), curve in curves.items() if n < math.inf]
     return [

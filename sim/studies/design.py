@@ -219,7 +219,8 @@ def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tun
     path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
     every = certificate(law.found.law, demand)
     told = _row(law, demand) | {"yaml": str(path), "lands": lands, "every_delay": every}
-    proof = {True: "certified", False: "NOT stable", None: "not decided"}.get(every, "the range is wider than a tick")
+    proofs: dict[Any, str] = {True: "certified", False: "NOT stable", None: "not decided"}
+    proof = proofs.get(every, "the range is wider than a tick")
     return told, [
         _line(told),
         f"{'':13}  every sequence of these delays, five masses: {proof} (THEORY.md §10)",
