@@ -33,6 +33,7 @@ LONGEST = (
     "tests/sim/chart",
     "tests/sim/api",
     "tests/nodes/launcher",
+    "tests/nodes/compiled/test_second_launch.py",
 )
 """What takes minutes comes first: a long file that begins last is waited for by one processor alone."""
 

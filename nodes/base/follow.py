@@ -30,7 +30,7 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) ->
 
     def newest(message: M) -> M:
         while (frames := inbox.receive(0)) is not None:
-            newer = node.take(decoder, frames, expected)
+            newer = node.intake.take(decoder, frames, expected)
             if newer is not None:
                 counters.skipped += 1
                 message = newer
@@ -51,7 +51,7 @@ def _follow(node: Node, inbox: Subscription, decoder: Decoder[M], topic: str) ->
             return None
         if frame != expected:
             if waker is None or frame != waker.frame:
-                node.out_of_step(frame, expected)
+                node.intake.out_of_step(frame, expected)
             return None
         try:
             payload = next_frame()

@@ -7,22 +7,20 @@ two ticks, and what it wants published goes through an outbox that is emptied af
 
 from __future__ import annotations
 
-import os
-import resource
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import msgspec
 
-from messages.codec import Decoder, MessageRefusedError
 from messages.transport.links import Links
 from messages.transport.sockets import Publisher, Subscription
 from messages.transport.waker import Waker
-from messages.types import MAX_COUNT, Message, NodeStatus
-from nodes.base import realtime
+from messages.types import Message, NodeStatus
 from nodes.base.events import Clock, Events
 from nodes.base.handover import Changes
+from nodes.base.intake import Intake
+from nodes.base.report import status_of
 from nodes.base.setup import Axis, Setup
 from nodes.compiled.layout import Counted, Counters
 from nodes.parameters.store import ParameterError, ParameterStore
@@ -72,6 +70,8 @@ class Node:
         The run's time; what it has to say beside its ticks; how its parameters change.
     compiled : CompiledTicks or None
         Its compiled ticks, when the sockets exist.
+    intake : Intake
+        What it takes in.
     waker : Waker or None
         What ends the loop's wait; None for a loop that does not wait without end.
     kept : msgspec.Struct
@@ -111,6 +111,7 @@ class Node:
         self.inbox: Subscription | None = None
         self.links: Links | None = None
         self.sent = self.received = 0
+        self.intake = Intake(self)
         self.answer = b""
         self.kept = self.store.current
         self.resumed_at = -1
@@ -121,12 +122,7 @@ class Node:
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check, before anything is started, what the types of the parameters cannot say.
-
-        Parameters
-        ----------
-        setup : Setup
-            The node as it would be started.
+        """Check a node's `setup`, before anything is started, for what the types of its parameters cannot say.
 
         Raises
         ------
@@ -137,12 +133,7 @@ class Node:
 
     @classmethod
     def kernel_of(cls, parameters: Mapping[str, Any]) -> str:
-        """Name the module of the compiled ticks of a node.
-
-        Parameters
-        ----------
-        parameters : mapping
-            Of the node, as written.
+        """Name the module of the compiled ticks of a node with these `parameters`, as written.
 
         Returns
         -------
@@ -154,12 +145,7 @@ class Node:
 
     @classmethod
     def modules(cls, parameters: Mapping[str, Any]) -> set[str]:
-        """Tell what is compiled for a node.
-
-        Parameters
-        ----------
-        parameters : mapping
-            Of the node, as written.
+        """Tell what is compiled for a node with these `parameters`, as written.
 
         Returns
         -------
@@ -170,14 +156,7 @@ class Node:
 
     @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
-        """Tell which axes the scene must compute for what a node does.
-
-        Parameters
-        ----------
-        parameters : mapping
-            Of the node, as written.
-        name : str
-            Of the node.
+        """Tell which axes the scene must compute for what a node of this `name` does with these `parameters`, as written.
 
         Returns
         -------
@@ -235,14 +214,7 @@ class Node:
 
     @classmethod
     def hears(cls, parameters: Any, nodes: Iterable[str]) -> frozenset[str]:
-        """Tell which nodes one that listens to everything connects to.
-
-        Parameters
-        ----------
-        parameters : msgspec.Struct
-            The node's parameters.
-        nodes : iterable of str
-            All others of the launch.
+        """Tell which of the other `nodes` of a launch one with these `parameters` connects to, when it listens to everything.
 
         Returns
         -------
@@ -258,12 +230,7 @@ class Node:
         """Build what the loop needs from the parameters, before any socket exists."""
 
     def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
-        """Make the compiled ticks of the kind, when the sockets exist.
-
-        Parameters
-        ----------
-        kernel : callable
-            What does them.
+        """Make the compiled ticks of the kind, which this `kernel` does, when the sockets exist.
 
         Returns
         -------
@@ -324,12 +291,7 @@ class Node:
         raise ParameterError(f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs")
 
     def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare new, valid parameters that the user insists on although the node advises against them (control thread).
-
-        Parameters
-        ----------
-        parameters : msgspec.Struct
-            The node's parameters after the change.
+        """Prepare new, valid `parameters` that the user insists on although the node advises against them (control thread).
 
         Returns
         -------
@@ -436,49 +398,6 @@ class Node:
             self.sent += 1
         self.publisher.flush()
 
-    def take(self, decoder: Decoder[M], frames: tuple[bytes, bytes], topic: bytes) -> M | None:
-        """Decode a received message; count and tell what is refused.
-
-        Parameters
-        ----------
-        decoder : Decoder
-            For the type expected.
-        frames : tuple of bytes
-            Topic and payload.
-        topic : bytes
-            The topic expected.
-
-        Returns
-        -------
-        Message or None
-            None when it was refused.
-        """
-        if frames[0] != topic:
-            self.out_of_step(frames[0], topic)
-            return None
-        try:
-            message = decoder.decode(frames[1])
-        except MessageRefusedError as error:
-            self.events.refuse(str(error))
-            return None
-        # Those that answer ticks count them, and what was skipped.
-        self.received += not self.answers
-        return message
-
-    def out_of_step(self, frame: bytes, topic: bytes) -> None:
-        """Refuse a message whose first frame is not the topic expected, and find the beginning of the next one.
-
-        Parameters
-        ----------
-        frame : bytes
-            Its first frame.
-        topic : bytes
-            The topic expected.
-        """
-        if self.inbox is not None:
-            self.inbox.resynchronise()
-        self.events.refuse(f"a message on {frame[:64]!r} where {topic.decode()} was expected")
-
     def between_ticks(self, seq: int) -> None:
         """Take up what the control thread prepared, and send what is queued (main thread, after a tick, when `called`).
 
@@ -518,27 +437,4 @@ class Node:
         NodeStatus
             State and counters.
         """
-        seq, ticks, gaps, skipped = self.counted()
-        mailed = self.counters.mailed
-        sent, received = (ticks, ticks + skipped) if self.answers else (0, 0)
-        usage = resource.getrusage(resource.RUSAGE_SELF)
-        return NodeStatus(
-            seq=seq,
-            stamp=self.clock.now(),
-            node=self.setup.name,
-            kind=self.setup.kind,
-            state=self.state,
-            pid=os.getpid(),
-            ticks=ticks,
-            sent=self.sent + mailed + sent,
-            received=self.received + received,
-            refused=self.events.refused,
-            skipped=skipped,
-            gaps=min(gaps, MAX_COUNT),
-            reason=self.stop_reason,
-            memory=float(realtime.memory_bytes()),
-            cpu=usage.ru_utime + usage.ru_stime,
-            denied=self.events.denied,
-            clock_offset=self.clock.offset,
-            clock_error=self.clock.error,
-        )
+        return status_of(self)

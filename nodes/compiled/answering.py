@@ -84,7 +84,8 @@ class CompiledTicks:
         expected, topic = node.setup.topic(expected), node.setup.topic(topic)
         self._expected = expected.encode()
         self._frame = self._room("frame", LONGEST_TOPIC)
-        self._payload = self._room("payload", LONGEST_IN)
+        self._room("payload", LONGEST_IN)
+        self._room("spare", LONGEST_IN)
         self._text = self._room("text", LONGEST_TEXT + 16)
         self._room("time", 16)
         self._room("events", 8)
@@ -195,6 +196,10 @@ class CompiledTicks:
             self.store_state()
             if not state.frames:
                 return None
+            if state.skipping:
+                # For this one, which is unusual, the one before was left out: whether rightly, the plain tick finds out.
+                state.skipped -= 1
+                inbox.put_back((self._expected, ctypes.string_at(state.spare, state.spare_size)))
             inbox.put_back(self._frames())
             return take()
 
@@ -207,5 +212,5 @@ class CompiledTicks:
         if state.frames == 2:
             # A payload too long for the buffer is refused for its length alone.
             size = state.payload_size
-            frames.append(self._payload.raw[:size] if size <= MAX_PAYLOAD else bytes(size))
+            frames.append(ctypes.string_at(state.payload, size) if size <= MAX_PAYLOAD else bytes(size))
         return frames

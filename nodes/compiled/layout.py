@@ -68,6 +68,7 @@ _ADDRESSES: Final = [
     "expected",
     "frame",
     "payload",
+    "spare",
     "topic",
     "out_keys",
     "text",
@@ -109,6 +110,8 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("frames", c_int64),
     ("frame_size", c_int64),
     ("payload_size", c_int64),
+    # the message that was left out last, and its size [bytes]
+    ("spare_size", c_int64),
     # a message that another thread wants sent: whether there is one, the sizes of its frames [bytes], how many were sent so far
     ("mail", c_int64),
     ("mail_topic_size", c_int64),

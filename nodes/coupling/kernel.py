@@ -7,7 +7,7 @@ from typing import Any
 from messages.types import Force, Proxy
 from nodes.compiled.fields import fields_of, slot
 from nodes.compiled.kernels.encode import make_encode
-from nodes.compiled.kernels.follow import in_order, overtaken
+from nodes.compiled.kernels.follow import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_scan
@@ -124,7 +124,7 @@ def ticks(address: int) -> int:
             missing = seq - s.seq - 1
             _bridge(s, position, proxy, normal, distance, contact, missing)
             # Whoever takes the tick over from here must not do it again.
-            s.gaps += missing
+            count_gap(s, missing)
             s.seq += missing
             s.answered = s.seq
         _note(s, True)

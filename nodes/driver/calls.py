@@ -19,8 +19,9 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 from messages.types import Vector
 from nodes.driver.device import Device
 
-_READ = ctypes.CFUNCTYPE(c_int, c_int64, c_int64, POINTER(c_double))
-_WRITE = ctypes.CFUNCTYPE(c_int, c_int64, POINTER(c_double), c_int64, c_double)
+READ = ctypes.CFUNCTYPE(c_int, c_int64, c_int64, POINTER(c_double))
+WRITE = ctypes.CFUNCTYPE(c_int, c_int64, POINTER(c_double), c_int64, c_double)
+"""Types of the two calls."""
 
 
 class Calls(NamedTuple):
@@ -86,7 +87,7 @@ class _Methods:
 
     def __init__(self, device: Device, target: Callable[[], Vector]) -> None:
         self._device, self._target = device, target
-        self._kept = _READ(self._read), _WRITE(self._write)
+        self._kept = READ(self._read), WRITE(self._write)
         read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept)
         self.calls = Calls(read, write, 0)
         self.error: BaseException | None = None

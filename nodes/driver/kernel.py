@@ -135,7 +135,7 @@ def _receive(s: Any, until: float) -> int:
     flags = 0
     if s.realtime != 0:
         # An answer that is late is waited for a little, as ZeroMQ's own time-outs do.
-        if not _await(s, max(until, s.sampled + _SOON) if s.patient != 0 else until):
+        if not _await(s, max(until, monotonic(s) + _SOON) if s.patient != 0 else until):
             return NONE
         flags = DONTWAIT
     is_whole = receive(s, flags)

@@ -32,7 +32,8 @@ def close_tick(s: Any, ticks: int) -> None:
     if s.heat_keep < 1.0 and ticks > 0:
         held = s.force[0] * s.force[0] + s.force[1] * s.force[1] + s.force[2] * s.force[2]
         s.heat = s.heat_keep * s.heat + (1.0 - s.heat_keep) * s.heat_largest
-        rest = s.heat_keep ** (ticks - 1)
+        # To a power that is a float: compiled, a whole one would be products, and other last bits.
+        rest = s.heat_keep ** float(ticks - 1)
         s.heat = rest * s.heat + (1.0 - rest) * held
         s.heat_largest = 0.0
 

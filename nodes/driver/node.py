@@ -16,9 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 
 from messages import topics
-from messages.codec import Decoder, encode
-from messages.transport.sockets import TimedOut
-from messages.types import ZERO, DeviceState, Force, Vector
+from messages.types import ZERO, Vector
 from nodes.base import realtime
 from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
@@ -32,10 +30,11 @@ from nodes.driver.motion import set_motion
 from nodes.driver.no_force import why_no_force
 from nodes.driver.parameters import DriverParameters, check
 from nodes.driver.passivity import set_guard
+from nodes.driver.plain_tick import PlainTicks
 from nodes.driver.report import DriverReport
 from nodes.driver.safety import rearm, set_safety, soft_stop
-from nodes.driver.state import BETWEEN, SAFETY, DriverState
-from nodes.driver.tick import BROKEN, GOT, NONE, REFUSED, SILENT, UNREAD, Port, make_ticks, take_sample
+from nodes.driver.state import BETWEEN, DriverState
+from nodes.driver.tick import BROKEN, SILENT, UNREAD, take_sample
 from nodes.driver.watch import Watch
 from nodes.parameters.store import ParameterError, convert
 
@@ -94,7 +93,6 @@ class Driver(Node):
         cls.kernel_module = Driver.kernel_module
 
     def __init__(self, setup: Setup) -> None:
-        self._payload = b""
         super().__init__(setup)
         self.driving = self.counters
         self._report = DriverReport(self.driving)
@@ -176,94 +174,6 @@ class Driver(Node):
         self._watch = Watch(self, self._device.limits, None if self.virtual or debugged else LastResort(self.setup))
         self._open = False
 
-    # -- the port of the plain tick ----------------------------------------------------------------------------------
-
-    def _plain_ticks(self) -> Callable[[Any], int]:
-        inbox = self.inbox
-        assert inbox is not None  # noqa: S101  # every kind that listens has one
-        device, clock, publisher = self._device, time.monotonic, self.publisher
-        topic, expected = (self.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE))
-        decoder = Decoder(Force)
-        what = f"{self.setup.name}: {type(device).__name__}"
-
-        def sleep_until(s: Any, deadline: float) -> float:
-            del s
-            return realtime.sleep_until(deadline)
-
-        def read(s: Any, seq: int) -> bool:
-            s.place[:] = numbers_of(device.read_position(seq), what)
-            s.target[:] = self.target
-            return True
-
-        def write(s: Any, seq: int, offset: float) -> bool:
-            x, y, z = s.handed
-            device.write_force((x, y, z), seq, offset)
-            return True
-
-        def publish(s: Any, seq: int, stamp: float) -> None:
-            payload = encode(
-                DeviceState(
-                    seq=seq,
-                    stamp=stamp,
-                    position=tuple(s.position),
-                    force=tuple(s.force),
-                    force_seq=s.force_seq,
-                    age=s.age,
-                    response=s.response,
-                    lateness=s.lateness,
-                    missed=s.missed,
-                    overruns=s.overruns,
-                    safety=SAFETY[s.safety],
-                    energy=s.energy,
-                    delay=s.delay,
-                    guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
-                    target=tuple(s.target),
-                )
-            )
-            s.states_sent += 1
-            # Taken before sending: under FIFO the whole chain may run before the call returns.
-            s.sampled = clock()
-            publisher.send_hop(topic, payload)
-            self._payload = payload
-
-        def receive(s: Any, until: float) -> int:
-            if s.realtime == 0:
-                try:
-                    frames = inbox.next_frame(), inbox.next_frame()
-                except TimedOut:
-                    return NONE
-            else:
-                wait = inbox.receive_soon if s.patient != 0 else inbox.receive_until
-                received = wait(until)
-                if received is None:
-                    return NONE
-                frames = received
-            s.arrival = clock()
-            while frames[1] == expected:
-                # A message of one frame, and the beginning of the next.
-                self.events.refuse("a message of one frame where topic and payload were expected")
-                s.skipped += 1
-                frames = expected, inbox.next_frame()
-            force = self.take(decoder, frames, expected)
-            if force is None:
-                return REFUSED
-            s.got_seq = force.seq
-            s.got[:] = force.force
-            return GOT
-
-        def aside(s: Any) -> None:
-            del s
-            if publisher.apart:
-                publisher.send_aside(topic, self._payload)
-
-        def called(s: Any) -> bool:
-            del s
-            return self.events.waiting or self.stopping
-
-        self._receive, self._publish, self._aside = receive, publish, aside
-        lockstep, paced = make_ticks(Port(sleep_until, read, write, publish, receive, aside, called))
-        return paced if self.driving.realtime else lockstep
-
     # -- the loop ----------------------------------------------------------------------------------------------------
 
     def loop(self) -> None:
@@ -278,10 +188,9 @@ class Driver(Node):
         self._watch.begin("")
         self.started.wait()
         self.state = "running"
-        ticks = self._plain_ticks()
+        self._plain = PlainTicks(self, self._device)
         self.make_compiled()
-        if self.compiled is not None:
-            ticks = self.compiled.run
+        ticks = self._plain.run if self.compiled is None else self.compiled.run
         s = self.driving
         s.until, s.most = self.setup.ticks or NEVER, NEVER
         if not self.stopping:
@@ -311,16 +220,14 @@ class Driver(Node):
                 if time.monotonic() - asked > ASK_AGAIN:
                     asked = time.monotonic()
                     self.events.emit("unanswered", f"tick {s.seq} has no answer; asking again")
-                    payload = self._payload if self.compiled is None else self.compiled.last_sent()
+                    payload = self._plain.payload if self.compiled is None else self.compiled.last_sent()
                     self.publisher.send_hop(self.setup.topic(topics.DEVICE_STATE).encode(), payload)
-            elif why == BROKEN:
+            # The middle of a tick is no time for what waits between two.
+            if why == BROKEN:
                 self._mend()
             elif why == UNREAD:
-                arrival = s.arrival
-                s.given = self._receive(s, arrival) == GOT
-                s.skipped += not s.given
-                s.arrival = arrival
-            if self.events.waiting or s.notes_count:
+                s.given = 1 + self._plain.take_up(s)
+            elif self.events.waiting or s.notes_count:
                 self.between_ticks(s.seq)
 
     def _mend(self) -> None:
@@ -343,8 +250,8 @@ class Driver(Node):
         s.place[:] = numbers_of(self._device.read_position(s.seq), self.setup.name)
         s.target[:] = self.target
         take_sample(s, s.seq, stamp)
-        self._publish(s, s.seq, stamp)
-        self._aside(s)
+        self._plain.publish(s, s.seq, stamp)
+        self._plain.aside(s)
         s.phase = BETWEEN
 
     def compiled_ticks(self, kernel: Kernel) -> DriverTicks:

@@ -117,7 +117,7 @@ _COUNTERS = (
     "axes",
     "fd",
     "poll",
-    # the position was read by somebody else; a message was decoded by somebody else; a call of the device failed
+    # the position was read by somebody else; what somebody else made of a message, plus 1; a call of the device failed
     "place_given",
     "given",
     "failed",

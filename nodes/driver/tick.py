@@ -131,9 +131,7 @@ def make_ticks(
         if s.phase == BETWEEN and not begin(s, seq, seq * s.period):
             return BROKEN
         while True:
-            got = GOT
-            if s.given == 0:
-                got = receive(s, 0.0)
+            got = s.given - 1 if s.given != 0 else receive(s, 0.0)
             s.given = 0
             if got == UNREAD:
                 return UNREAD
@@ -185,8 +183,7 @@ def make_ticks(
             if s.belated != 0:
                 s.belated, s.arrival = 0, s.belated_at
             else:
-                if s.given == 0:
-                    got = receive(s, following)
+                got = s.given - 1 if s.given != 0 else receive(s, following)
                 s.given = 0
                 if got == NONE:
                     break

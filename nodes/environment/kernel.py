@@ -8,7 +8,7 @@ from typing import Any
 from messages.types import DeviceState, Proxy
 from nodes.compiled.fields import fields_of, slot
 from nodes.compiled.kernels.encode import make_encode
-from nodes.compiled.kernels.follow import in_order, overtaken
+from nodes.compiled.kernels.follow import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_match, make_scan
@@ -53,7 +53,7 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
             if overtaken(s, taken[_STAMP]):
                 continue
             s.frames = 0
-            s.gaps += seq - s.seq - 1
+            count_gap(s, seq - s.seq - 1)
             s.seq = s.answered = seq
             table, memory = reals_at(s.table, s.table_count), reals_at(s.memory, s.memory_count)
             x, y, z = taken[_POSITION], taken[_POSITION + 1], taken[_POSITION + 2]

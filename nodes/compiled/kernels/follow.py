@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from messages.types import MAX_COUNT
 from nodes.compiled.kernels.hop import has_message, monotonic
 from nodes.compiled.kernels.machine import compilable
+
+_MOST = MAX_COUNT
 
 
 @compilable
@@ -17,10 +20,20 @@ def in_order(s: Any, seq: int) -> bool:
 
 
 @compilable
+def count_gap(s: Any, missing: int) -> None:
+    """Count ticks that were left out; no more than any status can tell."""
+    s.gaps = min(s.gaps + missing, _MOST)
+
+
+@compilable
 def overtaken(s: Any, stamp: float) -> bool:
     """Whether a message is older than a period and a newer one is there: then the node goes on with the newest."""
     if s.realtime == 0 or (s.skipping == 0 and monotonic(s) + s.clock_offset - stamp <= s.period):
         return False
     s.skipping = 1 if has_message(s, s.inbox) else 0
-    s.skipped += s.skipping
+    if s.skipping != 0:
+        s.skipped += 1
+        # Should the newer one be unusual, the plain tick judges both.
+        s.payload, s.spare = s.spare, s.payload
+        s.spare_size = s.payload_size
     return bool(s.skipping != 0)

@@ -16,11 +16,16 @@ from messages.types import MAX_COUNT, DeviceState, Message, NodeStatus, Proxy, V
 from nodes.base.node import Node
 from nodes.compiled.choose import choose
 from nodes.coupling.node import Coupling
+from nodes.driver.device import DeviceLimits
+from nodes.driver.node import Driver
 from nodes.environment.node import Environment
 from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.surfaces import Meeting, Plane
 from sim.measure.launches import wait_for
 from tests.support import ROOT
+from tests.support.scripted import Arrival, HandInC, Script, ScriptedSimulation, assert_alike, at
+from tests.support.scripted import played as scripted
+from tests.support.scripts import BOX, answer, answers_but, driver, moving
 from tests.support.setups import setup_of
 
 TICKS = 12
@@ -166,7 +171,7 @@ def played(place: Path, case: Case) -> tuple[Node, int]:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_before() -> None:
-    kernels = [Coupling.kernel_module, Environment.kernel_module, Touchable.kernel_module]
+    kernels = [Coupling.kernel_module, Driver.kernel_module, Environment.kernel_module, Touchable.kernel_module]
     assert choose("compiled", kernels, print) == "compiled"
 
 
@@ -194,8 +199,74 @@ def test_gaps_without_an_end_are_still_a_count(tmp_path: Path) -> None:
     assert Decoder(NodeStatus).decode(encode(node.status())).gaps == MAX_COUNT
 
 
+# -- the driver, whose ticks are compiled whatever happens: what makes them come back in between -------------------------
+
+ANSWERED = answers_but()
+SILENT = range(20, 70)
+
+
+def in_lockstep(script: Script, silence: int) -> Script:
+    """Let a device that can wait be answered so many milliseconds after the answer before it, at one tick."""
+    arrivals = [
+        Arrival(at(0, 100.0 * seq + 1000.0 * silence * (seq >= 5)), arrival.frames)
+        for seq, arrival in enumerate(script.arrivals)
+    ]
+    return script._replace(kind=ScriptedSimulation, pace="lockstep", arrivals=arrivals)
+
+
+DRIVER_CASES = {
+    "a change of what the safety does, a refusal": (
+        # To damping, to nothing, back to active; two of four refusals are told: at powers of two, as all that repeats.
+        driver(
+            [*answers_but(*SILENT), *(answer(seq, -3_000.0) for seq in (80, 90, 100))], watchdog=5, damping_ticks=20
+        ),
+        3 + 2,
+    ),
+    "a call of the device that fails": (
+        driver(ANSWERED)._replace(
+            hand=lambda: HandInC(DeviceLimits(peak_force=8.0, hold=10.0, workspace=BOX), moving, [30, 60])
+        ),
+        2,
+    ),
+    "in lockstep, no answer for 0.1 s": (in_lockstep(driver(ANSWERED), 450), 4),
+}
+DRIVER_STAYS = {
+    "late answers, lost ticks, and silence shorter than the watchdog": driver(
+        [answer(seq, 2_300.0 if seq % 4 == 0 else 500.0) for seq in range(120) if seq not in (40, 41, 42)], {70: 9_000}
+    ),
+    "next_tick": driver(ANSWERED)._replace(apply="next_tick"),
+    "the guard, and limits of peak and slew": driver(
+        [answer(seq, force=(0.0, 0.0, -20.0 * (seq % 2))) for seq in range(120)],
+        position=lambda seq: (0.0, 0.0, -1e-4 * seq),
+        guard={"stiffness": 500.0, "damping": 5.0},
+        slew=900.0,
+        stop_after=None,
+    ),
+    "lockstep": in_lockstep(driver(ANSWERED), 0),
+}
+
+
+@pytest.mark.parametrize("row", DRIVER_CASES)
+def test_what_brings_a_driver_back_does_and_its_ticks_stay_compiled(row: str, tmp_path: Path) -> None:
+    script, times = DRIVER_CASES[row]
+    _, node = assert_alike(script, tmp_path)
+    assert node.ticks_compiled == node.driving.ticks == 120
+    _, usual = scripted(
+        in_lockstep(driver(ANSWERED), 0) if script.pace == "lockstep" else driver(ANSWERED), "compiled", tmp_path
+    )
+    assert node.entered - usual.entered == times
+
+
+@pytest.mark.parametrize("row", DRIVER_STAYS)
+def test_nothing_else_brings_a_driver_back(row: str, tmp_path: Path) -> None:
+    _, node = assert_alike(DRIVER_STAYS[row], tmp_path)
+    # Once without a tick, to begin with; once until the first force, which is a change of the safety; once for all the rest.
+    assert node.entered == 3
+    assert node.ticks_compiled == node.driving.ticks
+
+
 def test_the_page_has_these_rows() -> None:
     text = (ROOT / "nodes" / "README.md").read_text(encoding="utf-8")
     table = text.partition("| node | what goes back to the interpreter |")[2].partition("\n\n")[0]
-    rows = [tuple(cell.strip() for cell in line.split("|")[1:3]) for line in table.splitlines()[2:]]
-    assert {row for row in rows if row[0] != "driver"} == set(CASES)
+    rows = {tuple(cell.strip() for cell in line.split("|")[1:3]) for line in table.splitlines()[2:]}
+    assert rows == {*CASES, *(("driver", row) for row in DRIVER_CASES)}

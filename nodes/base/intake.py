@@ -1,0 +1,43 @@
+"""What a node takes in: messages of the topic that it expects; all others are refused, counted and reported."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from messages.codec import Decoder, MessageRefusedError
+from messages.types import Message
+
+M = TypeVar("M", bound=Message)
+
+
+class Intake:
+    """The intake of one node.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+
+    def take(self, decoder: Decoder[M], frames: tuple[bytes, bytes], topic: bytes) -> M | None:
+        """Decode a message that was received, if it is one of the topic expected; None when it was refused."""
+        if frames[0] != topic:
+            self.out_of_step(frames[0], topic)
+            return None
+        try:
+            message = decoder.decode(frames[1])
+        except MessageRefusedError as error:
+            self._node.events.refuse(str(error))
+            return None
+        # Those that answer ticks count them, and what was skipped.
+        self._node.received += not self._node.answers
+        return message
+
+    def out_of_step(self, frame: bytes, topic: bytes) -> None:
+        """Refuse a message whose first frame is not the topic expected, and find the beginning of the next one."""
+        if self._node.inbox is not None:
+            self._node.inbox.resynchronise()
+        self._node.events.refuse(f"a message on {frame[:64]!r} where {topic.decode()} was expected")

@@ -1,0 +1,134 @@
+"""The interpreter's ticks of a driver: nodes/driver/tick.py as it stands, with a port of pyzmq and msgspec."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.transport.sockets import TimedOut
+from messages.types import DeviceState, Force
+from nodes.base import realtime
+from nodes.driver.calls import numbers_of
+from nodes.driver.device import Device
+from nodes.driver.state import SAFETY
+from nodes.driver.tick import GOT, NONE, REFUSED, Port, make_ticks
+
+
+class PlainTicks:
+    """The plain ticks of one driver.
+
+    Parameters
+    ----------
+    node : Driver
+        The node; its device is open.
+    device : Device
+        Its device.
+
+    Attributes
+    ----------
+    run : callable
+        Ticks until something waits; why it ended, as of nodes/driver/tick.py.
+    payload : bytes
+        The state that was published last.
+    """
+
+    def __init__(self, node: Any, device: Device) -> None:
+        self._node, self._device, self._inbox = node, device, node.inbox
+        self._publisher, self._events, self._take = node.publisher, node.events, node.intake.take
+        self._topic, self._expected = (node.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE))
+        self._decoder, self._clock = Decoder(Force), time.monotonic
+        self._what = f"{node.setup.name}: {type(device).__name__}"
+        self.payload = b""
+        lockstep, paced = make_ticks(
+            Port(_sleep_until, self._read, self._write, self.publish, self.receive, self.aside, self._called)
+        )
+        self.run = paced if node.driving.realtime else lockstep
+
+    def _read(self, s: Any, seq: int) -> bool:
+        s.place[:] = numbers_of(self._device.read_position(seq), self._what)
+        s.target[:] = self._node.target
+        return True
+
+    def _write(self, s: Any, seq: int, offset: float) -> bool:
+        x, y, z = s.handed
+        self._device.write_force((x, y, z), seq, offset)
+        return True
+
+    def publish(self, s: Any, seq: int, stamp: float) -> None:
+        """Send the state of a tick to the next hop."""
+        payload = encode(
+            DeviceState(
+                seq=seq,
+                stamp=stamp,
+                position=tuple(s.position),
+                force=tuple(s.force),
+                force_seq=s.force_seq,
+                age=s.age,
+                response=s.response,
+                lateness=s.lateness,
+                missed=s.missed,
+                overruns=s.overruns,
+                safety=SAFETY[s.safety],
+                energy=s.energy,
+                delay=s.delay,
+                guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
+                target=tuple(s.target),
+            )
+        )
+        s.states_sent += 1
+        # Taken before sending: under FIFO the whole chain may run before the call returns.
+        s.sampled = self._clock()
+        self._publisher.send_hop(self._topic, payload)
+        self.payload = payload
+
+    def receive(self, s: Any, until: float) -> int:
+        """Wait for a force until a time, or in lockstep for a while; what came of it."""
+        inbox = self._inbox
+        if s.realtime == 0:
+            try:
+                frames = inbox.next_message()
+            except TimedOut:
+                return NONE
+        else:
+            wait = inbox.receive_soon if s.patient != 0 else inbox.receive_until
+            received = wait(until)
+            if received is None:
+                return NONE
+            frames = received
+        s.arrival = self._clock()
+        return self._read_force(s, frames)
+
+    def take_up(self, s: Any) -> int:
+        """Take the message that compiled ticks put back when it came; what came of it."""
+        return self._read_force(s, self._inbox.receive_until(0.0))
+
+    def _read_force(self, s: Any, frames: tuple[bytes, bytes]) -> int:
+        expected = self._expected
+        while frames[1] == expected:
+            # A message of one frame, and the beginning of the next.
+            self._events.refuse("a message of one frame where topic and payload were expected")
+            s.skipped += 1
+            frames = expected, self._inbox.next_frame()
+        force = self._take(self._decoder, frames, expected)
+        if force is None:
+            return REFUSED
+        s.got_seq = force.seq
+        s.got[:] = force.force
+        return GOT
+
+    def aside(self, s: Any) -> None:
+        """Send what was published last to the listeners."""
+        del s
+        if self._publisher.apart:
+            self._publisher.send_aside(self._topic, self.payload)
+
+    def _called(self, s: Any) -> bool:
+        del s
+        return bool(self._events.waiting or self._node.stopping)
+
+
+def _sleep_until(s: Any, deadline: float) -> float:
+    del s
+    return realtime.sleep_until(deadline)

@@ -1,0 +1,307 @@
+"""Every rule of time on a scripted clock: ticks that are late, lost or jumped over, interpreted and compiled alike to the bit.
+
+Nothing here runs in real time. Time passes as a script says (tests/support/scripted.py), so that what a busy machine does once
+in an hour is played in a millisecond, and played again by the other tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.types import MAX_COUNT, DeviceState, Force
+from nodes.compiled.choose import choose
+from nodes.coupling.node import Coupling
+from nodes.driver.device import DeviceLimits
+from nodes.driver.node import Driver
+from nodes.driver.state import DAMPING, FAULT, NOTHING, RAMP, STOPPED
+from nodes.environment.node import Environment
+from tests.support.scripted import Arrival, Hand, Script, T, assert_alike, at, played
+from tests.support.scripts import BOX, KINDS, TICKS, answer, answers_but, driver, follower, moving
+
+KERNELS = [Driver.kernel_module, Environment.kernel_module, Coupling.kernel_module]
+
+pytestmark = pytest.mark.timeout(600)  # the kernels are compiled once, which takes minutes on a busy machine
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_before() -> None:
+    assert choose("compiled", KERNELS, print) == "compiled"
+
+
+# -- the driver: each rule of time, and that it acted ------------------------------------------------------------------
+
+
+ANSWERED = answers_but()
+
+
+class Rule(NamedTuple):
+    """A script in which a rule acts, and what shows that it did, on arrival; with next_tick it may act elsewhere."""
+
+    script: Script
+    acted: Callable[[Any], bool]
+
+
+SILENT = tuple(range(20, 70))
+RULES = {
+    "nothing unusual": Rule(driver(ANSWERED), lambda s: s.ticks == TICKS and s.missed == s.overruns == 0),
+    "watchdog, damping, zero": Rule(
+        driver(answers_but(*SILENT), watchdog=5, damping_ticks=20),
+        lambda s: (s.entered[DAMPING], s.entered[NOTHING], s.missed) == (1, 1, len(SILENT)),
+    ),
+    "the watchdog's last tick in time": Rule(
+        driver(answers_but(*range(20, 24)), watchdog=5), lambda s: s.entered[DAMPING] == 0 and s.missed == 4
+    ),
+    "the ramp at the start, and after damping": Rule(
+        driver(answers_but(*SILENT), ramp=0.02, recovery=0.04, watchdog=5), lambda s: s.entered[RAMP] == 2
+    ),
+    "a hand that is pushed by the ramp": Rule(
+        driver(
+            answers_but(*SILENT),
+            recovery=0.05,
+            watchdog=5,
+            position=lambda seq: (0.0, 0.0, 1e-3 * max(seq - 69, 0)),
+        ),
+        lambda s: s.entered[RAMP] == 1 and s.safety == RAMP,
+    ),
+    "slew": Rule(
+        driver([answer(seq, force=(0.0, 0.0, 5.0 * (seq // 10 % 2))) for seq in range(TICKS)], slew=500.0),
+        lambda s: s.limited_by[1] > 10,
+    ),
+    "slew after lost ticks is that of one": Rule(
+        driver(
+            [answer(seq, force=(0.0, 0.0, 0.0 if seq < 40 else 6.0)) for seq in range(TICKS)],
+            {40: 9_000, 60: 4_000},
+            slew=500.0,
+        ),
+        lambda s: s.overruns == 6 and s.force[2] == 6.0,
+    ),
+    "ticks lost": Rule(driver(ANSWERED, {30: 2_000, 50: 1_998, 70: 21_000}), lambda s: s.overruns == 1 + 10),
+    "lost ticks and no answers": Rule(
+        driver(answers_but(*SILENT), {22: 9_000, 40: 3_000}, watchdog=5),
+        lambda s: s.overruns == 5 and s.entered[DAMPING] == 1,
+    ),
+    "hold: the device lets go in a silence": Rule(
+        driver(answers_but(*SILENT), limits={"hold": 6 * T}, watchdog=30), lambda s: s.entered[NOTHING] == 1
+    ),
+    "hold: it lets go while the driver is held up": Rule(
+        driver(ANSWERED, {30: 21_000}, limits={"hold": 4 * T}), lambda s: s.entered[NOTHING] == 1 and s.overruns == 10
+    ),
+    "hold that ends within a tick": Rule(
+        driver(answers_but(*SILENT), {60: 9_000}, limits={"hold": 5.5 * T}, watchdog=30),
+        lambda s: s.entered[NOTHING] == 1,
+    ),
+    "continuous force, two gaps in one window": Rule(
+        driver(
+            [answer(seq, force=(0.0, 0.0, 7.9)) for seq in range(TICKS)],
+            {20: 18_000, 40: 18_000},
+            continuous_force=1.75,
+            thermal_time=0.2,
+            slew=100.0,
+            peak_force=7.9,
+        ),
+        lambda s: s.limited_by[2] > 0 and s.overruns == 18,
+    ),
+    "age: answers that are none to five ticks old": Rule(
+        driver([answer(seq, 600.0 + 2000.0 * (seq // 20)) for seq in range(TICKS)], max_age=3, watchdog=20),
+        lambda s: s.refused_for[2] > 0 and s.oldest_age >= 3 and s.entered[DAMPING] == 1,
+    ),
+    "samples that are late, with answers beyond their tick": Rule(
+        driver(
+            [answer(seq, 2_200.0 if seq % 4 == 0 else 500.0) for seq in range(TICKS)],
+            dict.fromkeys(range(0, TICKS, 4), 1_500),
+        ),
+        lambda s: s.missed == 30 and s.overruns == 0,
+    ),
+    "every answer late": Rule(
+        driver([answer(seq, 2_100.0) for seq in range(TICKS)]), lambda s: s.entered[DAMPING] == 0
+    ),
+    "every answer twice": Rule(
+        driver(
+            [answer(seq, 600.0 if seq % 2 else 2_200.0) for seq in range(TICKS)]
+            + [answer(seq, 900.0, (0.0, 0.0, 0.5)) for seq in range(TICKS)]
+        ),
+        lambda s: s.refused_for[1] > 50,
+    ),
+    "forces for ticks that have not been": Rule(
+        driver([*ANSWERED, *(answer(seq, -3_000.0) for seq in range(10, 40))]), lambda s: s.refused_for[0] == 30
+    ),
+    "a flood of old forces": Rule(
+        driver(
+            [*ANSWERED]
+            + [
+                Arrival(at(seq, 100.0 + 10.0 * n), answer(max(seq - 2, 0)).frames)
+                for seq in range(10, 20)
+                for n in range(TICKS)
+            ]
+        ),
+        lambda s: s.skipped > 500 and s.refused_for[1] > 500,
+    ),
+    "outside the workspace, and back": Rule(
+        driver(
+            ANSWERED,
+            position=lambda seq: (0.0, 0.0, 0.2 if 30 <= seq < 40 else -1e-3),
+            recovery=0.02,
+        ),
+        lambda s: s.entered[FAULT] == 1 and s.missed == 0,
+    ),
+    "a loop that swings": Rule(
+        driver(
+            [answer(seq, force=(0.0, 0.0, 20.0 * (-1) ** (seq // 5))) for seq in range(TICKS)],
+            position=lambda seq: (0.0, 0.0, -1e-3 * abs(seq % 10 - 5)),
+            peak_force=7.9,
+            stop_after=4,
+        ),
+        lambda s: s.entered[STOPPED] == 1,
+    ),
+    "the guard": Rule(
+        driver(
+            [answer(seq, force=(0.0, 0.0, -2.0)) for seq in range(TICKS)],
+            {50: 5_000},
+            position=lambda seq: (0.0, 0.0, -1e-4 * seq),
+            guard={"stiffness": 500.0, "damping": 5.0},
+            limits={"latency": 0.6 * T},
+        ),
+        lambda s: s.lowered > 0,
+    ),
+}
+
+
+@pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
+@pytest.mark.parametrize("rule", RULES)
+def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path: Path) -> None:
+    script, acted = RULES[rule]
+    outcome, node = assert_alike(script._replace(apply=apply), tmp_path)
+    s = node.driving
+    assert s.seq == TICKS
+    assert s.ticks + s.overruns == TICKS
+    # Every tick a state, and one more for where it came to rest; the ticks of the first are those of the script.
+    assert len(outcome.sent) == s.ticks + 1
+    assert node.ticks_compiled == s.ticks
+    if apply == "on_arrival":
+        assert acted(s)
+    # Whatever happened, the soft stop left nothing on the device.
+    assert outcome.given[-1][1] == (0.0, 0.0, 0.0)
+
+
+def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path) -> None:
+    """A compiled tick that stopped half-way, for a message that it could not read, forgot what had acted until then."""
+    topic = topics.FORCE.encode()
+    arrivals = [
+        answer(0, force=(0.0, 0.0, 1.0)),
+        # In tick 1: an old answer cannot come, so: the force of tick 0 until a quarter, then what cannot be read, then 2 N.
+        Arrival(at(1, 700.0), (topic, b"no message")),
+        answer(1, 1_000.0, (0.0, 0.0, 2.0)),
+    ]
+    script = driver(arrivals, position=lambda seq: (0.0, 0.0, -1e-3 * seq), ticks=3)
+    outcome, _ = assert_alike(script, tmp_path)
+    states = [Decoder(DeviceState).decode(frames[1]) for _, frames in outcome.sent]
+    # 1 N from 0.6 ms on in tick 0; then 1 N for 1.0 ms and 2 N for the rest; all over a displacement of -1 mm each. Arrivals
+    # are 0.5 µs later than a whole number. A clock at 1000 s has steps of 1e-13 s: 6e-11 of a tick.
+    first, second = 1.0 - 600.5 / 2000.0, (1000.5 + 2.0 * 999.5) / 2000.0
+    assert states[2].energy - states[1].energy == pytest.approx(-1e-3 * second, rel=1e-9)
+    assert states[1].energy == pytest.approx(-1e-3 * first, rel=1e-9)
+
+
+def test_a_call_that_fails_ends_the_run_of_either_tick(tmp_path: Path) -> None:
+    script = driver(ANSWERED, ticks=60)
+    limits = DeviceLimits(peak_force=8.0, hold=10.0, workspace=BOX, latency=0.0)
+    failing = script._replace(hand=lambda: Hand(limits, moving, fails=[37]))
+    for tick in ("plain", "compiled"):
+        with pytest.raises(BlockingIOError, match="no position at tick 37"):
+            played(failing, tick, tmp_path)
+
+
+# -- the environment and the coupling ---------------------------------------------------------------------------------
+
+COMING: dict[str, list[tuple[int, float]]] = {
+    "in time": [(seq, 100.0) for seq in range(40)],
+    "one stall, then all at once": [(seq, 100.0 if seq < 10 else max(100.0, 2000.0 * (25 - seq))) for seq in range(40)],
+    "two stalls": [(seq, max(100.0, 2000.0 * (12 - seq % 20)) if seq > 5 else 100.0) for seq in range(40)],
+    "late, but nothing newer is there": [(seq, 100.0 + 2500.0 * (seq % 5 == 4)) for seq in range(40)],
+    "at the edge of a period": [(seq, 1_999.0 + seq % 3) for seq in range(40)],
+    "ticks that the driver lost": [(seq + 3 * (seq > 10) + 40 * (seq > 20), 100.0) for seq in range(40)],
+    "a driver that is started again": [(seq % 23, 100.0) for seq in range(40)],
+    "a driver that is started again, in a stall": [
+        (seq % 23, max(100.0, 2000.0 * (26 - seq)) if seq > 18 else 100.0) for seq in range(40)
+    ],
+    "asked again": [(seq // 2, 100.0) for seq in range(40)],
+    "asked again, in a stall": [(seq // 2, max(100.0, 2000.0 * (20 - seq))) for seq in range(40)],
+    "jumps to the end of all ticks": [(seq, 100.0) for seq in (0, 1, MAX_COUNT - 1, MAX_COUNT, 0, 1, MAX_COUNT)],
+}
+
+
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+@pytest.mark.parametrize("coming", COMING)
+@pytest.mark.parametrize("kind", KINDS)
+def test_who_follows_a_driver_follows_alike(kind: str, coming: str, pace: str, tmp_path: Path) -> None:
+    outcome, node = assert_alike(follower(kind, COMING[coming], pace), tmp_path)
+    assert len(outcome.sent) + node.counters.skipped == len(COMING[coming])
+    if "stall" in coming and pace == "realtime":
+        assert node.counters.skipped > 5
+    if pace == "lockstep":
+        assert node.counters.skipped == 0
+
+
+# -- in every order ---------------------------------------------------------------------------------------------------
+
+micros = st.integers(0, 9_000)
+lates = st.dictionaries(st.integers(0, 40), st.integers(0, 3_000).map(lambda tens: 10 * tens), max_size=6)
+answers = st.lists(
+    st.tuples(st.integers(0, 40), st.integers(-2_500, 9_000), st.integers(-6, 1), st.floats(-9.0, 9.0), st.booleans()),
+    max_size=60,
+)
+quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@quick
+@given(late=lates, coming=answers, apply=st.sampled_from(["on_arrival", "next_tick"]), patient=st.integers(1, 12))
+def test_a_driver_does_the_same_in_whatever_order(
+    late: dict[int, int], coming: list[tuple[int, int, int, float, bool]], apply: str, patient: int, tmp_path: Path
+) -> None:
+    topic = topics.FORCE.encode()
+    arrivals = []
+    for tick, after, age, size, whole in coming:
+        message = encode(Force(seq=max(tick + age, 0), stamp=0.0, force=(0.0, 0.0, size)))
+        arrivals.append(Arrival(at(tick, after), (topic, message if whole else message[:-3])))
+    script = driver(
+        arrivals,
+        late,
+        ticks=42,
+        limits={"hold": 7 * T, "latency": 0.4 * T},
+        watchdog=patient,
+        damping_ticks=3,
+        recovery=0.01,
+        slew=900.0,
+        continuous_force=2.0,
+        thermal_time=0.05,
+    )
+    assert_alike(script._replace(apply=apply), tmp_path)
+
+
+@quick
+@given(
+    kind=st.sampled_from(sorted(KINDS)),
+    coming=st.lists(st.tuples(st.integers(-2, 4), micros, st.booleans()), max_size=40),
+)
+def test_who_follows_does_the_same_in_whatever_order(
+    kind: str, coming: list[tuple[int, int, bool]], tmp_path: Path
+) -> None:
+    seq, ticks, cut = 0, [], []
+    for step, late, whole in coming:
+        seq = max(seq + step, 0)
+        ticks.append((seq, float(late)))
+        cut.append(not whole)
+    script = follower(kind, ticks)
+    arrivals = [
+        arrival._replace(frames=(arrival.frames[0], arrival.frames[1][:-3])) if is_cut else arrival
+        for arrival, is_cut in zip(script.arrivals, cut, strict=True)
+    ]
+    assert_alike(script._replace(arrivals=arrivals), tmp_path)

@@ -1,0 +1,148 @@
+"""A launch that lacked compiled ticks has them made, and the next one runs them; here of sources in which one rule was changed.
+
+So it shows two things at once, with real launches and a real compiler: that whoever never asked for compiled ticks has them
+from the second launch on, and that a rule of the tick stands in one place: changed there, the interpreter, the compiled nodes,
+the scene in one process and the replay of a recording all keep the new one, to the bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from messages.topics import DEVICE_STATE
+from nodes.launcher import launch_file
+from nodes.recording.reader import Recording
+from sim.scene.from_launch import from_launch
+from tests.nodes.compiled.test_choose import background
+from tests.support import ROOT
+from tests.support.launching import private_runtime_dir, wait_for
+
+RULE = ("nodes/driver/safety.py", "share = s.regained / s.ramp_ticks", "share = (s.regained / s.ramp_ticks) ** 2")
+"""The ramp by which a force is let in grows with the square of the time."""
+
+KERNELS = ("nodes.driver.kernel", "nodes.environment.kernel", "nodes.coupling.kernel", "sim.device.kernel")
+WORDS = ("floor_drop", "duration:=0.6", "--params", "slow.yaml")
+RAMP = 500
+
+PLAYED = """
+import json, sys
+from pathlib import Path
+from nodes.launcher import launch_file
+from sim.identify.counterfactual import replay
+from sim.identify.recorded_scene import rebuild
+from sim.scene.from_launch import from_launch
+
+scene = from_launch(launch_file.read("floor_drop", launch_file.parse_assignments(["duration:=0.6"]), (Path("slow.yaml"),)))
+forces = {"one process": scene.play().force, "replay": replay(rebuild(Path(sys.argv[1]))).force[: scene.ticks]}
+print(json.dumps({name: [float(value) for value in row] for name, row in forces.items()}))
+"""
+
+pytestmark = pytest.mark.timeout(900)  # four kernels are compiled, when nothing else wants the processor
+
+
+class Changed(NamedTuple):
+    """A copy of this project with another rule, a folder to launch in, and an empty cache of its own."""
+
+    sources: Path
+    folder: Path
+    cache: Path
+    environment: dict[str, str]
+
+    def run(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Run python in the folder."""
+        return subprocess.run(
+            [sys.executable, *words],
+            cwd=self.folder,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=True,
+        )
+
+    def launch(self, *words: str) -> tuple[dict[str, Any], str]:
+        """Launch the scenario; its summary, and what it said."""
+        done = self.run("-m", "nodes.cli.main", "launch", *WORDS, *words, "--json")
+        return json.loads(done.stdout.splitlines()[-1]), done.stderr
+
+
+@pytest.fixture(scope="module")
+def changed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Changed]:
+    base = tmp_path_factory.mktemp("changed")
+    sources, folder, cache = base / "sources", base / "runs", base / "cache"
+    for name in ("messages", "nodes", "sim", "launch"):
+        shutil.copytree(ROOT / name, sources / name, ignore=shutil.ignore_patterns("__pycache__"))
+    path, before, after = RULE
+    text = (sources / path).read_text(encoding="utf-8")
+    assert text.count(before) == 1
+    (sources / path).write_text(text.replace(before, after), encoding="utf-8")
+    folder.mkdir()
+    (folder / "slow.yaml").write_text(f"driver: {{safety: {{ramp: {RAMP * 0.002}}}}}", encoding="utf-8")
+    with private_runtime_dir() as runtime:
+        variables = {
+            "PYTHONPATH": str(sources),
+            "NUMBA_CACHE_DIR": str(cache),
+            "HAPTIC_COMPILE": "background",
+            "HAPTIC_RUNTIME_DIR": str(runtime),
+        }
+        yield Changed(sources, folder, cache, {**os.environ, **variables})
+
+
+def forces_of(folder: Path, figures: dict[str, Any]) -> list[float]:
+    return [float(state.force[2]) for state in Recording(folder / figures["recording"]).messages(DEVICE_STATE)][1:]
+
+
+def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule(changed: Changed) -> None:
+    first, said = changed.launch("pace:=lockstep")
+    assert first["tick"] == "plain"
+    assert said.count("for the next launch") == 1
+    (process,) = background(changed.cache)
+    with contextlib.suppress(PermissionError):
+        # It waits for an idle processor, which a machine that tests does not have.
+        os.sched_setscheduler(process, os.SCHED_OTHER, os.sched_param(0))
+    wait_for(lambda: not background(changed.cache), "it is compiled", 600.0)
+    assert {path.stem for path in changed.cache.rglob("*.tick")} == set(KERNELS)
+
+    # By default: nobody asks for it, in real time and in lockstep.
+    for words in ((), ("pace:=lockstep",)):
+        second, said = changed.launch(*words)
+        assert second["tick"] == "compiled"
+        assert second["tick_by_node"] == dict.fromkeys(("driver", "environment", "coupling"), "compiled")
+        assert second["ticks_compiled"]["driver"] == second["ticks"]
+        assert "for the next launch" not in said
+        assert "plain tick" not in said
+
+    forces = {
+        "interpreted nodes": forces_of(changed.folder, first),
+        "compiled nodes": forces_of(changed.folder, second),
+    }
+    forces |= json.loads(changed.run("-c", PLAYED, str(changed.folder / first["recording"])).stdout)
+    expected = forces["interpreted nodes"]
+    assert len(expected) == 300
+    assert all(row == expected for row in forces.values()), [name for name, row in forces.items() if row != expected]
+
+    # Until the first force the motion is that of the old rule: there the new force is the old one times its share of the ramp.
+    given = launch_file.parse_assignments(["duration:=0.6"])
+    old = from_launch(launch_file.read("floor_drop", given, (changed.folder / "slow.yaml",))).play().force.tolist()
+    touched = next(tick for tick, force in enumerate(old) if force)
+    assert 1 < touched < RAMP - 1
+    # A product of three numbers.
+    assert expected[touched] / old[touched] == pytest.approx((touched + 1) / RAMP, rel=1e-14)
+
+    # Whoever changes it once more has the plain tick again, not the compiled one of other sources.
+    path = changed.sources / RULE[0]
+    path.write_text(path.read_text(encoding="utf-8").replace(RULE[2], RULE[1]), encoding="utf-8")
+    changed.environment["HAPTIC_COMPILE"] = "asked"
+    third, _ = changed.launch("pace:=lockstep")
+    assert third["tick"] == "plain"
+    assert forces_of(changed.folder, third) == old
