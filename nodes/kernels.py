@@ -14,44 +14,16 @@ SMOOTHING = 1.0 / 64.0
 
 
 def plane_distance(position: float, surface: float, normal: float) -> float:
-    """Signed distance to a plane across one axis.
-
-    Parameters
-    ----------
-    position, surface : float
-        Coordinates of the device and of the plane on this axis [m].
-    normal : float
-        +1 or -1: the side of the plane that is free.
-
-    Returns
-    -------
-    float
-        Distance along the normal, negative inside the wall [m].
-    """
+    """Signed distance to a plane across one axis [m]: along its normal, ±1, negative inside the wall."""
     return (position - surface) * normal
 
 
 def deflection(position: float, proxy: float, distance: float, normal: float, contact: bool, raw: bool) -> float:
-    """Deflection of the coupling: from the device to its proxy.
+    """Deflection of the coupling [m], in the direction in which it pushes the device: from the device to its proxy.
 
-    Parameters
-    ----------
-    position, proxy : float
-        Coordinates of the device and its proxy on this axis [m].
-    distance : float
-        Signed distance to the surface, negative inside [m].
-    normal : float
-        Component of the outward normal on this axis.
-    contact : bool
-        Whether the surface is touched.
-    raw : bool
-        What feeds the derivative's history outside contact: the raw distance (True) or zero (False). The paper does not
-        say; the choice moves the K_max of the drop test by up to 17 %.
-
-    Returns
-    -------
-    float
-        Deflection [m], in the direction in which the coupling pushes the device.
+    `raw` says what feeds the derivative's history outside contact: the raw distance (True) or zero (False). The paper does not
+    say; the choice moves the K_max of the drop test by up to 17 %. `distance` is negative inside, `normal` the component of the
+    outward normal on this axis.
     """
     if contact or not raw:
         return proxy - position
@@ -59,26 +31,10 @@ def deflection(position: float, proxy: float, distance: float, normal: float, co
 
 
 def push(history: MutableSequence[float], head: int, length: int, value: float) -> int:
-    """Put the newest deflection in front of the history.
+    """Put the newest deflection in front of a history that remembers so many, in place; the new head.
 
     The history is a ring written twice, ``length`` apart, so that the newest ``length`` values are always contiguous:
     ``history[head]`` is the newest, ``history[head + m]`` is m ticks old.
-
-    Parameters
-    ----------
-    history : sequence of float, shape (2 * length,)
-        The ring, changed in place.
-    head : int
-        Index of the newest value so far.
-    length : int
-        How many values the ring remembers.
-    value : float
-        The new value.
-
-    Returns
-    -------
-    int
-        The new head.
     """
     head = head - 1 if head > 0 else length - 1
     history[head] = value
@@ -87,22 +43,7 @@ def push(history: MutableSequence[float], head: int, length: int, value: float) 
 
 
 def fir(taps: Sequence[float], history: Sequence[float], head: int) -> float:
-    """Force of a tap vector over the history, added from the newest value to the oldest.
-
-    Parameters
-    ----------
-    taps : sequence of float, shape (n + 1,)
-        Taps h_0 ... h_n [N/m], h_0 for the newest deflection.
-    history : sequence of float
-        Ring as written by `push`, remembering at least n + 1 values.
-    head : int
-        Index of the newest value.
-
-    Returns
-    -------
-    float
-        Force [N].
-    """
+    """Force [N] of taps h_0 ... h_n [N/m] over the history, added from the newest value to the oldest."""
     force = 0.0
     for m in range(len(taps)):
         force += taps[m] * history[head + m]
@@ -110,30 +51,11 @@ def fir(taps: Sequence[float], history: Sequence[float], head: int) -> float:
 
 
 def one_sided(force: float, normal: float, along: float, contact: bool, raw: bool, clamp: bool) -> float:
-    """Contact conventions: no force outside a raw-history wall, and no pull towards the wall when clamped.
+    """Contact conventions for a law's force on an axis [N]: none outside a raw-history wall, no pull to the wall when clamped.
 
-    What pulls is the part of the force along the normal, not what its axes do each for themselves: on a surface that leans, a
-    force that draws the device along it has components against the normal's, and is none that pulls.
-
-    Parameters
-    ----------
-    force : float
-        Force of the law on this axis [N].
-    normal : float
-        Component of the outward normal on this axis; 0 for a two-sided coupling.
-    along : float
-        The law's force along the normal, summed over all axes [N].
-    contact : bool
-        Whether the surface is touched.
-    raw : bool
-        Whether the history holds the raw distance (see `deflection`).
-    clamp : bool
-        Whether the part of the force that leads into the wall is taken off.
-
-    Returns
-    -------
-    float
-        Force to render [N].
+    What pulls is the part of the force along the normal (`along`, summed over all axes), not what its axes do by themselves: on
+    a surface that leans, a force that draws the device along it has components against the normal's, and is none that pulls.
+    A two-sided coupling has the normal 0.
     """
     if raw and not contact:
         return 0.0
@@ -143,24 +65,7 @@ def one_sided(force: float, normal: float, along: float, contact: bool, raw: boo
 
 
 def limit(force: float, previous: float, peak: float | None, slew: float | None) -> float:
-    """Limit magnitude and rate of the force handed to the device.
-
-    Parameters
-    ----------
-    force : float
-        Force asked for on this axis [N].
-    previous : float
-        Force of the tick before, after limits [N].
-    peak : float or None
-        Largest magnitude [N]; None for no limit.
-    slew : float or None
-        Largest change per tick [N]; None for no limit.
-
-    Returns
-    -------
-    float
-        Force within both limits [N].
-    """
+    """Limit the magnitude of a force [N], and its change from the one of the tick before; None is no limit."""
     if peak is not None:
         if force > peak:
             force = peak
@@ -175,21 +80,9 @@ def limit(force: float, previous: float, peak: float | None, slew: float | None)
 
 
 def sections(coefficients: Sequence[float], state: MutableSequence[float], newest: float, previous: float) -> float:
-    """Force of parallel second-order recursive sections, y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂ each, summed in order.
+    """Force of parallel second-order recursive sections, y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂ each, summed in order [N].
 
-    Parameters
-    ----------
-    coefficients : sequence of float, shape (4 * s,)
-        b0, b1 [N/m], a1, a2 of each section.
-    state : sequence of float, shape (2 * s,)
-        y₋₁, y₋₂ [N] of each section, changed in place.
-    newest, previous : float
-        Deflection at this tick and the one before [m].
-
-    Returns
-    -------
-    float
-        Force [N].
+    `coefficients` holds b0, b1 [N/m], a1, a2 of each section, `state` y₋₁, y₋₂ [N] of each, changed in place.
     """
     force = 0.0
     for i in range(len(state) // 2):
@@ -214,41 +107,17 @@ def warm_up(
 ) -> None:
     """Bring recursive sections up to date by replaying the history, so that they swap as smoothly as taps do.
 
-    Called between two ticks: after it, `sections` may be called with the next deflection.
-
-    Parameters
-    ----------
-    coefficients : sequence of float, shape (4 * s,)
-        As for `sections`.
-    state : sequence of float, shape (2 * s,)
-        Fresh state (zeros), changed in place.
-    history : sequence of float, shape (2 * length,)
-        Ring as written by `push`.
-    head : int
-        Index of the newest value.
-    length : int
-        How many values the ring remembers, at least 2.
+    Called between two ticks, with a fresh state (zeros): after it, `sections` may be called with the next deflection. A history
+    remembers at least two values.
     """
     for m in range(length - 2, -1, -1):
         sections(coefficients, state, history[head + m], history[head + m + 1])
 
 
 def cross_fade(old: float, new: float, done: int, ramp: int) -> float:
-    """Force during a cross-fade from one law to another, both evaluated over the same history.
+    """Force during a cross-fade from one law to another, both evaluated over the same history [N].
 
-    Parameters
-    ----------
-    old, new : float
-        Forces of the two laws [N].
-    done : int
-        Ticks since the swap, 0 for the first one.
-    ramp : int
-        Length of the cross-fade [ticks], at least 1: tick ramp − 1 has all of the new law.
-
-    Returns
-    -------
-    float
-        Force [N].
+    `done` are the ticks since the swap, 0 for the first one; tick ``ramp`` − 1 has all of the new law.
     """
     weight = (done + 1) / ramp
     return (1.0 - weight) * old + weight * new

@@ -31,44 +31,19 @@ _WHOLE = 6755399441055744.0
 
 
 def decay_mean(y: float) -> float:
-    """Mean of e^{−t} over (0, y): (1 − e^{−y})/y without cancellation.
-
-    Parameters
-    ----------
-    y : float
-        Upper end, ≥ 0.
-
-    Returns
-    -------
-    float
-        The mean, 1 at y = 0.
-    """
+    """Mean of e^{−t} over (0, y): (1 − e^{−y})/y without cancellation, for y ≥ 0."""
     if y == 0.0:
         return 1.0
     return -math.expm1(-y) / y
 
 
 def coefficients(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
-    """Exact map of m x'' + b x' + k x = u over a time in which u is held.
+    """Exact map of m x'' + b x' + k x = u over a time [s] in which u is held, for m > 0 [kg], b ≥ 0 [N s/m], k ≥ 0 [N/m].
 
-    Accurate to rounding for b → 0 and k → 0 (a Taylor series where the closed forms would cancel), and for under-,
-    over- and critically damped devices. The case k = 0 is the plant of the stability theory, q = (1 − e^{−bT/m}) m/b.
-
-    Parameters
-    ----------
-    mass : float
-        m > 0 [kg].
-    damping : float
-        b ≥ 0 [N s/m].
-    stiffness : float
-        k ≥ 0 [N/m], towards x = 0.
-    duration : float
-        Length of the step, ≥ 0 [s].
-
-    Returns
-    -------
-    tuple of float, shape (6,)
-        a11, a12 [s], a21 [1/s], a22, b1 [m/N], b2 [m/(s N)] of x⁺ = a11 x + a12 v + b1 u, v⁺ = a21 x + a22 v + b2 u.
+    The six numbers a11, a12 [s], a21 [1/s], a22, b1 [m/N], b2 [m/(s N)] are those of x⁺ = a11 x + a12 v + b1 u,
+    v⁺ = a21 x + a22 v + b2 u. Accurate to rounding for b → 0 and k → 0 (a Taylor series where the closed forms would cancel),
+    and for under-, over- and critically damped devices. The case k = 0 is the plant of the stability theory,
+    q = (1 − e^{−bT/m}) m/b.
     """
     alpha = damping * duration / mass
     kappa = stiffness * duration * duration / mass
@@ -114,62 +89,19 @@ def coefficients(mass: float, damping: float, stiffness: float, duration: float)
 
 
 def advance(x: float, v: float, u: float, coefs: Coefficients) -> tuple[float, float]:
-    """One exact step without dry friction.
-
-    Parameters
-    ----------
-    x : float
-        Position [m].
-    v : float
-        Velocity [m/s].
-    u : float
-        Force held during the step [N].
-    coefs : tuple of float, shape (6,)
-        As from `coefficients`.
-
-    Returns
-    -------
-    tuple of float, shape (2,)
-        Position [m] and velocity [m/s] at the end of the step.
-    """
+    """Take one exact step from x [m], v [m/s] under a held force u [N], without dry friction; x and v after it."""
     return coefs[0] * x + coefs[1] * v + coefs[4] * u, coefs[2] * x + coefs[3] * v + coefs[5] * u
 
 
 def quantise(x: float, resolution: float | None) -> float:
-    """Read the encoder: the nearest whole count (halves to the even one), in metres.
-
-    Parameters
-    ----------
-    x : float
-        True position [m].
-    resolution : float or None
-        Size of a count [m]; None for a perfect sensor.
-
-    Returns
-    -------
-    float
-        Measured position [m].
-    """
+    """Read the encoder: the nearest whole count (halves to the even one), in metres; None is a perfect sensor."""
     if resolution is None:
         return x
     return ((x / resolution + _WHOLE) - _WHOLE) * resolution
 
 
 def end_stop(x: float, v: float, low: float, high: float) -> tuple[float, float]:
-    """Stop a device at its end, inelastically.
-
-    Parameters
-    ----------
-    x, v : float
-        Where a step would lead [m], [m/s].
-    low, high : float
-        Ends of the device [m].
-
-    Returns
-    -------
-    tuple of float, shape (2,)
-        Where it leads [m], [m/s].
-    """
+    """Stop a step that leads to x [m], v [m/s] at the ends of the device [m], inelastically."""
     if x < low:
         return low, 0.0
     if x > high:
@@ -178,20 +110,7 @@ def end_stop(x: float, v: float, low: float, high: float) -> tuple[float, float]
 
 
 def ends_of(workspace: tuple[float, float], resolution: float | None) -> tuple[float, float]:
-    """Tell where a device stops.
-
-    Parameters
-    ----------
-    workspace : tuple of float, shape (2,)
-        Its ends [m].
-    resolution : float or None
-        Size of a count of its encoder [m].
-
-    Returns
-    -------
-    tuple of float, shape (2,)
-        These ends, or the outermost counts within them [m].
-    """
+    """Tell where a device stops: the ends of its workspace [m], or the outermost counts of its encoder within them."""
     low, high = workspace
     if resolution is None:
         return low, high
@@ -205,20 +124,7 @@ def ends_of(workspace: tuple[float, float], resolution: float | None) -> tuple[f
 
 
 def saturate(force: float, peak: float | None) -> float:
-    """Limit a force to what the motor can give, at the moment it is applied.
-
-    Parameters
-    ----------
-    force : float
-        Commanded force [N].
-    peak : float or None
-        Largest magnitude [N]; None for a motor without limit.
-
-    Returns
-    -------
-    float
-        Applied force [N].
-    """
+    """Limit a force to what the motor can give [N], at the moment it is applied; None is a motor without limit."""
     if peak is not None:
         if force > peak:
             return peak
@@ -228,17 +134,9 @@ def saturate(force: float, peak: float | None) -> float:
 
 
 def split_delay(delay: float) -> tuple[int, float]:
-    """Whole ticks and fraction of a delay: d = i + φ.
+    """Split a delay of d ≥ 0 ticks into whole ticks and a fraction, d = i + φ; ``apply: next_tick`` counts as one.
 
-    Parameters
-    ----------
-    delay : float
-        Delay between the sample and the force that answers it, ≥ 0 [ticks]; ``apply: next_tick`` counts as one.
-
-    Returns
-    -------
-    tuple of int and float
-        i and φ in [0, 1): during tick k the force of tick k−i−1 acts for φT, then that of k−i.
+    During tick k the force of tick k−i−1 acts for φT, then that of k−i.
     """
     whole = math.floor(delay)
     return whole, delay - whole
@@ -277,18 +175,7 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             raise ValueError(f"repeat is {self.repeat} s, but the path ends at {self.path[-1][0]} s: repeat later")
 
     def point(self, time: float) -> float:
-        """Tell where the hand pulls to.
-
-        Parameters
-        ----------
-        time : float
-            When [s].
-
-        Returns
-        -------
-        float
-            Point of the path [m].
-        """
+        """Tell where the hand pulls to at a time [s]: a point of the path [m]."""
         return path_position(self.path, time if self.repeat is None else time % self.repeat)
 
 
@@ -339,18 +226,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             self.along(axis)
 
     def along(self, axis: str) -> DeviceModel:
-        """Give the device as it is along one axis.
-
-        Parameters
-        ----------
-        axis : str
-            ``x``, ``y`` or ``z``.
-
-        Returns
-        -------
-        DeviceModel
-            This one, with what is different there.
-        """
+        """Give the device as it is along one axis: this one, with what is different there."""
         changes = self.axes.get(axis)  # type: ignore[call-overload]
         everywhere = msgspec.structs.replace(self, axes={})
         if changes is None:
@@ -381,21 +257,10 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return 0.0 if self.hand is None else self.hand.stiffness
 
     def load(self, tick: int, period: float, target: float | None = None) -> float:
-        """Force on the device that is not the motor's: gravity, and the pull of the hand's path.
+        """Force on the device that is not the motor's [N], held during a tick: gravity, and the pull of the hand's path.
 
-        Parameters
-        ----------
-        tick : int
-            Tick number.
-        period : float
-            Sampling period [s].
-        target : float, optional
-            Where the hand pulls to instead of along its path [m].
-
-        Returns
-        -------
-        float
-            Force held during this tick [N]. The hand's part is k·(point of the path): −k x belongs to the map itself.
+        `target` is where the hand pulls to instead of along its path [m]. Its part is k·(point of the path): −k x belongs to
+        the map itself.
         """
         load = 0.0
         if self.gravity is not None:
@@ -407,20 +272,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def move_towards(wanted: float, before: float, farthest: float) -> float:
-    """Move a dragged target by one tick.
-
-    Parameters
-    ----------
-    wanted, before : float
-        Where it should be, and where it is [m].
-    farthest : float
-        Longest way of a tick, > 0 [m].
-
-    Returns
-    -------
-    float
-        Where it is now [m].
-    """
+    """Move a dragged target by one tick: to where it should be [m], from where it is, by the longest way of a tick at most."""
     if wanted > before + farthest:
         return before + farthest
     if wanted < before - farthest:
@@ -429,19 +281,9 @@ def move_towards(wanted: float, before: float, farthest: float) -> float:
 
 
 def path_position(path: Sequence[tuple[float, float]], time: float) -> float:
-    """Point of a piecewise linear path.
+    """Find the point of a piecewise linear path of times [s], increasing, and positions [m], at a time.
 
-    Parameters
-    ----------
-    path : sequence of tuple of float, shape (p, 2)
-        Times [s], increasing, and positions [m] of its corners.
-    time : float
-        When [s].
-
-    Returns
-    -------
-    float
-        Position [m]; that of the first corner before it, that of the last after it.
+    That of the first corner before it, that of the last after it.
     """
     # The first corner after that time.
     i, end = 0, len(path)

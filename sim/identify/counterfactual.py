@@ -56,23 +56,10 @@ def replay(
     external: Array | None = None,
     nudged: Array | None = None,
 ) -> Felt:
-    """Play a recorded scene again.
+    """Play a recorded scene again, with another law from the first tick on; None for what did render, its swaps included.
 
-    Parameters
-    ----------
-    recorded : RecordedScene
-        The recording.
-    law : CompiledLaw or None
-        What renders from the first tick on; None for what did, its swaps included.
-    external : ndarray, shape (N,), optional
-        Force on the device besides the law's at each tick [N], from `missing_force`.
-    nudged : ndarray, shape (N, 3), optional
-        Jumps of position [m], velocity [m/s] and reading [m] at each tick, from `nudges`.
-
-    Returns
-    -------
-    Felt
-        What comes of it.
+    `external`, shape (N,), is the force on the device besides the law's [N], from `missing_force`; `nudged`, shape (N, 3), are
+    the jumps of position [m], velocity [m/s] and reading [m], from `nudges`.
     """
     played, ticks = recorded.scene, len(recorded.position)
     first = played.law if law is None else law
@@ -86,20 +73,10 @@ def replay(
 
 
 def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
-    """Find what keeps the model, under the recorded forces, in the encoder step that was read.
+    """Find what keeps the model, under the recorded forces, in the encoder step that was read: shape (N, 3).
 
-    Parameters
-    ----------
-    recorded : RecordedScene
-        The recording, its device the model.
-    external : ndarray, shape (N,), optional
-        Force on the device besides the law's at each tick [N], from `missing_force`.
-
-    Returns
-    -------
-    ndarray, shape (N, 3)
-        Jumps of position [m] and velocity [m/s] at each tick, zero wherever the model reads what was read; and how far the
-        recorded reading lies off the model's grid [m].
+    Jumps of position [m] and velocity [m/s] at each tick, zero wherever the model reads what was read; and how far the recorded
+    reading lies off the model's grid [m]. `external` is as for `replay`.
     """
     ticks = len(recorded.position)
     jumps = np.zeros((ticks, 3))
@@ -126,22 +103,11 @@ def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: A
 
 
 def missing_force(recorded: RecordedScene, noise: float) -> Array:
-    """Estimate what moved the device besides the forces that were handed to it.
+    """Estimate what moved the device besides the forces handed to it and the model's own load, tick by tick [N].
 
     A random walk of an unknown force is smoothed over the whole recording (Kalman filter and Rauch–Tung–Striebel smoother), its
-    size chosen by the likelihood of the recording.
-
-    Parameters
-    ----------
-    recorded : RecordedScene
-        The recording, its device the model.
-    noise : float
-        Standard deviation of a measured position: of an encoder, its step over √12 [m].
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Force that the model lacks, one value per tick, the model's own load not included [N].
+    size chosen by the likelihood of the recording. `noise` is the standard deviation of a measured position: of an encoder, its
+    step over √12 [m].
     """
     scene = recorded.scene.scene
     device, period = scene.device, scene.period

@@ -25,29 +25,10 @@ def beside_scene(
     begin: tuple[float, float],
     late: float = 0.0,
 ) -> tuple[Scene, Any, int]:
-    """Make the scene of a launch with another law and the hand's targets as they were.
+    """Make the scene of a launch with another law and the hand's targets as they were: scene, law and memory [ticks].
 
-    Parameters
-    ----------
-    setups : dict of str to Setup
-        The nodes of the launch.
-    law : dict
-        The other law, with its ``kind``.
-    targets : sequence of float
-        Where the hand pulled to, tick by tick [m].
-    begin : tuple of float, shape (2,)
-        Position [m] and velocity [m/s] of the device at the first of them.
-    late : float
-        Delay of the loop beyond that of the device and of ``next_tick`` [ticks].
-
-    Returns
-    -------
-    scene : Scene
-        Device, hand and surface.
-    law : CompiledLaw
-        The law.
-    memory : int
-        Deflections that the coupling remembers.
+    `targets` are where the hand pulled to, tick by tick [m], `begin` is the position [m] and velocity [m/s] of the device at
+    the first of them, `late` the delay of the loop beyond that of the device and of ``next_tick`` [ticks].
 
     Raises
     ------
@@ -82,23 +63,7 @@ def play_beside(
     begin: tuple[float, float],
     late: float = 0.0,
 ) -> tuple[Array, Array]:
-    """Play another law under the same hand.
-
-    Parameters
-    ----------
-    setups, law, targets, begin, late
-        See `beside_scene`.
-
-    Returns
-    -------
-    position, force : ndarray, shape (ticks,)
-        What the encoder reads [m], and what is handed over [N].
-
-    Raises
-    ------
-    ParameterError
-        See `beside_scene`.
-    """
+    """Play another law under the same hand, see `beside_scene`: what the encoder reads [m], and what is handed over [N]."""
     scene, compiled, memory = beside_scene(setups, law, targets, begin, late)
     trace = run(scene, compiled, len(targets), memory=memory)
     return trace.measured, trace.force

@@ -55,24 +55,12 @@ class LaunchedScene:
 
     @property
     def last_law(self) -> CompiledLaw:
-        """The law after all swaps.
-
-        Returns
-        -------
-        CompiledLaw
-            Taps and sections.
-        """
+        """The law after all swaps."""
         return self.swaps[-1].law if self.swaps else self.law
 
     @property
     def plant(self) -> Plant:
-        """Device and hand as the linear loop sees them.
-
-        Returns
-        -------
-        Plant
-            What moves, its delay with that of the loop.
-        """
+        """Device and hand as the linear loop sees them: what moves, its delay with that of the loop."""
         body = self.scene.device
         return Plant(
             self.scene.period,
@@ -83,22 +71,7 @@ class LaunchedScene:
         )
 
     def play(self, ticks: int | None = None, interpreted: bool = False, given: Given | None = None) -> Trace:
-        """Play the scene.
-
-        Parameters
-        ----------
-        ticks : int, optional
-            How many ticks; the launch file's own number when left out.
-        interpreted : bool, optional
-            Run the same function without numba.
-        given : Given, optional
-            What happens beside it: see `sim.scene.loop`.
-
-        Returns
-        -------
-        Trace
-            What happened.
-        """
+        """Play the scene, for as many ticks as the launch file says when none are given; see `sim.scene.loop.run`."""
         return run(self.scene, self.law, ticks or self.ticks, self.swaps, self.memory, interpreted, given)
 
 
@@ -124,17 +97,7 @@ def _surface(data: dict[str, Any], where: str, axis: Axis) -> SceneSurface:
 
 
 def from_launch(launch: Launch) -> LaunchedScene:
-    """Translate a launch file.
-
-    Parameters
-    ----------
-    launch : Launch
-        With its arguments filled in.
-
-    Returns
-    -------
-    LaunchedScene
-        The same scene.
+    """Translate a launch file, with its arguments filled in.
 
     Raises
     ------

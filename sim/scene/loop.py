@@ -219,29 +219,10 @@ def run(
 ) -> Trace:
     """Play a scene from rest: no deflection and no force before tick 0.
 
-    Parameters
-    ----------
-    scene : Scene
-        Device, surface, period and conventions.
-    law : CompiledLaw
-        Law of tick 0, compiled for the scene's period.
-    ticks : int
-        How many ticks, at least 1.
-    swaps : sequence of PlannedSwap, optional
-        Later laws, in the order of their ticks.
-    memory : int, optional
-        How many deflections the ring remembers; it is made long enough for all laws anyway. It only matters to
-        recursive laws that are swapped in: they are warmed up over it.
-    interpreted : bool, optional
-        Run the same function interpreted, thousands of times slower; a law with code of its own always is, and so is a scene
-        whose driver does more than lower forces.
-    given : Given, optional
-        What happens beside it.
-
-    Returns
-    -------
-    Trace
-        What happened.
+    `law` is that of tick 0, compiled for the scene's period; `swaps` are later ones, in the order of their ticks. The history
+    remembers `memory` deflections, and as many as the laws need anyway: it only matters to recursive laws that are swapped in,
+    which are warmed up over it. `interpreted` runs the same function thousands of times slower; a law with code of its own
+    always runs so, and so does a scene whose driver does more than lower forces.
 
     Raises
     ------
@@ -367,22 +348,7 @@ def _played(
 
 
 def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
-    """Prepare the device of a scene for the loop.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    ticks : int
-        How many ticks will be played.
-    given : Given, optional
-        Force and hand's target beside those of the scene.
-
-    Returns
-    -------
-    Motion
-        Its loads, where there are any, as a list.
-    """
+    """Prepare the device of a scene for the loop; its loads, where there are any, as a list."""
     device = scene.device
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
     whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
@@ -418,18 +384,7 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
 
 
 def contact_of(scene: Scene) -> Contact:
-    """Prepare surface, conventions and limits of a scene for the loop.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-
-    Returns
-    -------
-    Contact
-        Numbers only.
-    """
+    """Prepare surface, conventions and limits of a scene for the loop."""
     surface = scene.surface
     normal = surface.normal if surface.kind == "plane" else 0.0
     return Contact(surface.code, surface.position, normal, scene.raw, scene.clamp, scene.peak, scene.slew)
