@@ -361,7 +361,7 @@ class Outcome(NamedTuple):
 _NOT_ALIKE = {
     *("device_read", "device_write", "device_context", "device_room", "attention", "fd", "poll"),
     *("places", "lines", "bins", "texts", "text_sizes", "table", "memory"),
-    *("history", "taps", "sections", "sections_state", "undo", "undo_count", "oldest", "met"),
+    *("history", "taps", "sections", "sections_state", "undo", "undo_count", "oldest", "turned_before", "met"),
 }
 """Fields that are addresses, or what compiled ticks keep for themselves."""
 
