@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nodes.recording.figure_style import COLOURS, INK, LINES, MARKERS
 from sim.axes import name_points
 from sim.chart.derivative_errors import lengths_taken
 from sim.chart.derivatives import GAIN, PERIOD, STIFFNESS
@@ -40,7 +41,11 @@ def draw(group: Group, folder: Path) -> list[Path]:
         floor = 0.0
     else:
         axes.set_yscale("log")
-    for front, colour, size, label in ((False, _REST, 18, "beaten"), (True, _FRONT, 36, "Pareto front")):
+    if group.families:
+        _by_family(axes, shown, floor)
+    for front, colour, size, label in (
+        () if group.families else ((False, _REST, 18, "beaten"), (True, _FRONT, 36, "Pareto front"))
+    ):
         points = [p for p in shown if p.on_front is front and p.family != "gl"]
         axes.scatter(
             [p.cost for p in points], [max(p.error, floor) for p in points], s=size, c=colour, label=label, zorder=3
@@ -58,19 +63,44 @@ def draw(group: Group, folder: Path) -> list[Path]:
             zorder=4,
         )
     best = [p for p in shown if p.on_front]
-    axes.step([p.cost for p in best], [max(p.error, floor) for p in best], where="post", color=_FRONT, lw=1, alpha=0.6)
+    if not group.families:
+        axes.step(
+            [p.cost for p in best], [max(p.error, floor) for p in best], where="post", color=_FRONT, lw=1, alpha=0.6
+        )
     _ticks(axes, max(p.cost for p in shown) / min(p.cost for p in shown))
     axes.grid(alpha=0.25, which="both")
     legend = axes.legend(fontsize=8)
     figure.draw_without_rendering()
     taken: list[BboxBase] = [legend.get_window_extent(), *_dots(axes, shown, floor)]
-    for some, must, letters, ink in ((best, True, 7.0, _FRONT), (_beaten(shown), False, 6.0, "#6b7178")):
+    named_ones = (
+        ((shown, False, 7.0, INK),)
+        if group.families
+        else ((best, True, 7.0, _FRONT), (_beaten(shown), False, 6.0, "#6b7178"))
+    )
+    for some, must, letters, ink in named_ones:
         named = [(p.name if p.error > 0.0 else f"{p.name} (0)", p.cost, max(p.error, floor)) for p in some]
         name_points(axes, named, taken, must=must, size=letters, color=ink)
     paths = [fresh(folder / f"chart_{group.name}.{suffix}") for suffix in ("png", "svg")]
     for path in paths:
         figure.savefig(path, dpi=150)
     return paths
+
+
+def _by_family(axes: Axes, points: Sequence[Point], floor: float) -> None:
+    """Draw each family as a line with a colour, a style and a mark of its own."""
+    for i, family in enumerate(dict.fromkeys(p.family for p in points)):
+        mine = [p for p in points if p.family == family]
+        axes.plot(
+            [p.cost for p in mine],
+            [max(p.error, floor) for p in mine],
+            color=COLOURS[i],
+            marker=MARKERS[i],
+            linestyle=LINES[i],
+            ms=5,
+            lw=1,
+            label=family,
+            zorder=3,
+        )
 
 
 def _ticks(axes: Axes, span: float) -> None:

@@ -64,6 +64,8 @@ class Group:
         How the figures were obtained, for the page.
     linear : bool
         Whether the errors are drawn on a linear scale.
+    families : bool
+        Whether each family is drawn as a line of its own: they are no choices between which one is free.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Group:
     points: tuple[Point, ...]
     note: str = ""
     linear: bool = False
+    families: bool = False
 
 
 def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:

@@ -18,10 +18,9 @@ def proxy_steps(quick: bool = False) -> int:
     return 1 + len(_ways(quick))
 
 
-def _ways(quick: bool) -> list[tuple[float, float]]:
-    """List steps of the scene with time constants of its contacts [s]."""
-    steps = STEPS[1:2] if quick else STEPS
-    return [(step, contact) for step in steps for contact in dict.fromkeys((0.02, max(0.004, 2.0 * step), 2.0 * step))]
+def _ways(quick: bool) -> list[tuple[float, bool]]:
+    """List steps of the scene [s], each with contacts as MuJoCo makes them and as stiff as they can be."""
+    return [(step, stiff) for step in (STEPS[1:2] if quick else STEPS) for stiff in (False, True)]
 
 
 def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
@@ -30,9 +29,9 @@ def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group
     step("proxies on closed forms and meshes")
     points = [_point(row, f"mesh {row.triangles}" if row.triangles else row.name, bool(row.triangles)) for row in found]
     note = ""
-    for size, contact in _ways(quick):
+    for size, stiff in _ways(quick):
         try:
-            row = body_error(size, _QUICK_TICKS if quick else _TICKS, _STIFFNESS, _DEPTH, _SPEED, _PERIOD, contact)
+            row = body_error(size, _QUICK_TICKS if quick else _TICKS, _STIFFNESS, _DEPTH, _SPEED, _PERIOD, stiff)
         except ParameterError as error:
             note = f" Bodies are left out: {error}."
             break
@@ -49,6 +48,7 @@ def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group
             f"{1e3 * RADIUS:g} mm, in closed form, of triangles, and as a body that is held and touched by a tool of 50 g. A "
             "closed form is off by the skin that keeps the proxy outside; a mesh by its chords; a tool by the depth of its "
             f"contact and by its mass. `haptic study proxies` has the forces, and the drag on closed ways.{note}",
+            families=True,
         )
     ]
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nodes.coupling.render import turn
 from nodes.environment.bodies.moving_scene import MovingScene
 from sim.experiments.proxies import RADIUS, ProxyError, ring
 
@@ -20,14 +21,14 @@ STEPS = (1e-3, 5e-4, 1e-4)
 
 _TIP, _MASS = 0.005, 0.05
 _SCENE = """<mujoco><option timestep="{step!r}" integrator="implicitfast" cone="elliptic" gravity="0 0 0"/><worldbody>
-<geom type="sphere" size="{radius!r}" friction="0 0 0" solref="{solref}"/>
+<geom type="sphere" size="{radius!r}" friction="0 0 0" {contact}/>
 <body name="tool" pos="{begin}"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
-<joint type="slide" axis="0 0 1"/><geom type="sphere" size="{tip!r}" mass="{mass!r}" friction="0 0 0" solref="{solref}"/></body>
+<joint type="slide" axis="0 0 1"/><geom type="sphere" size="{tip!r}" mass="{mass!r}" friction="0 0 0" {contact}/></body>
 </worldbody></mujoco>"""
 
 
 def body_error(
-    step: float, ticks: int, stiffness: float, depth: float, speed: float, period: float, contact: float = 0.02
+    step: float, ticks: int, stiffness: float, depth: float, speed: float, period: float, stiff: bool = False
 ) -> ProxyError:
     """Lead a tool that is a body along the sphere.
 
@@ -45,8 +46,8 @@ def body_error(
         Along the surface [m/s].
     period : float
         Time between two ticks [s].
-    contact : float, optional
-        Time constant of the contact, MuJoCo's ``solref`` (0.02 by default); at least two steps [s].
+    stiff : bool, optional
+        Whether contacts are as stiff as the step lets them be; else as MuJoCo makes them when nothing is said.
 
     Returns
     -------
@@ -62,15 +63,16 @@ def body_error(
     ideal = surface + _TIP * normal
     below = depth * np.minimum(np.arange(ticks) / (0.05 * ticks), 1.0)
     path = ideal - below[:, None] * normal
-    solref = f"{max(contact, 2.0 * step)!r} 1"
+    contact = f'solref="{2.0 * step!r} 1" solimp="0.99 0.9999 0.0001"' if stiff else ""
     begin = " ".join(repr(x) for x in path[0].tolist())
-    text = _SCENE.format(step=step, radius=RADIUS, tip=_TIP, mass=_MASS, solref=solref, begin=begin)
+    text = _SCENE.format(step=step, radius=RADIUS, tip=_TIP, mass=_MASS, contact=contact, begin=begin)
     with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
         file = Path(folder) / "sphere.xml"
         file.write_text(text, encoding="utf-8")
         world = MovingScene(file, "tool", period, "sphere")
     damping = 2.0 * np.sqrt(stiffness * _MASS)
     tools, times, force, before = np.empty((ticks, 3)), np.empty(ticks), np.zeros(3), np.zeros(3)
+    turned, upright = np.eye(3).ravel().tolist(), [0.0, 0.0, 0.0]
     for k, (x, y, z) in enumerate(path.tolist()):
         handed = (float(force[0]), float(force[1]), float(force[2]))
         start = time.perf_counter_ns()
@@ -78,7 +80,11 @@ def body_error(
         times[k] = time.perf_counter_ns() - start
         tools[k] = world.tool_position
         stretch = tools[k] - path[k]
-        force = stiffness * stretch + damping * (stretch - before) / period
+        # In axes that turn with the surface: in the world's a damper would push the tool on along the way (THEORY.md §15).
+        turn(turned, upright, normal[k].tolist(), True)
+        axes = np.reshape(turned, (3, 3))
+        stretch = axes @ stretch
+        force = axes.T @ (stiffness * stretch + damping * (stretch - before) / period)
         before = stretch
     # From when the depth is steady and the tool has come to rest on it.
     steady = slice(ticks // 5, None)
@@ -87,7 +93,7 @@ def body_error(
     pull, way = stiffness * (tools - path)[steady], np.diff(path[steady], axis=0)
     work = float(np.einsum("ij,ij->", 0.5 * (pull[1:] + pull[:-1]), way))
     return ProxyError(
-        name=f"body, steps of {1e3 * step:g} ms, contact {1e3 * max(contact, 2.0 * step):g} ms",
+        name=f"body, {1e3 * step:g} ms steps{', stiff' if stiff else ''}",
         triangles=0,
         rms_n=float(np.sqrt(np.mean(size**2))),
         max_n=float(size.max()),

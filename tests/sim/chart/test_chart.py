@@ -371,3 +371,23 @@ def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
     again = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert again["points"] == told["points"]
     assert done == ["integrators"]
+
+
+def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study", "chart", "--parts", "proxies", "--quick", "--json", "--out", str(tmp_path)]) == 0
+    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    points = {p["name"]: p for p in answer["points"]}
+    assert {p["family"] for p in points.values()} == {"closed form", "mesh", "body"}
+    assert all(p["cost"] > 0.0 for p in points.values())
+    # Of the closed form it keeps the skin's distance, 1e-4 µm, and rounding.
+    assert points["sphere"]["error"] == pytest.approx(1e-4, rel=1e-3)
+    # Half the edges: between half and a quarter of the error.
+    assert 0.2 < points["mesh 1280"]["error"] / points["mesh 320"]["error"] < 0.6
+    soft, stiff = points["body, 0.5 ms steps"], points["body, 0.5 ms steps, stiff"]
+    # 2 N on MuJoCo's usual contact with a tool of 50 g, about 3 kN/m (`MovingScene.stiffness` measures it): some 0.6 mm.
+    assert 400.0 < soft["error"] < 900.0
+    assert stiff["error"] < 0.1 * soft["error"]
+    assert "a tool that is a body" in answer["conclusions"][0]
+    assert (tmp_path / "chart_proxy_error.png").read_bytes().startswith(b"\x89PNG")
