@@ -183,6 +183,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Figures that count.
     leaves_out : list of str
         Terms of a real device that the scene idealises away.
+    sought : list of str
+        Terms that are there to be identified, whether the motion feels them or not.
     tolerance : float
         Relative movement of a figure that does not matter.
     """
@@ -191,6 +193,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         default_factory=lambda: ["settling", "peak_force", "rest_force", "limit_cycle", "k_max"]
     )
     leaves_out: list[ModelTerm] = []
+    sought: list[ModelTerm] = []
     tolerance: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.02
 
 

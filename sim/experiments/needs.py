@@ -71,8 +71,8 @@ class Finding:
     switched : str
         ``off``, with what there is in its place, or ``on``, with the value; ``other`` for a convention.
     verdict : str
-        ``needed``, ``superfluous``, ``protects``, ``missing``, ``left out``, ``not needed``, ``brought by the loop``,
-        ``convention``.
+        ``needed``, ``superfluous``, ``sought``, ``protects``, ``missing``, ``left out``, ``not needed``,
+        ``brought by the loop``, ``convention``.
     moved : float
         Largest relative movement of any outcome that counts [1].
     most : str
@@ -285,7 +285,8 @@ def _finding(variant: Variant[S], moved_by: dict[str, float], model: Model) -> F
     moved = changes.get(most, 0.0)
     matters = moved > model.tolerance
     if switched.startswith("off"):
-        verdict = "needed" if matters else "protects" if set(terms) <= PROTECTS else "superfluous"
+        why = {"needed": matters, "sought": set(terms) <= {*model.sought}, "protects": set(terms) <= PROTECTS}
+        verdict = next((word for word, so in why.items() if so), "superfluous")
     elif switched == "other":
         verdict = "convention"
     elif not matters:
