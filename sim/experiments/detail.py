@@ -172,7 +172,7 @@ def detail(
                 float(difference.max()),
                 float(np.sqrt(np.mean(difference[either] ** 2))),
                 float(1e6 * away.max()),
-                _places(difference > limit),
+                places(difference > limit),
                 float(np.median(times)),
                 float(np.percentile(times, 99)),
                 bool(difference.max() <= limit),
@@ -181,7 +181,8 @@ def detail(
     return Detail(tuple(levels), limit, stiffness * resolution, largest, tuple(left_out))
 
 
-def _places(over: NDArray[np.bool_]) -> int:
+def places(over: NDArray[np.bool_]) -> int:
+    """Count the separate stretches of a path."""
     at = np.flatnonzero(over)
     return 0 if not len(at) else 1 + int((np.diff(at) > _PLACE).sum())
 

@@ -20,6 +20,7 @@ from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.coupling.render import begin_turning
 from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.node import EnvironmentParameters
@@ -103,7 +104,7 @@ Ask = Callable[[int, Vector, Vector], Meeting]
 """From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and contact."""
 
 
-def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None) -> Ask:
+def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None, world: MovingScene | None) -> Ask:
     """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
     period = launch.run.period
     if not any(spec.kind == "mujoco" for spec in launch.nodes.values()):
@@ -119,18 +120,22 @@ def _environment(launch: Launch, next_tick: bool, solids: Sequence[Solid] | None
             meet = surface.meeting_every(period) if found is None else meeting_of(found)
         return lambda _, position, __: meet(position)
     name, bodies = parameters_of(launch, "mujoco", MujocoParameters)
-    world = load_world(bodies, period, name)
+    scene = load_world(bodies, period, name) if world is None else world
     delay = float(next_tick)
 
     def ask(tick: int, position: Vector, force: Vector) -> Meeting:
-        world.follow(tick, position, force, tick - 1, delay, tick == 0)
-        return world.tool_position, ZERO, 0.0, True
+        scene.follow(tick, position, force, tick - 1, delay, tick == 0)
+        return scene.tool_position, ZERO, 0.0, True
 
     return ask
 
 
 def play(
-    launch: Launch, ticks: int | None = None, solids: Sequence[Solid] | None = None, path: Rows | None = None
+    launch: Launch,
+    ticks: int | None = None,
+    solids: Sequence[Solid] | None = None,
+    path: Rows | None = None,
+    world: MovingScene | None = None,
 ) -> SpatialTrace:
     """Play a launch file.
 
@@ -144,6 +149,8 @@ def play(
         Shapes in place of the launch file's own.
     path : ndarray, shape (at least ticks, 3), optional
         Where the encoders find the device [m], whatever the force: no device is played then.
+    world : MovingScene, optional
+        Scene of things that move in place of the launch file's own.
 
     Returns
     -------
@@ -159,7 +166,7 @@ def play(
     period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)
     _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
     next_tick = run.apply == "next_tick"
-    meet = _environment(launch, next_tick, solids)
+    meet = _environment(launch, next_tick, solids, world)
     axes = [AXIS_INDEX[axis] for axis in run.axes]
     devices = parts_of(driver.device, run.axes, period, next_tick, driver.ends)
     parts = [device.state for device in devices]

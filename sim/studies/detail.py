@@ -1,4 +1,4 @@
-"""Find how coarse a scene's shape may be before the device could tell: mesh, decimated, convex pieces, primitive, plane."""
+"""Find how coarse a scene may be before the device could tell: mesh to plane, bodies from dynamic to fixed."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from nodes.cli.main import UsageError, add_json, answer
 from sim.studies import arguments as shared
 
 if TYPE_CHECKING:
+    from nodes.launcher.launch_spec import Launch
     from sim.experiments.detail import Detail
 
 
@@ -32,64 +33,76 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Lead a lockstep run's path through every level."""
+    from nodes.coupling.law_book import LawBook
+    from nodes.coupling.parameters import CouplingParameters
+    from nodes.launcher import launch_file
+    from nodes.parameters.store import ParameterError, convert
+    from sim.experiments.terms import RESOLUTION
+
+    words = [*arguments.assignments, "pace:=lockstep"]
+    try:
+        launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(words))
+        parts = {spec.kind: (name, spec.parameters) for name, spec in launch.nodes.items()}
+        if not {"environment", "mujoco"} & set(parts) or "coupling" not in parts:
+            raise UsageError(
+                f"{launch.scenario}: has no node of kind environment with a shape or of kind mujoco, and a coupling"
+            )
+        name, given = parts["coupling"]
+        coupling = convert(given, CouplingParameters, name)
+        law = LawBook(name, launch.run.period).compile(coupling, coupling.law)
+        device = parts.get("sim_driver", ("", {}))[1].get("device", {})
+        resolution = arguments.resolution or device.get("resolution") or RESOLUTION
+        way = _of_bodies if "mujoco" in parts else _of_shapes
+        found = way(arguments, launch, words, law.h1, resolution)
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
+    except ValueError as error:
+        raise UsageError(f"{launch.scenario}: {error}") from error
+    told: dict[str, Any] = {"scenario": launch.scenario, **asdict(found), "needs": found.coarsest.name}
+    answer(arguments.json, told, _text(launch.scenario, law.h1, resolution, found))
+    return 0
+
+
+def _of_bodies(
+    arguments: argparse.Namespace, launch: Launch, words: list[str], stiffness: float, resolution: float
+) -> Detail:
+    """Play a scene in which things move, in one process: it gives the bits of a launch."""
+    from sim.experiments.detail_bodies import body_detail
+    from sim.measure.stopwatch import Progress
+
+    del words
+    return body_detail(launch, stiffness, resolution, arguments.fraction, Progress(5).step)
+
+
+def _of_shapes(
+    arguments: argparse.Namespace, launch: Launch, words: list[str], stiffness: float, resolution: float
+) -> Detail:
     import tempfile
     from pathlib import Path
 
     import numpy as np
 
     from messages.topics import PROXY
-    from nodes.coupling.law_book import LawBook
-    from nodes.coupling.parameters import CouplingParameters
     from nodes.environment.shapes.kinds import Touchable
     from nodes.environment.surfaces import parse_surface
-    from nodes.launcher import launch_file
-    from nodes.parameters.store import ParameterError, convert
     from nodes.recording.reader import Recording
     from sim.experiments.detail import detail
-    from sim.experiments.terms import RESOLUTION
     from sim.measure.launches import launch as run_launch
     from sim.measure.stopwatch import Progress
 
-    words = [*arguments.assignments, "pace:=lockstep"]
-    try:
-        launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(words))
-        parts = {spec.kind: (name, spec.parameters) for name, spec in launch.nodes.items()}
-        if "environment" not in parts or "coupling" not in parts:
-            raise UsageError(f"{launch.scenario}: has no node of kind environment with a shape, and a coupling")
-        name, given = parts["environment"]
-        surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
-        if not isinstance(surface, Touchable):
-            raise UsageError(
-                f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape in three axes, e.g. mesh_pebble"
-            )
-        solids = surface.solids(f"{name}.surface")
-        name, given = parts["coupling"]
-        coupling = convert(given, CouplingParameters, name)
-        law = LawBook(name, launch.run.period).compile(coupling, coupling.law)
-    except ParameterError as error:
-        raise UsageError(str(error)) from error
-    device = parts.get("sim_driver", ("", {}))[1].get("device", {})
-    resolution = arguments.resolution or device.get("resolution") or RESOLUTION
+    name, given = next((name, one.parameters) for name, one in launch.nodes.items() if one.kind == "environment")
+    surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
+    if not isinstance(surface, Touchable):
+        raise UsageError(
+            f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape in three axes, e.g. mesh_pebble"
+        )
+    solids = surface.solids(f"{name}.surface")
     with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
         figures = run_launch(arguments.scenario, *words, folder=Path(folder))
         recorded = Recording(Path(folder) / figures["recording"]).messages(PROXY)
     path = np.array([message.position for message in recorded])
-    try:
-        found = detail(
-            solids,
-            path,
-            surface.tool_radius,
-            launch.run.period,
-            law.h1,
-            resolution,
-            arguments.fraction,
-            Progress(12).step,
-        )
-    except ValueError as error:
-        raise UsageError(f"{launch.scenario}: {error}") from error
-    told: dict[str, Any] = {"scenario": launch.scenario, **asdict(found), "needs": found.coarsest.name}
-    answer(arguments.json, told, _text(launch.scenario, law.h1, resolution, found))
-    return 0
+    period, part = launch.run.period, arguments.fraction
+    return detail(solids, path, surface.tool_radius, period, stiffness, resolution, part, Progress(12).step)
 
 
 def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> str:

@@ -174,7 +174,7 @@ class MovingScene:
 
     def advance(self, tick: int) -> None:
         """Step the scene up to the time of a tick."""
-        model, data, step = self.model, self.data, self._mujoco.mj_step
+        model, data = self.model, self.data
         push = data.xfrc_applied[self._tool]
         forces = self._forces
         while self._done < tick * self.steps:
@@ -182,10 +182,14 @@ class MovingScene:
                 forces.popleft()
             x, y, z = forces[0][1]
             push[0], push[1], push[2] = -x, -y, -z
-            step(model, data)
+            self.step()
             self._done += 1
         # Positions of bodies are those before the last step until they are computed anew.
         self._mujoco.mj_kinematics(model, data)
+
+    def step(self) -> None:
+        """Go one step of the scene further, with the force that acts now."""
+        self._mujoco.mj_step(self.model, self.data)
 
     def skip_to(self, tick: int) -> None:
         """Take it that nothing happened up to a tick: a node that was killed goes on with the present."""

@@ -92,3 +92,26 @@ def test_the_study_leads_a_real_run_through_the_levels(capsys: pytest.CaptureFix
     assert told["force_step_n"] == pytest.approx(800.0 * 2.3e-5)
     assert main(["study", "detail", "floor_drop"]) == 2
     assert "has one level of detail" in capsys.readouterr().err
+
+
+def test_bodies_are_led_held_and_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mujoco")
+    assert main(["study", "detail", "stack_boxes", "duration:=1.2", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    levels = {level["name"]: level for level in found["levels"]}
+    assert list(levels) == [
+        "dynamic",
+        "dynamic, without friction",
+        "kinematic: led as they went",
+        "fixed",
+        "a tool alone",
+    ]
+    # The finest is its own measure.
+    assert levels["dynamic"]["force_n"] == 0.0
+    assert levels["dynamic"]["enough"]
+    # A body that goes where it went gives way a little less than one that is pushed there; one that is held does not at all.
+    assert levels["kinematic: led as they went"]["force_n"] < levels["fixed"]["force_n"]
+    assert not levels["fixed"]["enough"]
+    # Without any contact the tool keeps to the device, and all of the force from pushing is gone.
+    assert levels["a tool alone"]["force_n"] > 0.5 * found["largest_n"]
+    assert all(0.0 < level["call_us"] <= level["call_p99_us"] for level in levels.values())
