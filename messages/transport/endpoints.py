@@ -208,8 +208,10 @@ def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
     """
     bare, key = (endpoint, "") if is_open and is_open_place(endpoint) else split(endpoint)
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_UPSTREAM if socket.type == zmq.XPUB else MAX_MESSAGE)
-    # See above: the input of what others connect to must not stop.
-    socket.rcvhwm = 0
+    # See above: the input of what others connect to must not stop. Never on a socket that is bound again: libzmq 4.3.5 tells it
+    # to the peers that it is just putting out, and crashes.
+    if socket.rcvhwm:
+        socket.rcvhwm = 0
     # What never introduces itself must not keep a place.
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
     if bare.startswith("ipc://"):

@@ -22,7 +22,7 @@ from messages.topics import within
 from nodes.base.kinds import load, node_kinds
 from nodes.base.setup import Axis
 from nodes.launcher import stand_in
-from nodes.launcher.launch_spec import Argument, Include, Launch, LaunchText, NodeSpec, RunSpec
+from nodes.launcher.launch_spec import Argument, Include, Including, Launch, LaunchText, NodeSpec, RunSpec
 from nodes.launcher.origins import Origins
 from nodes.parameters.refusals import choices
 from nodes.parameters.registry import Registry
@@ -37,6 +37,9 @@ _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
 _NAME = re.compile(r"^(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*$")
 _RUN = "run."
+
+MAX_FILLED_IN = 4096
+"""Longest text that is put together from arguments, a path's length: a kilobyte of ``$(var a)`` would make gigabytes."""
 
 
 def launch_dirs() -> list[Path]:
@@ -108,18 +111,20 @@ def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
         Summary, and arguments by name.
     """
     file = convert(read_yaml(path), LaunchText, path.name)
-    return file.summary, {**_offered(path, file), **file.arguments}
+    return file.summary, {**_offered(path, file, Including()), **file.arguments}
 
 
-def _offered(path: Path, file: LaunchText) -> dict[str, Argument]:
+def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Argument]:
     """Arguments that a launch file has without naming them: those of its nodes, and of the nodes that it includes."""
-    for entry in () if stand_in.offered(file.nodes) else file.include:
-        # What cannot be included is refused when the launch is read.
-        with contextlib.suppress(ParameterError):
+    offered = stand_in.offered(file.nodes)
+    # What cannot be included is refused when the launch is read.
+    with contextlib.suppress(ParameterError):
+        including = including.another(path, path.name)
+        for entry in () if offered else file.include:
             inner = find(_beside(path, str(entry.get("launch"))))
-            if inner.resolve() != path.resolve() and stand_in.DEVICE in read_arguments(inner)[1]:
+            if offered := _offered(inner, convert(read_yaml(inner), LaunchText, inner.name), including):
                 return {stand_in.DEVICE: stand_in.ARGUMENT}
-    return stand_in.offered(file.nodes)
+    return offered
 
 
 def _beside(path: Path, launch: str) -> str:
@@ -183,12 +188,19 @@ def _fill_in(path: Path, arguments: Mapping[str, Argument], given: Mapping[str, 
     return values
 
 
+def _bound(text: str, instead: Mapping[str, str], where: str) -> None:
+    length = len(text) + sum(text.count(word) * (len(value) - len(word)) for word, value in instead.items())
+    if length > MAX_FILLED_IN and not _WHOLE.match(text):
+        raise ParameterError(f"{where}: {length} characters once its arguments are filled in, limit {MAX_FILLED_IN}")
+
+
 def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origins) -> Any:
     if isinstance(data, dict):
         return {key: _substitute(inner, values, f"{where}.{key}", origins) for key, inner in data.items()}
     if isinstance(data, list):
         return [_substitute(inner, values, f"{where}[{i}]", origins) for i, inner in enumerate(data)]
-    if isinstance(data, str):
+    if isinstance(data, str) and "$(" in data:
+        _bound(data, {"$(dirname)": origins.folder, **{f"$(var {name})": str(values[name]) for name in values}}, where)
         data = data.replace("$(dirname)", origins.folder)
         for name in _WITHIN.findall(data):
             if name not in values:
@@ -202,7 +214,7 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origi
 
 
 def read(
-    name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = (), included_by: Sequence[Path] = ()
+    name: str, given: Mapping[str, Any], laid_over: Sequence[Path] = (), including: Including | None = None
 ) -> Launch:
     """Read a launch file, fill in its arguments and lay files of parameters over those of its nodes.
 
@@ -216,8 +228,8 @@ def read(
     laid_over : sequence of Path
         YAML files, each a mapping from node to parameters, whole or in part, as ``haptic param dump`` and
         ``haptic study design`` write them; a later one goes before an earlier one.
-    included_by : sequence of Path
-        The files that include this one, the outermost first.
+    including : Including, optional
+        The files that include this one.
 
     Returns
     -------
@@ -230,27 +242,26 @@ def read(
         With the path, the value and the limit of whatever is wrong.
     """
     path = find(name)
-    if path.resolve() in included_by:
-        raise ParameterError(f"{name}: includes itself")
+    including = (including or Including()).another(path, name)
     data = read_yaml(path)
     origins = Origins(path, given, data.get("nodes") or {} if isinstance(data, dict) else {})
     try:
-        return _read(path, data, given, laid_over, origins, (*included_by, path.resolve()))
+        return _read(path, data, given, laid_over, origins, including)
     except ParameterError as error:
         raise ParameterError(origins.located(str(error))) from error
 
 
 def _read(
-    path: Path, data: Any, given: Mapping[str, Any], laid_over: Sequence[Path], origins: Origins, files: Sequence[Path]
+    path: Path, data: Any, given: Mapping[str, Any], laid_over: Sequence[Path], origins: Origins, including: Including
 ) -> Launch:
     file = convert(data, LaunchText, path.name)
     # Besides ``run.NAME``: every launch file has ``tick``.
     over = {name for name in given if name.startswith(_RUN) or (name == "tick" and name not in file.arguments)}
     over_run = {name.removeprefix(_RUN): given[name] for name in over}
-    declared = {**(_offered(path, file) if stand_in.DEVICE in given else {}), **file.arguments}
+    declared = {**(_offered(path, file, Including()) if stand_in.DEVICE in given else {}), **file.arguments}
     values = _fill_in(path, declared, {name: value for name, value in given.items() if name not in over})
     included = [
-        _include(entry, values, f"{path.name}.include[{i}]", origins, files) for i, entry in enumerate(file.include)
+        _include(entry, values, f"{path.name}.include[{i}]", origins, including) for i, entry in enumerate(file.include)
     ]
     nodes = _nodes(path, file, values, origins, included)
     for written in laid_over:
@@ -314,7 +325,7 @@ def _nodes(
 
 
 def _include(
-    entry: Any, values: Mapping[str, Any], where: str, origins: Origins, files: Sequence[Path]
+    entry: Any, values: Mapping[str, Any], where: str, origins: Origins, including: Including
 ) -> tuple[str, Launch]:
     """Read an included launch file; with its namespace."""
     made: Include = convert(_substitute(entry, values, where, origins), Include, where)
@@ -323,7 +334,7 @@ def _include(
             f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a / around"
         )
     try:
-        launch = without(read(_beside(files[-1], made.launch), made.arguments, (), files), made.without)
+        launch = without(read(_beside(including.files[-1], made.launch), made.arguments, (), including), made.without)
     except ParameterError as error:
         raise ParameterError(f"{where}: {error}") from error
     nodes = dict(launch.nodes)

@@ -5,12 +5,19 @@ The fields are the YAML's own; nodes/launcher/launch_file.py finds the files, fi
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 
 from nodes.base.setup import Apply, Axis, Pace
 from nodes.compiled.choose import Wanted
+from nodes.parameters.store import ParameterError
+
+MAX_FILES = 256
+"""Most launch files of one launch, each as often as it is included: thirty that include the next twice are a billion."""
 
 
 class Argument(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -219,6 +226,24 @@ class Include(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     arguments: dict[str, Any] = {}
     parameters: dict[str, dict[str, Any]] = {}
     without: list[str] = []
+
+
+class Including:
+    """Which launch files include the one that is read, the outermost first, and how many one launch has read so far."""
+
+    def __init__(self, files: Sequence[Path] = (), count: Iterator[int] | None = None) -> None:
+        self.files = tuple(files)
+        self.count = count or itertools.count()
+
+    def another(self, path: Path, name: str) -> Including:
+        """Go on in one more file."""
+        if path.resolve() in self.files:
+            raise ParameterError(f"{name}: includes itself")
+        if next(self.count) >= MAX_FILES:
+            raise ParameterError(
+                f"{name}: more than {MAX_FILES} launch files are included, each as often as it is named"
+            )
+        return Including((*self.files, path.resolve()), self.count)
 
 
 class LaunchText(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

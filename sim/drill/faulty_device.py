@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import os
 import time
+from collections import deque
 from typing import Any, ClassVar
 
 import msgspec
 
-from messages.types import Vector
+from messages.types import ZERO, Vector
 from nodes.driver.device import Device, DeviceLimits
 from sim.device.driver import SimDriver, SimDriverParameters
 
 HANG, EXIT = "hang", "exit"
-"""What the order says for a force that is never taken, and for a vendor's library that ends the process as if all were well;
-anything else is a position [m]."""
+"""What the order says for a force that is never taken, and for a vendor's library that ends the process as if all were well."""
+
+SCALE, LATE = "scale ", "late "
+"""What it begins with for an encoder that lies: its positions times a factor, or those of so many samples before. Else a number
+is the position [m]."""
+
+_LATEST = 100
 
 
 class FaultyDriverParameters(SimDriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -42,6 +48,7 @@ class FaultyDevice:
 
     def __init__(self, device: Device, order: str) -> None:
         self._device, self._order = device, order
+        self._positions = deque([ZERO], maxlen=_LATEST)
 
     @property
     def limits(self) -> DeviceLimits:
@@ -61,10 +68,18 @@ class FaultyDevice:
     def read_position(self, seq: int) -> Vector:
         """Sample the position; when so ordered, another one, or none and an end."""
         position = self._device.read_position(seq)
+        self._positions.append(position)
         order = self._ordered()
+        if order in ("", HANG):
+            return position
         if order == EXIT:
             os._exit(0)
-        return (float(order),) * 3 if order not in ("", HANG) else position
+        if order.startswith(LATE):
+            return self._positions[max(-1 - int(order.removeprefix(LATE)), -len(self._positions))]
+        if order.startswith(SCALE):
+            factor = float(order.removeprefix(SCALE))
+            return (factor * position[0], factor * position[1], factor * position[2])
+        return (float(order),) * 3
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
         """Hand over a force; when so ordered, never come back."""

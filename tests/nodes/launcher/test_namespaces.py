@@ -139,6 +139,31 @@ def test_what_cannot_be_included_is_refused(tmp_path: Path, text: str, told: str
     assert told in str(refused.value)
 
 
+def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: Path) -> None:
+    """Thirty small files, each of which includes the next one twice, are a billion; two that include each other have no end."""
+    for i in range(30):
+        entries = f"  - {{launch: f{i + 1}.yaml}}\n  - {{launch: f{i + 1}.yaml, without: [driver]}}\n"
+        (tmp_path / f"f{i}.yaml").write_text(f"{HEAD}include:\n{entries}")
+    (tmp_path / "f30.yaml").write_text(f"{HEAD}nodes:\n  driver: {{kind: sim_driver}}\n")
+    with pytest.raises(ParameterError, match="more than 256 launch files"):
+        launch_file.read(str(tmp_path / "f0.yaml"), {})
+    (tmp_path / "a.yaml").write_text(f"{HEAD}include:\n  - {{launch: b.yaml}}\n")
+    (tmp_path / "b.yaml").write_text(f"{HEAD}include:\n  - {{launch: a.yaml}}\n")
+    with pytest.raises(ParameterError, match="includes itself"):
+        launch_file.read(str(tmp_path / "a.yaml"), {"device": "none"})
+    assert launch_file.read_arguments(tmp_path / "a.yaml")[1] == {}
+
+
+@pytest.mark.parametrize("written", ["x$(var a)$(var a)", "$(dirname)" * 1000])
+def test_text_that_grows_when_it_is_filled_in_is_bounded(tmp_path: Path, written: str) -> None:
+    """A kilobyte of arguments in a text makes gigabytes."""
+    text = f"arguments: {{a: {{default: {'z' * 2500}}}}}\nnodes:\n  driver: {{kind: sim_driver, watch: '{written}'}}\n"
+    with pytest.raises(
+        ParameterError, match=r"driver\.watch: \d+ characters once its arguments are filled in, limit 4096"
+    ):
+        read(tmp_path, text)
+
+
 def test_arguments_reach_the_included_file(tmp_path: Path) -> None:
     launch = read(
         tmp_path,

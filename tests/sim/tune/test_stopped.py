@@ -13,6 +13,7 @@ import pytest
 from messages.topics import DEVICE_STATE
 from nodes.driver.limits import SafetyParameters
 from nodes.recording.reader import Recording
+from sim.drill.faulty_device import LATE, SCALE
 from sim.tune.knock import STRIDE, factor_of
 from sim.tune.live import STOPPED
 from tests.support.launching import running, wait_for
@@ -105,18 +106,36 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
             assert all(abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15) for one in back)
 
 
-def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> None:
-    """A position that stands still has nothing left of any knock: every law came to rest, and the stiffest was delivered."""
+def verified_with(order: str, folder: Path, taps: list[float]) -> str:
+    """Try a law on a device that lies about its position; nothing may be delivered. What the verb prints."""
     scene = json.loads(json.dumps(SCENE))
     driver = scene["nodes"]["driver"]
     driver["kind"] = "faulty_driver"
     driver["parameters"]["order"] = "order"
-    (tmp_path / "order").write_text("0.0")
-    (tmp_path / "held.yaml").write_text(json.dumps(scene))
-    designed(tmp_path, [800.0, -700.0])
-    with running(tmp_path, "held.yaml") as launch:
+    (folder / "held.yaml").write_text(json.dumps(scene))
+    designed(folder, taps)
+    with running(folder, "held.yaml") as launch:
+        (folder / "order").write_text(order)
         done = launch.haptic("tune", "--steps", "verify", code=1)
         assert launch.call("coupling", "law.list")["active"] == "pd"
         launch.finish(signal.SIGINT)
-    assert "the encoder is stuck" in done.stdout
-    assert not (tmp_path / "tuning" / "tuned.yaml").exists()
+    assert not (folder / "tuning" / "tuned.yaml").exists()
+    return done.stdout
+
+
+def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> None:
+    """A position that stands still has nothing left of any knock: every law came to rest, and the stiffest was delivered."""
+    assert "the encoder is stuck" in verified_with("0.0", tmp_path, [800.0, -700.0])
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        f"{SCALE}-1",  # a sign: every spring pushes away
+        f"{SCALE}4",  # a gain: four times the law that was designed
+        f"{SCALE}0.25",  # a quarter of it: it rests, at an edge that is four times where the model has it
+        f"{LATE}10",  # a delay that jumps by ten ticks
+    ],
+)
+def test_a_device_that_lies_while_its_law_is_tried_gets_none(lie: str, tmp_path: Path) -> None:
+    print(verified_with(lie, tmp_path, [2000.0, -1500.0]))
