@@ -7,6 +7,7 @@ library is compiled into a folder, with its world beside it; so two of them are 
 from __future__ import annotations
 
 import ctypes
+import os
 import math
 import mmap
 import subprocess
@@ -128,7 +129,8 @@ def library(name: str, folder: Path) -> tuple[Path, World]:
     tuple of Path and World
         The library and its arm.
     """
-    path = folder / f"lib{name}-stand-in.so"
+    # A name of its own: who holds a device is told by the name of its library.
+    path = folder / f"lib{name}-{os.urandom(4).hex()}.so"
     subprocess.run(_command(name, "-shared", "-fPIC", "-o", str(path)), check=True)
     return path, world_beside(path)
 

@@ -150,7 +150,7 @@ def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: P
     (tmp_path / "a.yaml").write_text(f"{HEAD}include:\n  - {{launch: b.yaml}}\n")
     (tmp_path / "b.yaml").write_text(f"{HEAD}include:\n  - {{launch: a.yaml}}\n")
     with pytest.raises(ParameterError, match="includes itself"):
-        launch_file.read(str(tmp_path / "a.yaml"), {"device": "none"})
+        launch_file.read(str(tmp_path / "a.yaml"), {})
     assert launch_file.read_arguments(tmp_path / "a.yaml")[1] == {}
 
 

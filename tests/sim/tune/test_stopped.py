@@ -45,10 +45,11 @@ SCENE = {
 }
 
 
-def designed(folder: Path, taps: list[float]) -> None:
+def designed(folder: Path, taps: list[float], edge: float | None = None) -> None:
     """Leave a design and a prediction: a law that rests just so, to be tried in large steps."""
     h1 = sum(taps)
-    edges = {"edge_h1_n_per_m": None, "edge_factor": None, "edge_linear_h1_n_per_m": h1, "edge_linear_factor": 1.0}
+    known = None if edge is None else edge * h1
+    edges = {"edge_h1_n_per_m": known, "edge_factor": edge, "edge_linear_h1_n_per_m": h1, "edge_linear_factor": 1.0}
     told: dict[str, Any] = {
         "designed": {
             "taps_n_per_m": taps,
@@ -106,14 +107,14 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
             assert all(abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15) for one in back)
 
 
-def verified_with(order: str, folder: Path, taps: list[float]) -> str:
+def verified_with(order: str, folder: Path, taps: list[float], edge: float | None = None) -> str:
     """Try a law on a device that lies about its position; nothing may be delivered. What the verb prints."""
     scene = json.loads(json.dumps(SCENE))
     driver = scene["nodes"]["driver"]
     driver["kind"] = "faulty_driver"
     driver["parameters"]["order"] = "order"
     (folder / "held.yaml").write_text(json.dumps(scene))
-    designed(folder, taps)
+    designed(folder, taps, edge)
     with running(folder, "held.yaml") as launch:
         (folder / "order").write_text(order)
         done = launch.haptic("tune", "--steps", "verify", code=1)
@@ -129,13 +130,15 @@ def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    "lie",
+    ("lie", "told"),
     [
-        f"{SCALE}-1",  # a sign: every spring pushes away
-        f"{SCALE}4",  # a gain: four times the law that was designed
-        f"{SCALE}0.25",  # a quarter of it: it rests, at an edge that is four times where the model has it
-        f"{LATE}10",  # a delay that jumps by ten ticks
+        # A sign: every spring pushes away. A gain: ten times the law that was designed. A delay that jumps by ten ticks.
+        (f"{SCALE}-1", "the law holds                                      NO"),
+        (f"{SCALE}10", "the law holds                                      NO"),
+        (f"{LATE}10", "the law holds                                      NO"),
+        # A quarter of it: every knock rests, far beyond where the model has the edge.
+        (f"{SCALE}0.25", "the device is not the one that was identified"),
     ],
 )
-def test_a_device_that_lies_while_its_law_is_tried_gets_none(lie: str, tmp_path: Path) -> None:
-    print(verified_with(lie, tmp_path, [2000.0, -1500.0]))
+def test_a_device_that_lies_while_its_law_is_tried_gets_none(lie: str, told: str, tmp_path: Path) -> None:
+    assert told in verified_with(lie, tmp_path, [800.0, -700.0], edge=1.5)
