@@ -7,9 +7,9 @@ library is compiled into a folder, with its world beside it; so two of them are 
 from __future__ import annotations
 
 import ctypes
-import os
 import math
 import mmap
+import os
 import subprocess
 import time
 from pathlib import Path
