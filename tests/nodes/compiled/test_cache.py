@@ -268,3 +268,30 @@ def test_where_nothing_can_be_kept_one_line_says_so(place: Path, trouble: str, m
     if trouble == "a full disk":
         # Nothing half-written is left.
         assert [path.name for path in place.iterdir()] == ["other.tick"]
+
+
+def test_in_a_folder_that_cannot_be_written_to_one_line_says_so(tmp_path: Path) -> None:
+    """As in a container whose root file system is read-only; root goes without the right to write anywhere."""
+    base = tmp_path / "base"
+    base.mkdir(mode=0o500)
+    without: list[str] = []
+    if os.getuid() == 0:
+        setpriv = shutil.which("setpriv")
+        if setpriv is None:
+            pytest.skip("root writes anywhere, and there is no setpriv")
+        without = [setpriv, "--bounding-set=-dac_override,-dac_read_search"]
+    program = f"from nodes.compiled.choose import choose; print(choose('compiled', ['{TINY}'], print))"
+    done = subprocess.run(
+        [*without, sys.executable, "-c", program],
+        cwd=cache.ROOT,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(base / "kept")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    said = done.stdout.splitlines()
+    assert said[-1] == "plain"
+    assert len([line for line in said if "the plain tick runs" in line]) == 1
+    assert "Permission denied" in said[-2]
+    assert done.stderr == ""
+    assert not list(base.iterdir())
