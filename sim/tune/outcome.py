@@ -38,6 +38,8 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     ended = edge.ended
     if rests and not agrees and (factor is not None or edge.ended.startswith("every")):
         ended = f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that was identified"
+    if rests and ends is not None and not holds:
+        ended = f"{ended}; a large motion may not at {ends[0]:.3f} times, and {MARGIN:g} is asked for"
     return {
         "holds": holds,
         "agrees": bool(agrees),

@@ -136,6 +136,7 @@ def test_a_law_that_only_friction_holds_does_not_hold() -> None:
     assert told["edge_by_poles_h1_n_per_m"] is None
     assert low < 1000.0 * MARGIN
     assert not told["holds"]
+    assert f"a large motion may not at {low / 1000.0:.3f} times" in told["ended"]
 
 
 @pytest.mark.parametrize(("steps", "told_as_one"), [(0, True), (2, True), (3, False), (-2, True), (-3, False)])
