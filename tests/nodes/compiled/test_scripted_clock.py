@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -23,7 +24,7 @@ from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
 from nodes.driver.state import DAMPING, FAULT, NOTHING, RAMP, STOPPED
 from nodes.environment.node import Environment
-from tests.support.scripted import Arrival, Hand, Script, T, assert_alike, at, played
+from tests.support.scripted import EPOCH, TICK, Arrival, Hand, Script, T, assert_alike, at, played
 from tests.support.scripts import BOX, KINDS, TICKS, answer, answers_but, driver, follower, moving
 
 KERNELS = [Driver.kernel_module, Environment.kernel_module, Coupling.kernel_module]
@@ -193,21 +194,45 @@ def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path
 
 def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path) -> None:
     """A compiled tick that stopped half-way, for a message that it could not read, forgot what had acted until then."""
-    topic = topics.FORCE.encode()
     arrivals = [
-        answer(0, force=(0.0, 0.0, 1.0)),
-        # In tick 1: an old answer cannot come, so: the force of tick 0 until a quarter, then what cannot be read, then 2 N.
-        Arrival(at(1, 700.0), (topic, b"no message")),
-        answer(1, 1_000.0, (0.0, 0.0, 2.0)),
+        *(answer(seq, force=(0.0, 0.0, 1.0)) for seq in range(4)),
+        # The force of tick 4 comes in tick 5, then what cannot be read, then tick 5's own.
+        answer(4, 2_600.0, (0.0, 0.0, 2.0)),
+        Arrival(at(5, 700.0), (topics.FORCE.encode(), b"no message")),
+        answer(5, 1_000.0, (0.0, 0.0, 3.0)),
     ]
-    script = driver(arrivals, position=lambda seq: (0.0, 0.0, -1e-3 * seq), ticks=3)
+    script = driver(arrivals, position=lambda seq: (0.0, 0.0, -1e-3 * seq), ticks=7)
     outcome, _ = assert_alike(script, tmp_path)
     states = [Decoder(DeviceState).decode(frames[1]) for _, frames in outcome.sent]
-    # 1 N from 0.6 ms on in tick 0; then 1 N for 1.0 ms and 2 N for the rest; all over a displacement of -1 mm each. Arrivals
-    # are 0.5 µs later than a whole number. A clock at 1000 s has steps of 1e-13 s: 6e-11 of a tick.
-    first, second = 1.0 - 600.5 / 2000.0, (1000.5 + 2.0 * 999.5) / 2000.0
-    assert states[2].energy - states[1].energy == pytest.approx(-1e-3 * second, rel=1e-9)
-    assert states[1].energy == pytest.approx(-1e-3 * first, rel=1e-9)
+    # 1 N for 0.6 ms, 2 N until 1 ms, 3 N for the rest, while the device moves by -1 mm; arrivals are 0.5 µs later than a whole
+    # number. A clock at 1000 s has steps of 1e-13 s: 6e-11 of a tick.
+    mean = (600.5 * 1.0 + 400.0 * 2.0 + 999.5 * 3.0) / 2000.0
+    assert states[6].energy - states[5].energy == pytest.approx(-1e-3 * mean, rel=1e-9)
+
+
+def test_who_was_silent_is_not_waited_for_whatever_else_comes(tmp_path: Path) -> None:
+    """A message that compiled ticks could not read made the plain one wait 1 ms too long, and the next sample late."""
+    damaged = Arrival(at(6, 1_700.0), (topics.FORCE.encode(), b"no message"))
+    script = driver([*(answer(seq) for seq in range(4)), damaged], {6: 1_500}, ticks=9)
+    outcome, _ = assert_alike(script, tmp_path)
+    # Each wait ends 1 µs after the time that was asked for.
+    assert [(moment - EPOCH) / TICK for moment, _ in outcome.sent][7] == pytest.approx(7.0005, abs=1e-9)
+
+
+def test_an_environment_knows_its_tick_during_and_after_a_fault_of_the_driver(tmp_path: Path) -> None:
+    script = follower("environment", [(seq, 100.0) for seq in range(20)])
+    arrivals = []
+    for seq, arrival in enumerate(script.arrivals):
+        state = Decoder(DeviceState).decode(arrival.frames[1])
+        fault = msgspec.structs.replace(state, safety="fault") if 8 <= seq < 12 or seq >= 17 else state
+        arrivals.append(arrival._replace(frames=(arrival.frames[0], encode(fault))))
+        # Refusals are events, and say at which tick.
+        arrivals.append(Arrival(arrival.at + 500_000, (arrival.frames[0], b"no message")))
+    outcome, node = assert_alike(script._replace(arrivals=arrivals), tmp_path)
+    assert len(outcome.sent) == 20 - 4 - 3
+    assert node.status().seq == 19
+    # The 1st, 2nd, 4th, 8th and 16th.
+    assert [seq for kind, _, seq, _ in outcome.events if kind == "refused"] == [0, 1, 3, 7, 15]
 
 
 def test_a_call_that_fails_ends_the_run_of_either_tick(tmp_path: Path) -> None:
