@@ -145,13 +145,14 @@ time_t time(time_t *out) {
 """
 
 
-class _Clock:
+class SteppedClock:
     """The wall clock of all processes of the launch, stepped through the C library; the machine's own is left alone."""
 
     def __init__(self) -> None:
         self.folder = ""
 
     def prepare(self) -> Mapping[str, str]:
+        """Compile it; the variables of the processes that it is stepped for."""
         compiler = shutil.which("cc") or shutil.which("gcc")
         if compiler is None or ctypes.util.find_library("c") is None:
             raise FaultSkippedError("no C compiler (cc): the clock is stepped by a small library that must be compiled")
@@ -170,12 +171,18 @@ class _Clock:
         return {"LD_PRELOAD": str(library), "HAPTIC_DRILL_CLOCK": str(self._offset)}
 
     def strike(self, rig: Rig) -> None:
+        """Set it back, on, and right again."""
         for seconds in (-3600.0, 7200.0, 0.0):
-            with open(self._offset, "r+b") as file:
-                file.write(struct.pack("d", seconds))
+            self.step(seconds)
             rig.let_pass(STOPPED)
 
+    def step(self, seconds: float) -> None:
+        """Set it, by so much from what the machine has."""
+        with open(self._offset, "r+b") as file:
+            file.write(struct.pack("d", seconds))
+
     def tidy(self) -> None:
+        """Remove the library."""
         if self.folder:
             shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -183,7 +190,7 @@ class _Clock:
 def faults() -> list[Fault]:
     """List the faults of the drill."""
     chain = ("driver", "environment", "coupling", "logger")
-    disk, clock = _SmallDisk(), _Clock()
+    disk, clock = _SmallDisk(), SteppedClock()
 
     def link(name: str, what: str, **values: float) -> Fault:
         return Fault(name=name, what=what, strike=_bad_link(**values), change=_with_link)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import signal
+import threading
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ import pytest
 from messages.topics import DEVICE_STATE
 from nodes.driver.limits import SafetyParameters
 from nodes.recording.reader import Recording
+from sim.drill.faults import SteppedClock
 from sim.drill.faulty_device import LATE, SCALE
 from sim.tune.knock import STRIDE, factor_of
 from sim.tune.live import STOPPED
@@ -142,3 +145,39 @@ def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> Non
 )
 def test_a_device_that_lies_while_its_law_is_tried_gets_none(lie: str, told: str, tmp_path: Path) -> None:
     assert told in verified_with(lie, tmp_path, [800.0, -700.0], edge=1.5)
+
+
+def test_a_wall_clock_that_is_set_in_mid_trial_changes_no_verdict(tmp_path: Path) -> None:
+    """An hour back, two hours on, five times a second, in every process of the launch and in the verb."""
+    (tmp_path / "held.yaml").write_text(json.dumps(SCENE))
+    designed(tmp_path, [8000.0, -7600.0])
+    clock, over = SteppedClock(), threading.Event()
+
+    def step_about() -> None:
+        for seconds in itertools.cycle((-3600.0, 7200.0, 0.0)):
+            clock.step(seconds)
+            if over.wait(0.2):
+                return
+
+    steps = []
+    try:
+        for environment in (None, clock.prepare()):
+            with running(tmp_path, "held.yaml", environment=environment) as launch:
+                stepping = threading.Thread(target=step_about)
+                if environment:
+                    stepping.start()
+                try:
+                    launch.haptic("tune", "--steps", "verify", "--json", code=None)
+                finally:
+                    over.set()
+                    if environment:
+                        stepping.join()
+                launch.finish(signal.SIGINT)
+            told = json.loads((tmp_path / "tuning" / "tune.json").read_text())["verified"]
+            (tmp_path / "run.mcap").unlink()
+            steps.append([(step["factor"], step["rests"]) for step in told["steps"]])
+            over.clear()
+    finally:
+        clock.tidy()
+    assert steps[0] == steps[1]
+    assert {rests for _, rests in steps[0]} == {True, False}
