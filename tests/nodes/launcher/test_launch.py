@@ -200,3 +200,39 @@ def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path)
         assert_nothing_left(runtime_dir)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["exit_reason"] == "done"
+
+
+LAUNCHES = 8
+
+
+def test_eight_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
+    """More than the machine has processors for, in one runtime directory: each has its own run, limits and recording."""
+    peak = 3.0
+    processes = []
+    with private_runtime_dir() as runtime:
+        environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)}
+        for number in range(LAUNCHES):
+            folder = tmp_path / str(number)
+            folder.mkdir()
+            # Each its own: what it records tells whose forces it rendered.
+            words = ("wall_press", "duration:=2", f"stiffness:={400 + 50 * number}", "--json", "--no-plot")
+            (folder / "limits.yaml").write_text(f"driver: {{safety: {{peak_force: {peak}}}}}\n")
+            command = [sys.executable, "-P", "-m", "nodes.cli.main", "launch", *words, "--params", "limits.yaml"]
+            with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as errors:
+                processes.append(subprocess.Popen(command, cwd=folder, env=environment, stdout=out, stderr=errors))
+        codes = [process.wait(3.0 * DEADLINE) for process in processes]
+        assert_nothing_left(runtime)
+    errors = [(tmp_path / str(number) / "stderr.txt").read_text() for number in range(LAUNCHES)]
+    assert codes == [0] * LAUNCHES, errors
+    runs = set()
+    for number in range(LAUNCHES):
+        figures = json.loads((tmp_path / str(number) / "stdout.txt").read_text().splitlines()[-1])
+        recording = Recording(tmp_path / str(number) / figures["recording"])
+        runs.add(recording.manifest["run"])
+        assert str(float(400 + 50 * number)) in recording.manifest["arguments"]
+        states = recording.messages(DEVICE_STATE)
+        assert states
+        assert max(abs(part) for state in states for part in state.force) <= peak * (1.0 + 1e-15)
+        # A machine that is too slow for all of them lets ticks go, and every old force with them.
+        assert {state.safety for state in states} <= {"waiting", "zero", "ramp", "active", "damping"}
+    assert len(runs) == LAUNCHES
