@@ -218,8 +218,8 @@ def test_eight_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
             words = ("wall_press", "duration:=2", f"stiffness:={400 + 50 * number}", "--json", "--no-plot")
             (folder / "limits.yaml").write_text(f"driver: {{safety: {{peak_force: {peak}}}}}\n")
             command = [sys.executable, "-P", "-m", "nodes.cli.main", "launch", *words, "--params", "limits.yaml"]
-            with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as errors:
-                processes.append(subprocess.Popen(command, cwd=folder, env=environment, stdout=out, stderr=errors))
+            with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as told:
+                processes.append(subprocess.Popen(command, cwd=folder, env=environment, stdout=out, stderr=told))
         codes = [process.wait(3.0 * DEADLINE) for process in processes]
         assert_nothing_left(runtime)
     errors = [(tmp_path / str(number) / "stderr.txt").read_text() for number in range(LAUNCHES)]
