@@ -170,16 +170,7 @@ class Node:
     def stand_in(
         cls, parameters: Mapping[str, Any], name: str, device: str
     ) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Put a real device in the place of a virtual one (``device:=NAME``).
-
-        Parameters
-        ----------
-        parameters : mapping
-            Of the node, as written.
-        name : str
-            Of the node.
-        device : str
-            Name of the device.
+        """Put a real `device` (``device:=NAME``) in the place of a virtual one, in the node `name` with these `parameters`.
 
         Returns
         -------
@@ -197,12 +188,7 @@ class Node:
 
     @classmethod
     def subscribes(cls, parameters: Any) -> tuple[str, ...]:
-        """Tell which subscriptions a node makes at each publisher that it connects to: a publisher waits for all of them.
-
-        Parameters
-        ----------
-        parameters : msgspec.Struct
-            The node's parameters.
+        """Tell which subscriptions a node with these `parameters` makes at each publisher, which waits for all of them.
 
         Returns
         -------
@@ -241,13 +227,7 @@ class Node:
         raise TypeError(f"node kind {self.setup.kind!r} does not define compiled_ticks()")
 
     def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
-        """Connect to the publishers of what the kind listens to.
-
-        Parameters
-        ----------
-        subscribe : callable
-            Makes a subscription from endpoints, topics and queue length.
-        """
+        """Connect to the publishers of what the kind listens to; `subscribe` takes endpoints, topics and queue length."""
         if self.listens_to:
             wanted = [self.setup.topic(topic) for topic in self.listens_to]
             self.inbox = subscribe({self.setup.sources[topic] for topic in self.listens_to}, wanted, 1000)
@@ -270,12 +250,7 @@ class Node:
         return {}
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare new, valid parameters off the hot path (control thread).
-
-        Parameters
-        ----------
-        parameters : msgspec.Struct
-            The node's parameters after the change.
+        """Prepare new, valid `parameters` off the hot path (control thread).
 
         Returns
         -------
@@ -337,15 +312,7 @@ class Node:
         return Counted(max(counters.seq, 0), counters.ticks, counters.gaps, counters.skipped)
 
     def set_clock(self, offset: float, error: float) -> None:
-        """Take over how far this host's clock is from the launcher's, as the launcher has measured it.
-
-        Parameters
-        ----------
-        offset : float
-            What is added to this host's clock to get the launcher's [s].
-        error : float
-            How far off that is at most [s].
-        """
+        """Take over the `offset` from this host's clock to the launcher's [s], and how far off that may be: its `error` [s]."""
         self.clock.set(offset, error)
         # Compiled ticks go on with the one that they were given.
         self.events.notify()
@@ -375,13 +342,7 @@ class Node:
         return self.compiled
 
     def stop(self, reason: str) -> None:
-        """Ask the loop to end after the present tick.
-
-        Parameters
-        ----------
-        reason : str
-            Why; the first one is kept.
-        """
+        """Ask the loop to end after the present tick, for a `reason`; the first one is kept."""
         if not self.stopping:
             self.stop_reason = reason
             self.stopping = True
@@ -399,13 +360,7 @@ class Node:
         self.publisher.flush()
 
     def between_ticks(self, seq: int) -> None:
-        """Take up what the control thread prepared, and send what is queued (main thread, after a tick, when `called`).
-
-        Parameters
-        ----------
-        seq : int
-            The tick at which a change takes effect.
-        """
+        """Take up what the control thread prepared, from tick `seq` on, and send what is queued (main thread)."""
         # Before looking: what comes in between calls again.
         self.events.waiting = False
         if self.changes:
