@@ -45,12 +45,15 @@ class Judgement:
         self._book = book
 
     def verdict(self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float) -> Verdict | None:
-        """Judge a compiled law on the declared device."""
+        """Judge a compiled law on the declared device, where its mass makes the loop worst."""
         if parameters.plant is None or parameters.stability == "off":
             return None
         from nodes.stability.judge import judge
 
-        return judge(law, parameters.plant.at(self._period, measured_delay))
+        verdict = judge(law, parameters.plant.at(self._period, measured_delay))
+        heaviest = parameters.plant.heaviest_at(self._period, measured_delay)
+        other = None if heaviest is None else judge(law, heaviest)
+        return other if verdict and other and other.pole_radius > verdict.pole_radius else verdict
 
     def why_not(self, parameters: CouplingParameters) -> str:
         """Say why there is no verdict."""

@@ -64,6 +64,8 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         Delay of the loop [ticks]; None for the measured one.
     device_delay : float
         Delay of the device itself, which the loop cannot measure: comes on top of the measured one [ticks].
+    heaviest : float or None
+        The greatest mass where it depends on where the device is, and ``mass`` is the least: a law is judged with both [kg].
     tool_mass : float or None
         Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
     """
@@ -73,6 +75,7 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     stiffness: NonNegative = 0.0
     delay: NonNegative | None = None
     device_delay: NonNegative = 0.0
+    heaviest: Positive | None = None
     tool_mass: Positive | None = None
 
     def at(self, period: float, measured: float) -> Plant:
@@ -80,6 +83,10 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         delay = (measured if self.delay is None else self.delay) + self.device_delay
         plant = Plant(period, self.mass, self.damping, delay, self.stiffness)
         return plant if self.tool_mass is None else plant.with_tool(self.tool_mass)
+
+    def heaviest_at(self, period: float, measured: float) -> Plant | None:
+        """Give it where it is heaviest; None where it is always the same."""
+        return None if self.heaviest is None else msgspec.structs.replace(self, mass=self.heaviest).at(period, measured)
 
 
 class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -215,7 +215,8 @@ class SimDriver(Driver):
         changed = {**parameters, "preset": device}
         model: DeviceModel = convert(changed, cls.Parameters, name).device
         return changed, {
-            "mass": model.moving_mass,
+            "mass": model.moving_masses[0],
+            "heaviest": model.moving_masses[1] if model.mass_by_position else None,
             "damping": model.moving_damping,
             "stiffness": model.grip,
             "device_delay": model.delay,

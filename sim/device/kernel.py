@@ -13,7 +13,16 @@ from sim.device.state import AxisState, read_axis, write_axis
 for _function in (
     *(model.move_towards, model.decay_mean, model.coefficients, model.advance, model.end_stop, model.quantise),
     *(model.saturate, model.path_position, friction.halt_time, friction.slide, friction.move),
-    *(state.measured, state.point, state.target, state._pulled, state._move, state.device_tick, state.device_part),
+    *(
+        state.measured,
+        state.point,
+        state.target,
+        state._pulled,
+        state.mass_here,
+        state._move,
+        state.device_tick,
+        state.device_part,
+    ),
     *(state.pass_tick, state.read_axis, state.write_axis),
 ):
     kernel(_function)

@@ -202,6 +202,9 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Delay from sample to applied force [ticks], beside the one of ``apply: next_tick``.
     hand : Hand or None
         A hand that holds the device.
+    mass_by_position : list of tuple of float, shape (p, 2)
+        Position [m] and mass [kg] of the corners of a piecewise linear mass, positions increasing; held before the first and
+        after the last. In place of ``mass``, which then only weighs: an arm is heavier the further it reaches. Empty for none.
     axes : dict of str to dict
         What is different along an axis of the scene: the other fields, by name of the axis; of a hand, only what differs.
     """
@@ -216,10 +219,16 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     peak_force: Positive | None = None
     delay: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0
     hand: Hand | None = None
+    mass_by_position: list[tuple[float, Positive]] = []
     axes: dict[Literal["x", "y", "z"], dict[str, Any]] = {}
 
     def __post_init__(self) -> None:
         check_fields(self, "device")
+        for i, (place, _) in enumerate(self.mass_by_position):
+            if i and place <= self.mass_by_position[i - 1][0]:
+                raise ValueError(
+                    f"mass_by_position[{i}] is at {place} m after {self.mass_by_position[i - 1][0]} m: positions must increase"
+                )
         for axis, changes in self.axes.items():
             if not changes or "axes" in changes:
                 raise ValueError(f"axes.{axis} is {changes!r}: expected fields of a device, but axes")
@@ -245,6 +254,13 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def moving_mass(self) -> float:
         """Mass that the force accelerates, the hand's included [kg]."""
         return self.mass if self.hand is None else self.mass + self.hand.mass
+
+    @property
+    def moving_masses(self) -> tuple[float, float]:
+        """The least and the greatest mass that the force accelerates, the hand's included [kg]."""
+        found = [mass for _, mass in self.mass_by_position] or [self.mass]
+        hand = 0.0 if self.hand is None else self.hand.mass
+        return min(found) + hand, max(found) + hand
 
     @property
     def moving_damping(self) -> float:

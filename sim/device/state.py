@@ -43,7 +43,19 @@ class AxisState(Structure):
         *(
             (name, c_double)
             for name in (
-                *("mass", "damping", "grip", "friction", "resolution", "motor", "low", "high", "weight", "period"),
+                *(
+                    "mass",
+                    "damping",
+                    "grip",
+                    "friction",
+                    "resolution",
+                    "motor",
+                    "low",
+                    "high",
+                    "weight",
+                    "period",
+                    "carried",
+                ),
                 # true position and velocity
                 *("x", "v"),
                 # the hand: after how long its path repeats, and where it pulls to when it is dragged
@@ -60,7 +72,7 @@ class AxisState(Structure):
             (name, c_int64)
             for name in (
                 *("axis", "lockstep", "has_friction", "has_resolution", "has_motor"),
-                *("path", "corners", "has_repeat", "pointer", "is_away"),
+                *("path", "corners", "has_repeat", "pointer", "is_away", "masses", "masses_count"),
                 # ticks done; tick up to which real time has passed, -1 before the first sample
                 *("ticks", "tick"),
                 *("commands_count", "slot", "pending_first", "pending_count"),
@@ -121,12 +133,24 @@ def _pulled(d: Any, force: float) -> float:
     return float(given + load)
 
 
+def mass_here(d: Any) -> float:
+    """Mass that moves where the device is [kg]."""
+    return float(d.carried + path_position(pairs_at(d.masses, d.masses_count), d.x))
+
+
 def _move(d: Any, u: float, duration: float, step: Coefficients) -> None:
+    mass = d.mass
+    if d.masses_count > 0:
+        mass = mass_here(d)
+        step = coefficients(mass, d.damping, d.grip, duration)
     if d.has_friction != 0:
-        x, v = move(d.x, d.v, u, duration, step, d.mass, d.damping, d.grip, d.friction)
+        x, v = move(d.x, d.v, u, duration, step, mass, d.damping, d.grip, d.friction)
     else:
-        x, v = move(d.x, d.v, u, duration, step, d.mass, d.damping, d.grip, None)
+        x, v = move(d.x, d.v, u, duration, step, mass, d.damping, d.grip, None)
     d.x, d.v = end_stop(x, v, d.low, d.high)
+    if d.masses_count > 0:
+        # m(x) x'' + m'(x) v²/2 = u: what the mass does by itself keeps the energy of the motion.
+        d.v *= math.sqrt(mass / mass_here(d))
 
 
 def device_tick(d: Any, force: float) -> None:
@@ -148,6 +172,7 @@ def device_tick(d: Any, force: float) -> None:
 def device_part(d: Any, force: float, duration: float) -> None:
     """Hold one force for part of a tick."""
     if duration > 0.0:
+        # Where the mass depends on the position this is of no use, and does no harm.
         _move(d, _pulled(d, force), duration, coefficients(d.mass, d.damping, d.grip, duration))
 
 
@@ -243,6 +268,9 @@ class VirtualDevice:
         ):
             setattr(d, f"has_{name}", value is not None)
             setattr(d, name, 0.0 if value is None else value)
+        self._masses = array("d", [number for corner in model.mass_by_position for number in corner])
+        d.masses, d.masses_count = self._masses.buffer_info()[0], len(model.mass_by_position)
+        d.carried = 0.0 if model.hand is None else model.hand.mass
         d.low, d.high = ends_of(workspace, model.resolution)
         d.weight = 0.0 if model.gravity is None else 0.0 - model.mass * model.gravity
         d.period, d.lockstep, d.hold, d.delay, d.axis = period, lockstep, hold, model.delay, axis

@@ -87,13 +87,14 @@ def device_of(scene: SpatialScene) -> DeviceModel:
     return _driver(scene).device
 
 
-def _device(scene: SpatialScene, **changes: Any) -> SpatialScene:
+def with_device(scene: SpatialScene, **changes: Any) -> SpatialScene:
+    """Change fields of its virtual device."""
     model = msgspec.to_builtins(msgspec.structs.replace(device_of(scene), **changes))
     return _node("sim_driver", lambda _: {"device": model, "preset": ""})(scene)
 
 
 def _set(**changes: Any) -> Edit:
-    return lambda scene: _device(scene, **changes)
+    return lambda scene: with_device(scene, **changes)
 
 
 def _has(name: str) -> Callable[[SpatialScene], bool]:
@@ -115,13 +116,13 @@ def _unlimited(name: str) -> Edit:
 
 def _uneven(scene: SpatialScene) -> SpatialScene:
     device, axes = device_of(scene), scene.launch.run.axes
-    return _device(
+    return with_device(
         scene, axes={axis: {"mass": part * device.mass} for axis, part in _UNEVEN.items() if axis in axes[1:]}
     )
 
 
 def _without_delay(scene: SpatialScene) -> SpatialScene:
-    scene = _device(scene, delay=0.0)
+    scene = with_device(scene, delay=0.0)
     run = msgspec.structs.replace(scene.launch.run, apply="on_arrival")
     return scene._replace(launch=msgspec.structs.replace(scene.launch, run=run))
 
@@ -191,7 +192,7 @@ SPATIAL_TERMS: tuple[NeedTerm[SpatialScene], ...] = (
         "delay",
         lambda scene: device_of(scene).delay > 0.0 or scene.launch.run.apply == "next_tick",
         _without_delay,
-        lambda scene: _device(scene, delay=RESPONSE / scene.launch.run.period),
+        lambda scene: with_device(scene, delay=RESPONSE / scene.launch.run.period),
         f"{1e6 * RESPONSE:g} µs",
     ),
     NeedTerm("hand", _has("hand"), _set(hand=None)),

@@ -112,6 +112,11 @@ def from_launch(launch: Launch) -> LaunchedScene:
     axis = launch.run.axes[0]
     period = launch.run.period
     _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
+    device = along(driver.device, launch.run.axes)[0]
+    if device.mass_by_position:
+        raise ParameterError(
+            f"{launch.scenario}: device.mass_by_position: one process plays one mass here; launch it, or take sim.scene.spatial"
+        )
     environment_name, environment = parameters_of(launch, "environment", EnvironmentParameters)
     coupling_name, coupling = parameters_of(launch, "coupling", CouplingParameters)
     safety = driver.safety
@@ -132,7 +137,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
     swaps = sorted(coupling.schedule, key=lambda swap: swap.at)
     return LaunchedScene(
         scene=Scene(
-            device=along(driver.device, launch.run.axes)[0],
+            device=device,
             surface=_surface(environment.surface, f"{environment_name}.surface", axis),
             period=period,
             raw=coupling.history == "position",

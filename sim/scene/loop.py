@@ -350,6 +350,10 @@ def _played(
 def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     """Prepare the device of a scene for the loop; its loads, where there are any, as a list."""
     device = scene.device
+    if device.mass_by_position:
+        raise ValueError(
+            "device.mass_by_position: this loop has one mass; sim.scene.spatial plays it, and so does a launch"
+        )
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
     whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
     early = part * scene.period

@@ -1,0 +1,120 @@
+"""A device that is heavier the further it reaches: its motion against another integrator, and what its laws are judged with."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from messages.topics import DEVICE_STATE
+from nodes.coupling.judgement import Judgement
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
+from nodes.launcher import launch_file
+from nodes.laws.pd import PD
+from nodes.parameters.store import ParameterError
+from nodes.recording.reader import Recording
+from nodes.stability.judge import judge
+from sim.device.model import DeviceModel, Hand
+from sim.device.state import VirtualDevice
+from sim.experiments.spatial_terms import spatial_scene, with_device
+from sim.scene.from_launch import from_launch
+from sim.scene.spatial import play
+from tests.support.launching import launch_json
+
+ARM = [(0.0, 0.1), (0.1, 0.3)]
+"""From 100 to 300 g over 10 cm."""
+
+
+def mass(x: float) -> float:
+    return float(np.interp(x, [place for place, _ in ARM], [heavy for _, heavy in ARM]))
+
+
+def test_a_free_device_keeps_the_energy_of_its_motion() -> None:
+    device = VirtualDevice(DeviceModel(mass=0.1, velocity=0.2, mass_by_position=ARM), 0.002)
+    for _ in range(400):
+        device.tick(0.0)
+    assert device.position > 0.08
+    # To rounding, at any period.
+    assert 0.5 * mass(device.position) * device.velocity**2 == pytest.approx(0.5 * 0.1 * 0.2**2, rel=1e-12)
+
+
+def test_its_motion_is_that_of_the_equation() -> None:
+    """m(x) x'' + m'(x) x'²/2 + b x' + k x = u, with the mass of the hand in m: against scipy's Runge and Kutta."""
+    hand = Hand(stiffness=20.0, damping=0.5, mass=0.05, path=[(0.0, 0.05)])
+    model = DeviceModel(mass=0.1, damping=0.3, hand=hand, axes={"z": {"mass_by_position": ARM}}).along("z")
+    assert model.moving_masses == pytest.approx((0.15, 0.35))
+
+    def errors(period: float) -> float:
+        device = VirtualDevice(model, period)
+        found = []
+        for _ in range(round(0.6 / period)):
+            device.tick(0.5)
+            found.append(device.position)
+        return float(np.abs(np.array(found) - exact(np.arange(1, len(found) + 1) * period)).max())
+
+    def slope(_: float, state: np.ndarray) -> list[float]:
+        x, v = state
+        bend = (ARM[1][1] - ARM[0][1]) / (ARM[1][0] - ARM[0][0]) if 0.0 < x < 0.1 else 0.0
+        return [v, (0.5 + 20.0 * (0.05 - x) - 0.8 * v - 0.5 * bend * v * v) / (mass(x) + 0.05)]
+
+    solved: Any = solve_ivp(slope, (0.0, 0.61), [0.0, 0.0], rtol=1e-10, atol=1e-12, dense_output=True, max_step=1e-3)
+
+    def exact(time: np.ndarray) -> np.ndarray:
+        return np.asarray(solved.sol(time)[0])
+
+    # Of the first order in the period: half of it, half the error; a hundredth of the way at 1 ms.
+    coarse, fine = errors(1e-3), errors(5e-4)
+    assert coarse < 0.01 * 0.1
+    assert coarse / fine == pytest.approx(2.0, rel=0.1)
+
+
+def test_corners_must_increase() -> None:
+    with pytest.raises((ValueError, msgspec.ValidationError), match=r"mass_by_position\[1\]"):
+        DeviceModel(mass=0.1, mass_by_position=[(0.1, 0.1), (0.1, 0.2)])
+
+
+def test_a_law_is_judged_with_the_least_and_the_greatest_mass() -> None:
+    period, book = 0.002, LawBook("coupling", 0.002)
+    plant = {"mass": 0.05, "heaviest": 0.5, "damping": 0.5}
+    told = set()
+    for stiffness, damping in ((100.0, 0.2), (500.0, 0.1), (1500.0, 5.0)):
+        laws = {"pd": {"kind": "pd", "stiffness": stiffness, "damping": damping}}
+        parameters = msgspec.convert({"law": "pd", "laws": laws, "plant": plant}, CouplingParameters)
+        law = PD(stiffness=stiffness, damping=damping).compile(period)
+        verdict = Judgement("coupling", period, book).verdict(parameters, law, 0.5)
+        assert parameters.plant is not None
+        ends = [parameters.plant.at(period, 0.5), parameters.plant.heaviest_at(period, 0.5)]
+        found = [judge(law, end) for end in ends if end is not None]
+        radii = [one.pole_radius for one in found if one is not None]
+        assert verdict is not None
+        assert verdict.pole_radius == max(radii)
+        told.add(radii.index(max(radii)))
+    # Now the light end is worse, and now the heavy one.
+    assert told == {0, 1}
+
+
+def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:
+    scene = with_device(
+        spatial_scene(launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})), mass_by_position=ARM
+    )
+    played = play(scene.launch)
+    given = tmp_path / "given.yaml"
+    given.write_text(f"driver: {{device: {{mass_by_position: {[list(corner) for corner in ARM]}}}}}", encoding="utf-8")
+    figures = launch_json(tmp_path, "sphere_feel", "duration:=1.0", "pace:=lockstep", "--params", str(given))
+    states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
+    assert np.array_equal(played.position, [state.position for state in states[:-1]])
+    same = play(launch_file.read("sphere_feel", {"duration": 1.0}))
+    assert math.dist(same.position[-1], played.position[-1]) > 1e-4
+
+
+def test_the_loop_of_one_mass_refuses_it() -> None:
+    launch = launch_file.read("floor_drop", {})
+    changed = with_device(spatial_scene(launch), mass_by_position=ARM).launch
+    with pytest.raises(ParameterError, match="mass_by_position"):
+        from_launch(changed)
