@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from messages.types import Proxy
+from nodes.cli.main import main
 from nodes.coupling.render import LEAST_COSINE, begin_turning, turn
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.laws import Law
@@ -127,3 +130,12 @@ def test_a_frame_may_change_while_a_law_renders() -> None:
     still = renderer.render(touching(130, normal))
     assert still == pytest.approx(force, abs=1e-9)
     assert np.array(still) @ normal == pytest.approx(law.h1 * DEPTH, rel=1e-9)
+
+
+def test_axes_that_turn_need_all_three(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    given = tmp_path / "given.yaml"
+    given.write_text("coupling: {frame: surface}", encoding="utf-8")
+    assert main(["launch", "floor_drop", "--params", str(given), "pace:=lockstep", "duration:=0.1"]) == 2
+    told = capfd.readouterr().err
+    assert "coupling.frame" in told
+    assert "run.axes is [z]" in told
