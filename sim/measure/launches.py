@@ -38,6 +38,9 @@ HAPTIC = (*PYTHON, "-m", "nodes.cli.main")
 DEADLINE = 60.0
 """When a condition that must come about is given up [s]: a bound for what hangs, not a measure of anything."""
 
+PATIENCE = 3.0 * DEADLINE
+"""How long a command may take that compiles its loop first, on a busy machine [s]."""
+
 
 class MeasurementError(HapticError):
     """A launch or a yardstick that was to be measured failed; the text holds what it said."""
@@ -82,7 +85,7 @@ def haptic(
     *words: str,
     code: int | None = 0,
     environment: Mapping[str, str] | None = None,
-    timeout: float = DEADLINE,
+    timeout: float = PATIENCE,
 ) -> subprocess.CompletedProcess[str]:
     """Run one ``haptic`` command to its end in a folder; an exit code other than `code` raises, None lets any pass.
 

@@ -17,7 +17,7 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.excitation import ASTRAY, Excitation, held_back
 from nodes.laws.parse import parse_law
-from tests.support.launching import DEADLINE, HAPTIC, Running, haptic, running, wait_for
+from tests.support.launching import HAPTIC, Running, haptic, running, wait_for
 
 pytestmark = pytest.mark.realtime
 
@@ -62,9 +62,7 @@ def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path
     (tmp_path / "held.yaml").write_text(f"driver: {{device: {{{hand}}}}}", encoding="utf-8")
     words = ("identify", "axes:=[x,y,z]", "pace:=lockstep", "apply:=next_tick", "duration:=0", "--params", "held.yaml")
     with running(tmp_path, *words) as launch:
-        verb = ("device", "identify", "--duration", "2", "--json")
-        # Nine models are fitted, on a machine that may be busy.
-        done = haptic(tmp_path, *verb, environment=launch.environment, timeout=5.0 * DEADLINE)
+        done = launch.haptic("device", "identify", "--duration", "2", "--json")
         launch.finish(signal.SIGINT, code=None)
     told = json.loads(done.stdout.splitlines()[-1])["places"]
     assert [one["axis"] for one in told] == ["x", "y", "z"] * 3
