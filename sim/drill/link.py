@@ -93,7 +93,11 @@ class Link(Node):
         topic = self.setup.topic(topics.FORCE).encode()
         while self._waiting and self._waiting[0][0] <= time.monotonic():
             payload = heapq.heappop(self._waiting)[2]
-            self.publisher.send(topic, payload)
+            # Not `send`, which lets others run before it goes on to the listeners: without FIFO, beside a busy process, a link
+            # would never catch up with a flood of its own.
+            self.publisher.send_hop(topic, payload)
+            if self.publisher.apart:
+                self.publisher.send_aside(topic, payload)
             for n in range(self._now.flood):
                 # To the driver only: it is what is flooded, not whoever listens.
                 self.publisher.send_hop(topic, self._old[n % len(self._old)] if self._old else payload)
