@@ -179,5 +179,6 @@ run.wait()
             program.wait(60)
         finally:
             program.kill()
+            program.wait()
         wait_for(lambda: not processes_of(folder), "the end of the launch")
         assert_nothing_left(folder)
