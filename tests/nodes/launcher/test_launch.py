@@ -18,7 +18,15 @@ from nodes.launcher import launch_file
 from nodes.launcher.wiring import wire
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
-from tests.support.launching import DEADLINE, assert_nothing_left, haptic, launch_json, private_runtime_dir, running
+from tests.support.launching import (
+    DEADLINE,
+    HAPTIC,
+    assert_nothing_left,
+    haptic,
+    launch_json,
+    private_runtime_dir,
+    running,
+)
 
 PROMISED = {
     "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot", "exit_reason", "final",
@@ -217,7 +225,7 @@ def test_eight_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
             # Each its own: what it records tells whose forces it rendered.
             words = ("wall_press", "duration:=2", f"stiffness:={400 + 50 * number}", "--json", "--no-plot")
             (folder / "limits.yaml").write_text(f"driver: {{safety: {{peak_force: {peak}}}}}\n")
-            command = [sys.executable, "-P", "-m", "nodes.cli.main", "launch", *words, "--params", "limits.yaml"]
+            command = [*HAPTIC, "launch", *words, "--params", "limits.yaml"]
             with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as told:
                 processes.append(subprocess.Popen(command, cwd=folder, env=environment, stdout=out, stderr=told))
         codes = [process.wait(3.0 * DEADLINE) for process in processes]
