@@ -25,6 +25,8 @@ from nodes.recording.writer import Output, RecordError, discard, mcap_writer, ve
 
 T = TypeVar("T")
 
+_U64 = struct.Struct("<Q")
+
 
 class Recovered(msgspec.Struct):
     """What `recover` saved.
@@ -69,14 +71,16 @@ def _search(path: Path) -> Iterator[Record]:
         yield from _summary(data)
         at = data.find(mark, lead)
         while at >= 0:
-            start = at - lead
-            opcode, length = FRAME.unpack_from(data, start)
-            end = start + FRAME.size + length
-            following = at + 1
-            if opcode == mcap_walk.CHUNK and end <= len(data):
-                with contextlib.suppress(RecordError):
-                    yield from mcap_walk.unpack_chunk(path, Record(start, opcode, data[start + FRAME.size : end]))
-                    following = end
+            start, following = at - lead, at + 1
+            body = at + len(mark) + _U64.size
+            if data[start] == mcap_walk.CHUNK and body <= len(data):
+                # Up to where its data end: the record's own length may be what is damaged, and stride over the next chunk.
+                end = body + _U64.unpack_from(data, body - _U64.size)[0]
+                if end <= len(data):
+                    with contextlib.suppress(RecordError):
+                        content = data[start + FRAME.size : end]
+                        yield from mcap_walk.unpack_chunk(path, Record(start, mcap_walk.CHUNK, content))
+                        following = end
             at = data.find(mark, following)
 
 

@@ -34,6 +34,8 @@ class Whole:
         Topics and messages.
     ends : list of tuple of int
         For each chunk where it ends, and how many messages are in it and before.
+    starts : list of int
+        Where each chunk starts.
     """
 
     def __init__(self, path: Path) -> None:
@@ -44,6 +46,7 @@ class Whole:
             summary = make_reader(stream, validate_crcs=True).get_summary()
             assert summary is not None
             self.ends = [(0, 0)]
+            self.starts = sorted(index.chunk_start_offset for index in summary.chunk_indexes)
             for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
                 stream.seek(index.chunk_start_offset)
                 chunk = next(StreamReader(stream, skip_magic=True, emit_chunks=True).records)
