@@ -215,6 +215,9 @@ def write_axis(d: Any, force: float, seq: int, offset: float) -> bool:
         return True
     if d.pending_count >= PENDING:
         return False
+    if not math.isfinite(force):
+        # As a real one: what is no number is no force.
+        force = 0.0
     last = (d.pending_first + d.pending_count) % PENDING
     d.pending[2 * last] = seq + offset + d.delay
     d.pending[2 * last + 1] = force

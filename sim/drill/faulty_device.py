@@ -20,6 +20,9 @@ SCALE, LATE = "scale ", "late "
 """What it begins with for an encoder that lies: its positions times a factor, or those of so many samples before. Else a number
 is the position [m]."""
 
+FAILS, BLOCKS = "fails in ", "blocks "
+"""What it begins with for a call that raises, which is named, and for a read that takes so long [s]."""
+
 _LATEST = 100
 
 
@@ -61,8 +64,13 @@ class FaultyDevice:
         with open(self._order, encoding="ascii") as file:
             return file.read()
 
+    def _meet(self, call: str, order: str) -> None:
+        if order == FAILS + call:
+            raise OSError(f"faulty device: {call}() fails, as a device does that was unplugged")
+
     def open(self) -> None:
-        """Open it."""
+        """Open it; when so ordered, fail."""
+        self._meet("open", self._ordered())
         self._device.open()
 
     def read_position(self, seq: int) -> Vector:
@@ -70,7 +78,11 @@ class FaultyDevice:
         position = self._device.read_position(seq)
         self._positions.append(position)
         order = self._ordered()
-        if order in ("", HANG):
+        self._meet("read_position", order)
+        if order in ("", HANG) or order.startswith(FAILS):
+            return position
+        if order.startswith(BLOCKS):
+            time.sleep(float(order.removeprefix(BLOCKS)))
             return position
         if order == EXIT:
             os._exit(0)
@@ -83,13 +95,15 @@ class FaultyDevice:
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
         """Hand over a force; when so ordered, never come back."""
-        while self._ordered() == HANG:
+        while (order := self._ordered()) == HANG:
             time.sleep(0.1)
+        self._meet("write_force", order)
         self._device.write_force(force, seq, offset)
 
     def close(self) -> None:
-        """Close it."""
+        """Close it, and then fail when so ordered."""
         self._device.close()
+        self._meet("close", self._ordered())
 
 
 class FaultyDriver(SimDriver):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -97,7 +98,8 @@ def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
     """
     known = real_kinds()
     if kind not in known:
-        raise UsageError(f"{kind!r} drives no real device; there are: {', '.join(sorted(known))}")
+        virtual = "; the virtual device needs no check: haptic launch identify" if kind == "sim_driver" else ""
+        raise UsageError(f"{kind!r} drives no real device; there are: {', '.join(sorted(known))}{virtual}")
     written: dict[str, Any] = {}
     try:
         for path, value in parse_assignments(list(words)).items():
@@ -106,6 +108,8 @@ def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
             for name in outer:
                 at = at.setdefault(name, {})
             at[last] = value
-        return known[kind].hardware(convert(written, known[kind].Parameters, kind))
+        device = known[kind].hardware(convert(written, known[kind].Parameters, kind))
     except ParameterError as error:
         raise UsageError(str(error)) from error
+    device.say = lambda text: print(text, file=sys.stderr, flush=True)
+    return device

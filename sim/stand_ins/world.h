@@ -21,7 +21,7 @@
 typedef struct {
     /* the arm */
     double mass, damping, gravity, resolution;
-    double position[3], velocity[3], force[3];
+    double position[3], velocity[3], force[3], seen[3];
     double advanced_at, free_from;
     /* its own deadline [s], 0 for none, and when a force came last */
     double watchdog, commanded_at;
@@ -34,7 +34,7 @@ typedef struct {
     int32_t open, forces, calibrations, broken, commands, style;
     double largest;
     /* faults: see sim/stand_ins/world.py */
-    int32_t unplugged, nan, positive, block_ms, manual, cause, error, refuse_rate, frozen, fails;
+    int32_t unplugged, nan, positive, block_ms, manual, cause, error, refuse_rate, frozen, slow_ms, stuck, fails;
     double other[3];
     char fail[32];
     int32_t lock;
@@ -82,13 +82,14 @@ static inline void world_advance(world *w) {
 
 /* Read the encoders; 0 when the arm cannot be read, and nothing is written then. */
 static inline int world_read(world *w, double *position, double *velocity) {
-    int32_t block = __atomic_exchange_n(&w->block_ms, 0, __ATOMIC_SEQ_CST);
+    int32_t block = __atomic_exchange_n(&w->block_ms, 0, __ATOMIC_SEQ_CST) + w->slow_ms;
     if (block) usleep(1000u * (unsigned) block);
     if (w->unplugged) return 0;
     world_lock(w);
     world_advance(w);
     for (int i = 0; i < 3; i++) {
-        double x = w->position[i];
+        if (!w->stuck) w->seen[i] = w->position[i];
+        double x = w->seen[i];
         if (w->resolution > 0.0) x = nearbyint(x / w->resolution) * w->resolution;
         position[i] = w->nan ? NAN : x;
         velocity[i] = w->velocity[i];

@@ -25,7 +25,7 @@ class WorldState(ctypes.Structure):
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         *((name, ctypes.c_double) for name in ("mass", "damping", "gravity", "resolution")),
-        *((name, ctypes.c_double * 3) for name in ("position", "velocity", "force")),
+        *((name, ctypes.c_double * 3) for name in ("position", "velocity", "force", "seen")),
         *((name, ctypes.c_double) for name in ("advanced_at", "free_from", "watchdog", "commanded_at")),
         *((name, ctypes.c_double) for name in ("peak", "continuous", "gripper")),
         ("turn", ctypes.c_double * 9),
@@ -36,7 +36,7 @@ class WorldState(ctypes.Structure):
             (name, ctypes.c_int32)
             for name in (
                 *("unplugged", "nan", "positive", "block_ms", "manual", "cause", "error", "refuse_rate", "frozen"),
-                "fails",
+                *("slow_ms", "stuck", "fails"),
             )
         ),
         ("other", ctypes.c_double * 3),
@@ -59,7 +59,8 @@ class World:
         It, as it is now. Of the faults, ``unplugged`` fails every call; ``nan`` gives positions that are none; ``positive``
         lets calls give remarks; ``block_ms`` lets the next read take so long; ``manual`` asks for a calibration by hand;
         ``cause`` keeps forces off; ``error`` reports an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops
-        the vendor's own thread; ``fails`` lets the call named ``fail`` fail; ``other`` is a force of somebody else [N].
+        the vendor's own thread; ``slow_ms`` lets each read take so long; ``stuck`` lets the encoders stand still; ``fails``
+        lets the call named ``fail`` fail; ``other`` is a force of somebody else [N].
     """
 
     def __init__(self, path: Path) -> None:
@@ -114,7 +115,7 @@ class World:
         s.free_from = time.monotonic() if at is None else at
 
 
-def library(name: str, folder: Path) -> tuple[Path, World]:
+def library(name: str, folder: Path, *options: str) -> tuple[Path, World]:
     """Compile a stand-in of a vendor's library into a folder, with its world.
 
     Parameters
@@ -123,6 +124,8 @@ def library(name: str, folder: Path) -> tuple[Path, World]:
         ``hd`` or ``dhd``.
     folder : Path
         Where to.
+    *options : str
+        For the compiler: another version of it.
 
     Returns
     -------
@@ -131,7 +134,7 @@ def library(name: str, folder: Path) -> tuple[Path, World]:
     """
     # A name of its own: who holds a device is told by the name of its library.
     path = folder / f"lib{name}-{os.urandom(4).hex()}.so"
-    subprocess.run(_command(name, "-shared", "-fPIC", "-o", str(path)), check=True)
+    subprocess.run(_command(name, "-shared", "-fPIC", *options, "-o", str(path)), check=True)
     return path, world_beside(path)
 
 
@@ -140,10 +143,10 @@ def world_beside(path: Path) -> World:
     return World(path.with_name(path.name + ".world"))
 
 
-def archive(name: str, folder: Path) -> Path:
+def archive(name: str, folder: Path, *options: str) -> Path:
     """Make the stand-in a static library, as a vendor may ship it."""
     compiled, path = folder / f"{name}.o", folder / f"lib{name}.a"
-    subprocess.run(_command(name, "-fPIC", "-c", "-o", str(compiled)), check=True)
+    subprocess.run(_command(name, "-fPIC", "-c", *options, "-o", str(compiled)), check=True)
     subprocess.run(["ar", "rcs", str(path), str(compiled)], check=True)
     return path
 

@@ -89,6 +89,7 @@ def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
         stand = Bench(kind, driver, world_beside(path), section, {"library": str(path), **GRIPPED[kind]}, made)
         service = None
     else:
+        assert kind == "inverse3_driver", f"{kind} has no stand-in yet"
         service = inverse_service.start(folder, *options)
         parameters = {"port": service.port, "events_port": service.events_port, **GRIPPED[kind]}
         stand = Bench(kind, driver, service.world, "inverse3", parameters, made)

@@ -125,16 +125,27 @@ def load_library(name: str) -> Any:
 
 def _linked(archive: Path) -> Any:
     """Link a static library into a shared one."""
-    usb = find("libusb-1.0.so.0", ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu")).library
-    if usb is not None:
+    usb = find("libusb-1.0.so.0", ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu"))
+    if usb.library is not None:
         # The archive leaves its functions open.
-        ctypes.CDLL(usb, mode=ctypes.RTLD_GLOBAL)
+        ctypes.CDLL(usb.library, mode=ctypes.RTLD_GLOBAL)
     with tempfile.TemporaryDirectory(prefix="haptic-dhd-") as folder:
         stubs = Path(folder) / "stubs.c"
         stubs.write_text(_stubs(archive), encoding="ascii")
         whole: list[str | Path] = ["-Wl,--whole-archive", archive, "-Wl,--no-whole-archive", stubs]
         options = [*whole, "-lstdc++", "-lpthread", "-lm"]
-        return shared_library(f"linked-{archive.stem}.so", [archive], options, f"a library of {archive}")
+        try:
+            return shared_library(f"linked-{archive.stem}.so", [archive], options, f"a library of {archive}")
+        except OSError as error:
+            if "undefined symbol" not in str(error):
+                raise
+            name = str(error).rpartition(" ")[2]
+            missing = (
+                f"libusb-1.0.so.0 is not found (looked in {', '.join(usb.searched)}): install libusb-1.0-0"
+                if name.startswith("libusb") and usb.library is None
+                else f"it is not {WHAT}, or not all of it; {REMEDY}"
+            )
+            raise OSError(f"{archive} cannot be used: it needs {name}, which nothing here has; {missing}") from error
 
 
 def _stubs(archive: Path) -> str:

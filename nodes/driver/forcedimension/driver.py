@@ -241,6 +241,10 @@ class ForceDimensionDevice(MailboxDevice):
                     f"Force Dimension: not calibrated within {self._wants.ready_time:g} s: move the handle through its whole "
                     "range once, or into its cradle, and launch again"
                 )
+            self.wait_for(
+                f"waits up to {self._wants.ready_time:g} s for its calibration: move the handle through its whole range, or "
+                "into its cradle"
+            )
             time.sleep(0.02)
 
     def close(self) -> None:

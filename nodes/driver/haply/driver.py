@@ -28,6 +28,9 @@ from nodes.driver.hardware.mailbox import SAMPLE, HardwareParameters, MailboxDev
 SILENCE: Final = 0.1
 """Longest watchdog that a launch file may ask for on this device [s]."""
 
+COLD_START: Final = 25.0
+"""What the service takes after it was started, by the vendor's guide [s]."""
+
 CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE = 1, 2, 3, 4, 5
 """What can go wrong, as numbers for the mailbox."""
 
@@ -140,7 +143,8 @@ class Inverse3Device(MailboxDevice):
             return
         wants = self._wants
         address = f"ws://{wants.host}:{wants.port}"
-        until, why = time.monotonic() + wants.start_time, ""
+        begun = time.monotonic()
+        until, why = begun + wants.start_time, ""
         while self._socket is None:
             try:
                 self._socket = self._dial(address)
@@ -152,7 +156,13 @@ class Inverse3Device(MailboxDevice):
                         f"Inverse3: not ready at {address} within {wants.start_time:g} s: {why}; {REMEDY}. On Linux "
                         "ModemManager may hold its serial port"
                     )
+                self.wait_for(
+                    f"waits up to {wants.start_time:g} s for the Inverse Service at {address}: {why}; a cold start takes up to "
+                    f"{COLD_START:g} s"
+                )
                 time.sleep(0.1)
+        if why:
+            self.wait_for(f"is there after {time.monotonic() - begun:.1f} s")
 
     def _dial(self, address: str) -> ClientConnection:
         wants = self._wants

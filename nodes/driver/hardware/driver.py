@@ -57,6 +57,7 @@ class HardwareDriver(Driver):
     def make_device(self) -> Device:
         """Take hold of the device, forces off."""
         self.held = self.hardware(self.store.current)
+        self.held.say = lambda text: self.events.emit_each("device_waits", text)
         self.held.connect()
         return self.held
 

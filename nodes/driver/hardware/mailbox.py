@@ -10,7 +10,7 @@ import ctypes
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, NamedTuple
 
@@ -34,6 +34,11 @@ SAMPLE: Final = 12
 
 _kept: Final[list[Any]] = []
 """Mailboxes that a servo loop may still use: one whose thread hangs must not write into freed memory."""
+
+
+def _silent(text: str) -> None:
+    """Tell nobody."""
+    del text
 
 
 class Mailbox(ctypes.Structure):
@@ -131,6 +136,8 @@ class MailboxDevice(ABC):
         Its unit of length [m].
     facts : dict
         What is known of it once it is connected: model, serial number, versions.
+    say : callable
+        Told what is waited for while it is opened, which may take long; whoever makes it takes that.
     """
 
     TITLE: ClassVar[str] = ""
@@ -142,6 +149,8 @@ class MailboxDevice(ABC):
     def __init__(self, parameters: Any) -> None:
         self.parameters = parameters
         self.facts: dict[str, Any] = {}
+        self.say: Callable[[str], None] = _silent
+        self._waits = ""
         self._limits = DeviceLimits()
         self._turn = matrix(parameters.mapping, self.AXES)
         self._code: Any = None
@@ -173,6 +182,12 @@ class MailboxDevice(ABC):
     def turn(self) -> Matrix:
         """The matrix from the device's axes into the scene's."""
         return self._turn
+
+    def wait_for(self, what: str) -> None:
+        """Say what is waited for, once until it is something else."""
+        if what != self._waits:
+            self._waits = what
+            self.say(f"{self.TITLE}: {what}")
 
     # -- what a kind defines -----------------------------------------------------------------------------------------
 

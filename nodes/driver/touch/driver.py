@@ -214,15 +214,18 @@ class TouchDevice(MailboxDevice):
                     )
                 self._hd.hdUpdateCalibration(ways[0])
                 self._check("the calibration failed")
+            remedy = (
+                "put the stylus into its inkwell"
+                if state == CALIBRATION_NEEDS_MANUAL
+                else "move the stylus through its whole range"
+            )
             if time.monotonic() > until:
-                remedy = (
-                    "put the stylus into its inkwell"
-                    if state == CALIBRATION_NEEDS_MANUAL
-                    else "move the stylus through its whole range"
-                )
                 raise OSError(
                     f"Touch: not calibrated within {self._touch.calibration_time:g} s (0x{state:04X}): {remedy}"
                 )
+            # What an update mends at once needs nobody.
+            if state == CALIBRATION_NEEDS_MANUAL:
+                self.wait_for(f"waits up to {self._touch.calibration_time:g} s for its calibration: {remedy}")
             time.sleep(0.01)
         self._check("the calibration cannot be checked")
 

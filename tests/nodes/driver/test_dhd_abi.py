@@ -18,7 +18,7 @@ from nodes.driver.forcedimension.driver import (
     ForceDimensionDriverParameters,
     ForceDimensionParameters,
 )
-from sim.stand_ins.world import World, archive
+from sim.stand_ins.world import World, archive, library
 
 REAL = os.environ.get("HAPTIC_DHD", "")
 HEADER = os.environ.get("HAPTIC_DHD_HEADER", "")
@@ -87,15 +87,12 @@ def test_the_vendors_library_has_all_and_says_that_no_device_is_there() -> None:
     device.close()
 
 
-def test_a_static_library_is_linked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_static_library_is_linked_once(tmp_path: Path, cached: Path) -> None:
     """The stand-in, as the vendor ships it."""
-    kept = tmp_path / "cache"
-    kept.mkdir(mode=0o700)
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(kept))
     path = archive("dhd", tmp_path)
     library = load_library(str(path))
     assert library.dhdErrorGetLast() == 0
-    (made,) = kept.rglob("linked-*")
+    (made,) = cached.rglob("linked-*")
     before = made.stat().st_mtime_ns
     assert load_library(str(path)).dhdErrorGetLast() == 0
     assert made.stat().st_mtime_ns == before
@@ -103,6 +100,45 @@ def test_a_static_library_is_linked_once(tmp_path: Path, monkeypatch: pytest.Mon
         load_library(str(tmp_path / "libnone.a"))
     with pytest.raises(OSError, match="has no dhdErrorGetLast"):
         load_library(str(archive("hd", tmp_path)))
+
+
+@pytest.fixture
+def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Keep what is linked in a folder of the test's own."""
+    kept = tmp_path / "cache"
+    kept.mkdir(mode=0o700)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(kept))
+    return kept
+
+
+@pytest.mark.parametrize("form", ["so", "a"])
+@pytest.mark.parametrize("name", ["dhdSetWatchdog", "dhdErrorGetLast", "dhdJointAnglesToInertiaMatrix"])
+def test_a_library_that_lacks_a_function_is_refused_by_its_name(
+    form: str, name: str, tmp_path: Path, cached: Path
+) -> None:
+    """As one of another version is: the stand-in with one function under another name."""
+    del cached
+    renamed = f"-D{name}={name}_of_old"
+    path = archive("dhd", tmp_path, renamed) if form == "a" else library("dhd", tmp_path, renamed)[0]
+    with pytest.raises(OSError, match=rf"^{re.escape(str(path))} has no {name}: it is not Force Dimension's library"):
+        load_library(str(path))
+
+
+def test_what_cannot_be_linked_or_loaded_is_refused_in_one_line(tmp_path: Path, cached: Path) -> None:
+    del cached
+    needs = archive("dhd", tmp_path, "-Dusleep=libusb_of_old")
+    with pytest.raises(OSError, match="it needs libusb_of_old, which nothing here has; ") as refused:
+        load_library(str(needs))
+    assert "\n" not in str(refused.value)
+    text = tmp_path / "libtext.a"
+    text.write_text("no library", encoding="ascii")
+    with pytest.raises(OSError, match="nm cannot read"):
+        load_library(str(text))
+    shared = tmp_path / "libtext.so"
+    shared.write_text("no library", encoding="ascii")
+    for path in (shared, tmp_path / "libnone.so"):
+        with pytest.raises(OSError, match=rf"{path.name} cannot be loaded .*install the Force Dimension SDK"):
+            load_library(str(path))
 
 
 def test_a_world_is_kept_in_its_file(tmp_path: Path) -> None:

@@ -1,0 +1,120 @@
+"""The Inverse3's driver against its stand-in service: a cold start, an old version, other sessions, events, a slow service."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from nodes.driver.hardware.mailbox import MailboxDevice
+from tests.sim.test_stand_ins import SOFT, through
+from tests.support.devices import Bench, bench
+from tests.support.launching import running, wait_for
+
+COLD = 1.0
+"""The stand-in's cold start [s]; the vendor's takes up to 25."""
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Iterator[Bench]:
+    with bench("inverse3_driver", tmp_path) as made:
+        yield made
+
+
+def pressed(stand: Bench, force: tuple[float, float, float]) -> MailboxDevice:
+    device = stand.device()
+    device.connect()
+    device.open()
+
+    def arrives() -> bool:
+        device.write_force(force, 0, 0.0)
+        return any(stand.world.force())
+
+    wait_for(arrives, "the force")
+    return device
+
+
+def test_a_cold_start_is_waited_for_and_says_why(tmp_path: Path) -> None:
+    with bench("inverse3_driver", tmp_path, "--cold", str(COLD)) as stand:
+        device = stand.device(start_time=30.0)
+        said: list[str] = []
+        device.say = said.append
+        device.connect()
+        begun = time.monotonic()
+        device.open()
+        assert device.facts["serial"] == "04BA"
+        # As long as it is cold one line stands for all attempts; another says that the wait is over.
+        assert len(said) == 2, said
+        assert said[0].startswith("Inverse3: waits up to 30 s for the Inverse Service at ws://localhost:")
+        assert "no Inverse3 is connected; a cold start takes up to 25 s" in said[0]
+        assert said[1].startswith("Inverse3: is there after ")
+        # It was there not before the service had it, whose clock began before ours.
+        assert 0.0 < float(said[1].split()[-2]) <= time.monotonic() - begun + 0.05  # the line gives tenths
+        device.close()
+
+
+def test_a_launch_waits_for_a_cold_start(tmp_path: Path) -> None:
+    with bench("inverse3_driver", tmp_path, "--cold", "3") as stand:
+        scene = through(stand, tmp_path, start_time=30.0)
+        stand.world.state.position[2] = -0.002
+        with running(tmp_path, scene, *SOFT, "duration:=0", ready=False) as launch:
+            wait_for(lambda: stand.world.force()[2] == pytest.approx(0.3, abs=1e-9), "2 mm of 150 N/m")
+            assert "[driver] device_waits: Inverse3: waits up to 30 s" in launch.errors
+            assert "device_waits: Inverse3: is there after" in launch.errors
+
+
+def test_a_service_that_takes_forces_under_another_name_is_refused_loudly(tmp_path: Path) -> None:
+    with bench("inverse3_driver", tmp_path, "--version", "3.1") as stand:
+        device = stand.device()
+        device.connect()
+        device.open()
+        told: list[str] = []
+
+        def refused() -> bool:
+            device.write_force((0.0, 0.0, 1.0), 0, 0.0)
+            try:
+                device.read_position(0)
+            except OSError as error:
+                told.append(str(error))
+            return bool(told)
+
+        wait_for(refused, "it says that no force acts")
+        assert "takes no forces (0 N act while a force is asked for): it must be of version 3.5" in told[0]
+        assert "takes no forces" in device.condition()
+
+
+def test_what_another_session_adds_is_told(stand: Bench) -> None:
+    device = pressed(stand, (0.0, 0.0, 1.0))
+    assert device.condition() == ""
+    stand.world.state.other[2] = 0.5
+    wait_for(lambda: "another session of the Inverse Service adds" in device.condition(), "the other session")
+    assert "+0.50 N" in device.condition()
+    stand.world.state.other[2] = 0.0
+    wait_for(lambda: device.condition() == "", "nobody adds any more")
+
+
+def test_an_emergency_brake_is_told_and_its_end(stand: Bench) -> None:
+    device = pressed(stand, (0.0, 0.0, 1.0))
+    stand.world.state.cause = 1
+    wait_for(lambda: "emergency brake of the Inverse3 is on" in device.condition(), "the brake")
+    stand.world.state.cause = 0
+    wait_for(lambda: device.condition() == "", "the brake released")
+
+
+def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Bench) -> None:
+    """Each state 80 ms late, and the deadline is 50 ms: no position for most of the time, and no force with it."""
+    device = pressed(stand, (0.0, 0.0, 1.0))
+    stand.world.state.slow_ms = 80
+    unknown = 0
+
+    def counted() -> bool:
+        nonlocal unknown
+        unknown += math.isnan(device.read_position(0)[0])
+        return unknown > 20
+
+    wait_for(counted, "positions that are too old")
+    stand.world.state.slow_ms = 0
+    wait_for(lambda: not math.isnan(device.read_position(0)[0]), "positions are back")
