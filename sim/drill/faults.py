@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sim.drill import intruders, last_line, people
+from sim.drill import devices, intruders, last_line, people
 from sim.drill.drill import Fault, FaultSkippedError, kill
 from sim.measure.launches import within
 from sim.measure.rig import Rig
@@ -220,4 +220,5 @@ def faults() -> list[Fault]:
         *last_line.faults(),
         *intruders.faults(),
         *people.faults(),
+        *devices.faults(),
     ]

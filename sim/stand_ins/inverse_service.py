@@ -176,7 +176,7 @@ class Started(NamedTuple):
 
 
 def start(folder: Path, *options: str) -> Started:
-    """Start the service in a process of its own."""
+    """Start the service in a process of its own, with the arm that was there before, if any."""
     world = World(folder / "inverse3.world")
     command = [sys.executable, "-P", "-m", __name__, str(world.path), *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -194,6 +194,7 @@ def main() -> None:
     parser.add_argument("world", type=Path)
     parser.add_argument("--cold", type=float, default=0.0, help="so long after its start there is no device yet [s]")
     parser.add_argument("--version", default="3.5")
+    parser.add_argument("--ports", type=int, nargs=2, default=(0, 0), help="to listen at, for states and events")
     arguments = parser.parse_args()
     world = World(arguments.world)
     service = Service(world, arguments.version)
@@ -205,8 +206,8 @@ def main() -> None:
 
         threading.Timer(arguments.cold, warm).start()
     servers: list[Server] = [
-        serve(service.serve, "localhost", 0, process_request=service.answer, compression=None),
-        serve(service.events, "localhost", 0, compression=None),
+        serve(service.serve, "localhost", arguments.ports[0], process_request=service.answer, compression=None),
+        serve(service.events, "localhost", arguments.ports[1], compression=None),
     ]
     print(*(server.socket.getsockname()[1] for server in servers), flush=True)
     for server in servers:

@@ -71,6 +71,8 @@ static inline void world_step(world *w, double duration) {
 static inline void world_advance(world *w) {
     double now = world_now(), ends = w->commanded_at + w->watchdog;
     double from = fmax(w->advanced_at, w->free_from);
+    /* Without its cable a device has no power. */
+    if (w->unplugged) w->force[0] = w->force[1] = w->force[2] = 0.0;
     if (w->watchdog > 0.0 && now > ends) {
         if (ends > from) world_step(w, ends - from);
         from = fmax(from, ends);

@@ -218,11 +218,12 @@ class Inverse3Device(MailboxDevice):
         force, sample = (ctypes.c_double * 3)(), (ctypes.c_double * SAMPLE)()
         period, first = 1.0 / self._wants.servo_rate, True
         due = begun = time.monotonic()
-        owed = False
+        owed = blind = False
         refused_since = math.inf
         while not self._ending.is_set():
-            acts = code.mailbox_force(at, force)
-            wanted = (force[0], force[1], force[2])
+            # Without a position nothing is known of where a force acts.
+            acts = code.mailbox_force(at, force) and not blind
+            wanted = (force[0], force[1], force[2]) if acts else ZERO
             begun = begun if owed else time.monotonic()
             try:
                 # Whoever asked twice would be an answer behind from then on.
@@ -238,10 +239,11 @@ class Inverse3Device(MailboxDevice):
                 return
             except ValueError:
                 self._failed(NO_STATE)
-                owed = False
+                owed, blind = False, True
                 continue
             self.round_trip, first, owed = time.monotonic() - begun, False, False
             state = next((device.state for device in told.inverse3 if device.device_id == self._id), None)
+            blind = state is None
             if state is None:
                 # What is zero may be left out of a state, but a state that is not there is no state of zeros.
                 self._failed(NO_STATE)

@@ -184,6 +184,8 @@ class TouchDevice(MailboxDevice):
             ("get_integer", "hdGetIntegerv"),
             ("set_double", "hdSetDoublev"),
             ("get_error", "hdGetError"),
+            ("enable", "hdEnable"),
+            ("disable", "hdDisable"),
         ):
             setattr(servo, field, ctypes.cast(getattr(hd, name), ctypes.c_void_p).value)
         servo.device = self._device
@@ -197,6 +199,8 @@ class TouchDevice(MailboxDevice):
         self.write_force((0.0, 0.0, 0.0), 0, 0.0)
         hd.hdEnable(FORCE_OUTPUT)
         self._check("forces cannot be switched on")
+        if error := self._code.servo_watch(ctypes.byref(servo)):
+            raise OSError(error, "Touch: nobody can look after the servo loop")
 
     def _calibrate(self) -> None:
         until = time.monotonic() + self._touch.calibration_time
@@ -246,6 +250,8 @@ class TouchDevice(MailboxDevice):
         hd = self._hd
         if self._scheduled is not None:
             self._box.stop = 1
+            if self._code.servo_end(ctypes.byref(self._shared)):
+                raise OSError("Touch: a call of the device does not return; switch the device off")
         hd.hdDisable(FORCE_OUTPUT)
         if self._scheduled is not None:
             hd.hdStopScheduler()

@@ -51,9 +51,12 @@ class TouchServo(ctypes.Structure):
             (name, ctypes.c_void_p)
             for name in (
                 *("begin_frame", "end_frame", "make_current", "get_double", "get_integer", "set_double", "get_error"),
+                *("enable", "disable"),
             )
         ),
-        ("device", ctypes.c_uint),
+        *((name, ctypes.c_uint) for name in ("device", "turns")),
+        *((name, ctypes.c_int) for name in ("cut", "watched")),
+        ("watch", ctypes.c_ulong),
     ]
 
 

@@ -175,10 +175,12 @@ def a_read_that_blocks_holds_up_nobody(stand: Bench) -> None:
         return unknown > 0
 
     wait_for(blocked, "the position counts as unknown")
-    # The driver's own call did not wait.
+    # The driver's own call did not wait, and the hand is not held by the force of before.
     assert seen > 3
+    assert without_force(stand)
     wait_for(lambda: not math.isnan(device.read_position(0)[0]), "positions are back")
     assert device._box.ticks > ticks
+    pressed(device, stand)
     device.close()
 
 

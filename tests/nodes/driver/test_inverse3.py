@@ -56,14 +56,15 @@ def test_a_cold_start_is_waited_for_and_says_why(tmp_path: Path) -> None:
         device.close()
 
 
-def test_a_launch_waits_for_a_cold_start(tmp_path: Path) -> None:
-    with bench("inverse3_driver", tmp_path, "--cold", "3") as stand:
-        scene = through(stand, tmp_path, start_time=30.0)
-        stand.world.state.position[2] = -0.002
-        with running(tmp_path, scene, *SOFT, "duration:=0", ready=False) as launch:
-            wait_for(lambda: stand.world.force()[2] == pytest.approx(0.3, abs=1e-9), "2 mm of 150 N/m")
-            assert "[driver] device_waits: Inverse3: waits up to 30 s" in launch.errors
-            assert "device_waits: Inverse3: is there after" in launch.errors
+def test_a_launch_waits_for_a_cold_start(stand: Bench, tmp_path: Path) -> None:
+    scene = through(stand, tmp_path, start_time=100.0)
+    stand.world.state.position[2] = -0.002
+    stand.world.state.unplugged = 1
+    with running(tmp_path, scene, *SOFT, "duration:=0", ready=False) as launch:
+        wait_for(lambda: "[driver] device_waits: Inverse3: waits up to 100 s" in launch.errors, "why it waits")
+        stand.world.state.unplugged = 0
+        wait_for(lambda: stand.world.force()[2] == pytest.approx(0.3, abs=1e-9), "2 mm of 150 N/m")
+        assert "device_waits: Inverse3: is there after" in launch.errors
 
 
 def test_a_service_that_takes_forces_under_another_name_is_refused_loudly(tmp_path: Path) -> None:

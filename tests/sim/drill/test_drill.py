@@ -20,12 +20,13 @@ from nodes.launcher import launch_file
 from nodes.launcher.runs import alive
 from nodes.parameters.store import convert
 from sim.device.driver import SimDevice, SimDriverParameters
-from sim.drill import drill, people
+from sim.drill import devices, drill, people
 from sim.drill.faults import faults
 from sim.drill.soak import soak
 from sim.drill.witness import UNEXPLAINED, largest
 from sim.measure.launches import within
 from sim.measure.rig import Rig
+from tests.support.devices import real_devices
 from tests.support.launching import HAPTIC, haptic, wait_for
 from tests.support.setups import setup_of
 
@@ -214,6 +215,37 @@ def test_intruders_libraries_and_people_do_no_harm_and_the_loop_goes_on(name: st
     outcome = drill.drill(next(fault for fault in faults() if fault.name == name))
     assert outcome.passed, outcome.reasons
     assert outcome.left == []
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("Touch read blocks", "Touch swapped", "Force Dimension unplugged", "Force Dimension read fails"),
+        *("Inverse3 service dies", "Inverse3 read fails"),
+    ],
+)
+def test_faults_of_real_devices_leave_no_force_on_the_arm(name: str) -> None:
+    outcome = drill.drill(next(fault for fault in faults() if fault.name == name))
+    assert outcome.passed, outcome.reasons
+    assert outcome.lost_ticks > drill.WATCHDOG
+
+
+def test_a_force_that_stays_on_an_arm_fails_the_drill(monkeypatch: pytest.MonkeyPatch) -> None:
+    stand = devices.StandIn(devices.KINDS[1])
+
+    def strike(rig: Rig) -> None:
+        # Nobody unplugs it: the wall goes on pushing.
+        monkeypatch.setattr(devices, "PATIENCE", 0.2)
+        stand.force_ends()
+        assert rig.states
+
+    outcome = drill.drill(stand.fault("held", "nothing", strike))
+    assert not outcome.passed
+    assert any("the arm had a force for" in reason for reason in outcome.reasons)
+
+
+def test_every_real_device_is_drilled() -> None:
+    assert {kind.kind for kind in devices.KINDS} == set(real_devices())
 
 
 def test_a_launch_that_does_not_recover_fails_the_drill() -> None:

@@ -1,0 +1,239 @@
+"""Faults of real devices, on the stand-in of each kind: what is judged is the arm itself, beside what the driver tells.
+
+A hand holds the arm in a wall, so a force acts on it; at the fault it must be gone within the drill's limit, whoever ends it:
+driver, servo loop, device or service. Then the fault is mended, as by somebody who plugs a cable in again, and the loop must
+go on by itself.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from messages.types import DeviceState
+from sim.drill.drill import LIMIT, RATE, Fault, FaultSkippedError, another
+from sim.measure.launches import MeasurementError, wait_for, within
+from sim.measure.rig import Rig
+from sim.stand_ins import inverse_service
+from sim.stand_ins.world import World, library
+
+DEEP: Final = 0.002
+"""How deep the arm is held in the wall [m]."""
+
+PATIENCE = 5.0
+"""How long a force is waited for that stays on the arm [s]."""
+
+BAD: Final = 0.3
+"""How long a fault lasts that nobody must mend [s]."""
+
+
+class DrilledKind(NamedTuple):
+    """A kind of device, as it is drilled.
+
+    Attributes
+    ----------
+    title : str
+        What it is called in the drill's names.
+    kind : str
+        Of its driver.
+    section : str
+        Where its parameters stand.
+    stand_in : str
+        Library that stands in for the vendor's; empty for the service.
+    reads : str
+        The vendor's call that reads a position.
+    parameters : dict
+        Of the device.
+    """
+
+    title: str
+    kind: str
+    section: str
+    stand_in: str
+    reads: str
+    parameters: dict[str, Any]
+
+
+KINDS: Final = (
+    DrilledKind("Touch", "touch_driver", "touch", "hd", "hdGetDoublev", {"serial": "1234"}),
+    DrilledKind(
+        "Force Dimension",
+        "force_dimension_driver",
+        "force_dimension",
+        "dhd",
+        "dhdGetPosition",
+        {"serial": 1234, "ready_time": 1.0},
+    ),
+    DrilledKind("Inverse3", "inverse3_driver", "inverse3", "", "state", {"start_time": 5.0}),
+)
+"""Every kind of real device."""
+
+
+class StandIn:
+    """A stand-in in the drill's launch, and what came of its arm.
+
+    Parameters
+    ----------
+    kind : DrilledKind
+        Which.
+    """
+
+    def __init__(self, kind: DrilledKind) -> None:
+        self.kind = kind
+        self.folder = Path()
+        self.world: World | None = None
+        self._service: inverse_service.Started | None = None
+        self._parameters: dict[str, Any] = {}
+        self._wrong: list[str] = []
+
+    @property
+    def arm(self) -> World:
+        """The arm, once it is prepared."""
+        assert self.world is not None  # noqa: S101  # drills prepare first
+        return self.world
+
+    def prepare(self) -> Mapping[str, str]:
+        """Compile the library, or start the service; hold the arm in the wall."""
+        self._wrong = []
+        self.folder = Path(tempfile.mkdtemp(prefix="haptic-device-"))
+        if self.kind.stand_in:
+            try:
+                path, self.world = library(self.kind.stand_in, self.folder)
+            except OSError as error:
+                raise FaultSkippedError(str(error)) from error
+            self._parameters = {**self.kind.parameters, "library": str(path)}
+        else:
+            self._serve()
+        self.arm.state.position[2] = -DEEP
+        return {}
+
+    def _serve(self, *options: str) -> None:
+        service = self._service = inverse_service.start(self.folder, *options)
+        self.world = service.world
+        self._parameters = {**self.kind.parameters, "port": service.port, "events_port": service.events_port}
+
+    def change(self, content: dict[str, Any]) -> None:
+        """Put it in the place of the virtual device."""
+        driver = content["nodes"]["driver"]
+        safety = driver["parameters"]["safety"]
+        driver["kind"] = self.kind.kind
+        driver["parameters"] = {"safety": safety, self.kind.section: self._parameters}
+
+    def tidy(self) -> None:
+        """Remove it."""
+        if self._service is not None:
+            self._service.end()
+            self._service = None
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def judge(self, states: Sequence[DeviceState]) -> list[str]:
+        """Tell what the arm was given that it must not."""
+        del states
+        rules = [f"{self.arm.state.broken} rules of the vendor's were broken"] if self.arm.state.broken else []
+        return self._wrong + rules
+
+    def force_ends(self) -> None:
+        """Wait until no force acts on the arm, and note when that takes too long."""
+        begun = time.monotonic()
+        while any(self.arm.force()) and time.monotonic() < begun + PATIENCE:
+            time.sleep(0.001)
+        if (took := time.monotonic() - begun) > LIMIT / RATE:
+            self._wrong.append(f"the arm had a force for {1e3 * took:.0f} ms, limit {1e3 * LIMIT / RATE:.0f} ms")
+
+    def fault(self, name: str, what: str, strike: Callable[[Rig], None]) -> Fault:
+        """Make a row of the drill."""
+        return Fault(
+            name=f"{self.kind.title} {name}",
+            what=what,
+            strike=strike,
+            change=self.change,
+            prepare=self.prepare,
+            tidy=self.tidy,
+            judge=self.judge,
+        )
+
+    # -- the faults --------------------------------------------------------------------------------------------------
+
+    def unplug(self, rig: Rig) -> None:
+        """Pull the cable until the driver has ended, and plug it in again."""
+        before = rig.pid("driver")
+        self.arm.state.unplugged = 1
+        self.force_ends()
+        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone")
+        self.arm.state.unplugged = 0
+        within(lambda: another(rig, "driver", before), 15.0)
+
+    def swap(self, rig: Rig) -> None:
+        """Pull the cable, and plug another device in first: it must be refused, and get no force."""
+        before = rig.pid("driver")
+        serial, arm = self.arm.state.serial, self.arm.state
+        arm.unplugged = 1
+        self.force_ends()
+        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone")
+        arm.serial, arm.largest, arm.unplugged = serial + 1, 0.0, 0
+        wait_for(lambda: f"serial number {serial + 1}" in rig.errors, "the wrong device is named")
+        if arm.largest:
+            self._wrong.append(f"the wrong device got {arm.largest:.3g} N")
+        arm.serial = serial
+        within(lambda: another(rig, "driver", before), 15.0)
+
+    def block(self, rig: Rig) -> None:
+        """Let one read take 100 ms."""
+        self.arm.state.block_ms = 100
+        wait_for(lambda: self.arm.state.block_ms == 0, "the read that blocks")
+        self.force_ends()
+        rig.let_pass(BAD)
+
+    def fail(self, rig: Rig) -> None:
+        """Let reads fail, their out-parameters untouched."""
+        before = rig.pid("driver")
+        self.arm.fail(self.kind.reads)
+        self.force_ends()
+        rig.let_pass(BAD)
+        self.arm.fail("")
+        # A Touch takes an error of its servo loop for the end.
+        if "[driver] ended: " in rig.errors:
+            within(lambda: another(rig, "driver", before), 15.0)
+
+    def slow(self, rig: Rig) -> None:
+        """Let each answer take 80 ms."""
+        self.arm.state.slow_ms = 80
+        self.force_ends()
+        rig.let_pass(BAD)
+        self.arm.state.slow_ms = 0
+
+    def kill_service(self, rig: Rig) -> None:
+        """Kill the service, and start it again where it was."""
+        if self._service is None:
+            raise MeasurementError(f"{self.kind.title} has no service")
+        before, ports = rig.pid("driver"), (self._service.port, self._service.events_port)
+        self._service.process.kill()
+        self._service.process.communicate()
+        self.force_ends()
+        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone")
+        self._serve("--ports", *map(str, ports))
+        within(lambda: another(rig, "driver", before), 15.0)
+
+
+def faults() -> list[Fault]:
+    """List them: each kind of device with the faults that it can have."""
+    found = []
+    for kind in KINDS:
+        stand = StandIn(kind)
+        found += [
+            stand.fault("unplugged", "its cable pulled in mid-run, then plugged in", stand.unplug),
+            stand.fault("read blocks", "one read of its position takes 100 ms", stand.block),
+            stand.fault("read fails", f"for {BAD:g} s, out-parameters untouched", stand.fail),
+        ]
+        if kind.stand_in:
+            found.append(stand.fault("swapped", "another serial number plugged in, then the right one", stand.swap))
+        else:
+            found += [
+                stand.fault("service dies", "SIGKILL, started again", stand.kill_service),
+                stand.fault("service slow", f"each answer 80 ms late for {BAD:g} s", stand.slow),
+            ]
+    return found
