@@ -17,6 +17,7 @@ import msgspec
 from messages.types import ZERO, Vector
 from nodes.cli.main import RefusedError, UsageError
 from nodes.driver.hardware.mailbox import MailboxDevice
+from sim.hands_on.delay import FORCE, PULSES, MeasuredDelay, measure
 
 REST: Final = 1.0
 """How long a device at rest is looked at [s]."""
@@ -53,6 +54,10 @@ class SamplesAtRest(msgspec.Struct, frozen=True, kw_only=True):
         Smallest change of a position that was seen [m]: the encoder's step, or finer; None when nothing changed.
     rate : float
         Samples of its servo loop [Hz].
+    asked : float
+        Those that it is asked for [Hz].
+    missed : int
+        By how many there were too few while it was looked at.
     longest : float
         Longest time without one [s].
     """
@@ -60,6 +65,8 @@ class SamplesAtRest(msgspec.Struct, frozen=True, kw_only=True):
     noise: Vector
     step: float | None
     rate: float
+    asked: float
+    missed: int
     longest: float
 
 
@@ -125,6 +132,8 @@ def at_rest(device: MailboxDevice) -> SamplesAtRest:
         noise=(x, y, z),
         step=min(steps) if steps else None,
         rate=(seen - ticks) / (last - begun) if last > begun else 0.0,
+        asked=device.servo_rate,
+        missed=max(0, round((last - begun) * device.servo_rate) - (seen - ticks)),
         longest=longest,
     )
 
@@ -223,7 +232,8 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
         step = "none was seen" if rest.step is None else f"{1e6 * rest.step:.3g} µm"
         noise = "/".join(f"{1e6 * value:.3g}" for value in rest.noise)
         print(
-            f"  noise {noise} µm, step {step}, {rest.rate:.0f} samples/s, longest gap {1e3 * rest.longest:.3g} ms",
+            f"  noise {noise} µm, step {step}, {rest.rate:.0f} samples/s of {rest.asked:.0f} asked for, {rest.missed} missed "
+            f"in {REST:g} s, longest gap {1e3 * rest.longest:.3g} ms",
             file=sys.stderr,
         )
         right, found = axes(device)
@@ -243,6 +253,8 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
             )
         pushes = _pushes(device)
         result["pushes"] = [msgspec.to_builtins(one) for one in pushes]
+        measured = _delay(device) if len(pushes) > 1 and all(one.felt and not one.ended for one in pushes) else None
+        result["delay"] = measured and msgspec.to_builtins(measured)
     except OSError as error:
         raise RefusedError(str(error)) from error
     finally:
@@ -251,7 +263,8 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
     facts = ", ".join(str(device.facts[name]) for name in ("model", "serial") if device.facts.get(name))
     result["line"] = (
         f"haptic device check {kind}: {facts}; axes {' '.join(found)} right; noise {noise} µm, step {step}; "
-        f"{rest.rate:.0f} samples/s, longest gap {1e3 * rest.longest:.3g} ms; upwards: {felt}"
+        f"{rest.rate:.0f} samples/s of {rest.asked:.0f}, {rest.missed} missed, longest gap {1e3 * rest.longest:.3g} ms; "
+        f"upwards: {felt}; {told_delay(measured)}"
     )
     result["passed"] = all(one.felt and not one.ended for one in pushes)
     return result
@@ -273,6 +286,30 @@ def _pushes(device: MailboxDevice) -> list[TriedForce]:
         if one.ended or not one.felt:
             break
     return pushes
+
+
+def _delay(device: MailboxDevice) -> MeasuredDelay | None:
+    """Measure the delay from force to effect, when the user allows it."""
+    question = (
+        f"Hold the handle loosely. Push up and down {PULSES} times with {min(FORCE, device.limits.peak_force):g} N"
+    )
+    if not ask(f"{question}, 60 ms each, to measure the delay? [y/n]").startswith("y"):
+        return None
+    measured = measure(device)
+    print(f"  {told_delay(measured)}", file=sys.stderr)
+    if measured.delay is not None:
+        ticks = measured.delay * 500.0
+        print(f"  for a launch file at 500 Hz: plant: {{device_delay: {ticks:.2g}}}", file=sys.stderr)
+    return measured
+
+
+def told_delay(measured: MeasuredDelay | None) -> str:
+    """Tell a delay in words."""
+    if measured is None:
+        return "delay not measured"
+    if measured.delay is None:
+        return f"delay not measured: {measured.why}"
+    return f"force to effect {1e3 * measured.delay:.1f} ± {1e3 * measured.uncertainty:.1f} ms (95 %, {measured.pulses} pulses)"
 
 
 def no_force(device: MailboxDevice, one: TriedForce) -> str:

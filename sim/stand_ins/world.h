@@ -18,6 +18,8 @@
 #include <time.h>
 #include <unistd.h>
 
+#define LATE_FORCES 256
+
 typedef struct {
     /* the arm */
     double mass, damping, gravity, resolution;
@@ -36,6 +38,9 @@ typedef struct {
     /* faults: see sim/stand_ins/world.py */
     int32_t unplugged, nan, positive, block_ms, manual, cause, error, refuse_rate, frozen, slow_ms, stuck, fails;
     double other[3];
+    /* So long after it was given a force acts [s]; those on their way: when each acts, and it. */
+    double late, due[LATE_FORCES][4];
+    int32_t due_first, due_count;
     char fail[32];
     int32_t lock;
 } world;
@@ -78,6 +83,15 @@ static inline void world_advance(world *w) {
         from = fmax(from, ends);
         w->force[0] = w->force[1] = w->force[2] = 0.0;
     }
+    for (; w->due_count && w->due[w->due_first][0] <= now; w->due_count--) {
+        const double *next = w->due[w->due_first];
+        if (next[0] > from) {
+            world_step(w, next[0] - from);
+            from = next[0];
+        }
+        for (int i = 0; i < 3; i++) w->force[i] = next[1 + i];
+        w->due_first = (w->due_first + 1) % LATE_FORCES;
+    }
     if (now > from) world_step(w, now - from);
     w->advanced_at = now;
 }
@@ -106,10 +120,18 @@ static inline void world_push(world *w, const double *force) {
     world_advance(w);
     w->commanded_at = world_now();
     w->commands++;
+    double *late = w->due[(w->due_first + w->due_count) % LATE_FORCES];
+    int is_late = w->late > 0.0 && w->due_count < LATE_FORCES;
     for (int i = 0; i < 3; i++) {
         if (!isfinite(force[i]) || fabs(force[i]) > w->peak) w->broken++;
-        w->force[i] = w->forces && !w->cause && isfinite(force[i]) ? force[i] : 0.0;
-        w->largest = fmax(w->largest, fabs(w->force[i]));
+        double given = w->forces && !w->cause && isfinite(force[i]) ? force[i] : 0.0;
+        if (is_late) late[1 + i] = given;
+        else w->force[i] = given;
+        w->largest = fmax(w->largest, fabs(given));
+    }
+    if (is_late) {
+        late[0] = w->commanded_at + w->late;
+        w->due_count++;
     }
     world_unlock(w);
 }

@@ -40,6 +40,9 @@ class WorldState(ctypes.Structure):
             )
         ),
         ("other", ctypes.c_double * 3),
+        ("late", ctypes.c_double),
+        ("due", ctypes.c_double * (4 * 256)),
+        *((name, ctypes.c_int32) for name in ("due_first", "due_count")),
         ("fail", ctypes.c_char * 32),
         ("lock", ctypes.c_int32),
     ]
@@ -60,7 +63,8 @@ class World:
         lets calls give remarks; ``block_ms`` lets the next read take so long; ``manual`` asks for a calibration by hand;
         ``cause`` keeps forces off; ``error`` reports an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops
         the vendor's own thread; ``slow_ms`` lets each read take so long; ``stuck`` lets the encoders stand still; ``fails``
-        lets the call named ``fail`` fail; ``other`` is a force of somebody else [N].
+        lets the call named ``fail`` fail; ``other`` is a force of somebody else [N]; ``late`` is the delay of the device
+        itself [s].
     """
 
     def __init__(self, path: Path) -> None:

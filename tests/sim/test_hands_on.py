@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from sim.hands_on.delay import measure
 from tests.support.devices import Bench, bench, real_devices
 from tests.support.launching import HAPTIC, haptic, wait_for
 
@@ -89,6 +91,8 @@ def test_check_ends_with_a_line_to_paste(stand: Bench, tmp_path: Path) -> None:
     assert line.startswith(f"haptic device check {stand.kind}: ")
     assert "right" in line
     assert "0.1 N felt, 1 N felt, 8 N felt" in line or "0.1 N felt, 1 N felt, 7.9 N felt" in line
+    assert re.search(r"\d+ samples/s of 1000, \d+ missed, longest gap", line)
+    assert re.search(r"force to effect \d+\.\d ± \d+\.\d ms \(95 %, \d+ pulses\)$", line)
     assert stand.world.state.broken == 0
     assert not any(stand.world.force())
 
@@ -125,6 +129,44 @@ def test_a_handle_that_flies_off_is_let_go(tmp_path: Path) -> None:
         assert code == 1
         assert "let go: the handle moved at" in said
         assert not any(stand.world.force())
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("late", [0.0, 0.01])
+def test_the_delay_from_force_to_effect_is_told_with_its_uncertainty(stand: Bench, late: float) -> None:
+    w = stand.world.state
+    w.resolution, w.late = 2e-5, late
+    device = stand.device()
+    device.connect()
+    device.open()
+    # A hand: heavy, and slow; it reaches its speed in 10 ms, which is no delay.
+    w.mass, w.damping, w.free_from = 1.0, 100.0, 0.0
+    measured = measure(device)
+    assert measured.delay is not None, measured.why
+    # On the way out it waits for the servo loop, on the way back for a sample: up to a period each. Three times the 95 % are as
+    # good as certain.
+    assert measured.delay == pytest.approx(late + 1.0 / device.servo_rate, abs=3.0 * measured.uncertainty)
+    assert measured.uncertainty < 0.01
+
+
+def test_a_handle_that_does_not_move_tells_no_delay(stand: Bench) -> None:
+    device = stand.device()
+    device.connect()
+    device.open()
+    measured = measure(device)
+    assert (measured.delay, measured.pulses) == (None, 0)
+    assert "hold it more loosely" in measured.why
+
+
+def test_yes_to_everything_pushes_nobody(tmp_path: Path) -> None:
+    """As `yes | haptic device check`: nobody moved the handle, so nobody is there."""
+    with bench("touch_driver", tmp_path) as stand:
+        code, _, said = checked(stand, tmp_path, lambda *_: "y")
+        assert code == 1
+        assert "the position changed by +0, +0, +0 mm" in said
+        assert stand.world.state.largest == 0.0
+        refused = haptic(tmp_path, "device", "check", stand.kind, *words(stand), "--yes", code=2)
+        assert "--yes" in refused.stderr
 
 
 def test_nobody_answers(tmp_path: Path) -> None:

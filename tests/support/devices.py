@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -84,7 +85,8 @@ def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
     made: list[MailboxDevice] = []
     if kind in LIBRARIES:
         name, section = LIBRARIES[kind]
-        path = folder / _compiled(name).name
+        # A name of its own: who holds a device is told by the name of its library.
+        path = folder / f"lib{name}-{os.urandom(4).hex()}.so"
         shutil.copy(_compiled(name), path)
         stand = Bench(kind, driver, world_beside(path), section, {"library": str(path), **GRIPPED[kind]}, made)
         service = None

@@ -101,6 +101,7 @@ class ForceDimensionDevice(MailboxDevice):
     def __init__(self, parameters: ForceDimensionDriverParameters) -> None:
         super().__init__(parameters)
         self._wants = parameters.force_dimension
+        self.servo_rate = self._wants.servo_rate
         self._id: bytes | None = None
 
     # -- finding it --------------------------------------------------------------------------------------------------

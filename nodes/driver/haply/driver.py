@@ -101,6 +101,7 @@ class Inverse3Device(MailboxDevice):
     def __init__(self, parameters: Inverse3DriverParameters) -> None:
         super().__init__(parameters)
         self._wants = parameters.inverse3
+        self.servo_rate = self._wants.servo_rate
         self._socket: ClientConnection | None = None
         self._open = ExitStack()
         self._threads: list[threading.Thread] = []

@@ -136,6 +136,8 @@ class MailboxDevice(ABC):
         Its unit of length [m].
     facts : dict
         What is known of it once it is connected: model, serial number, versions.
+    servo_rate : float
+        Samples that are asked for [Hz].
     say : callable
         Told what is waited for while it is opened, which may take long; whoever makes it takes that.
     """
@@ -149,6 +151,7 @@ class MailboxDevice(ABC):
     def __init__(self, parameters: Any) -> None:
         self.parameters = parameters
         self.facts: dict[str, Any] = {}
+        self.servo_rate = 1000.0
         self.say: Callable[[str], None] = _silent
         self._waits = ""
         self._limits = DeviceLimits()

@@ -93,6 +93,7 @@ class TouchDevice(MailboxDevice):
     def __init__(self, parameters: TouchDriverParameters) -> None:
         super().__init__(parameters)
         self._touch = parameters.touch
+        self.servo_rate = self._touch.servo_rate
         self._device: int | None = None
         self._scheduled: int | None = None
 
