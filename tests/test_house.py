@@ -9,9 +9,11 @@ from __future__ import annotations
 import ast
 import itertools
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from nodes.cli.quantities import QUANTITIES
 from tests.support import ROOT
 
 FLOORS = ("messages", "nodes", "sim")
@@ -122,3 +124,48 @@ def test_the_tables_of_rooms_name_every_room() -> None:
         told = set(re.findall(r"`([\w.]+?)/?`", "".join(re.findall(r"^\| (`.*?) \|", page, re.MULTILINE))))
         there = {path.name for path in (ROOT / floor).iterdir() if path.is_dir() and path.name != "__pycache__"}
         assert there - told == set(), floor
+
+
+WITH_ARGUMENTS = {"sim.stand_ins.inverse_service": "a process of its own, that stands for a vendor's service"}
+"""Modules outside the command line that read a command line all the same."""
+
+
+def test_verbs_are_in_one_place() -> None:
+    """The module of a verb is called as the verb is, in cli/; no other room reads arguments or imports a verb."""
+    points = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    verbs = points["haptic.verbs"]
+    assert {name: module.split(".cli.")[1] for name, module in verbs.items()} == {name: name for name in verbs}
+    for module, path in MODULES.items():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        if room(module) in ("nodes.cli", "sim.cli"):
+            if any(isinstance(node, ast.FunctionDef) and node.name == "add" for node in tree.body):
+                # `topic pub` is long enough for a module of its own.
+                assert module in {*verbs.values(), "nodes.cli.publish"}, (
+                    f"{module}: a verb that pyproject.toml does not name"
+                )
+            continue
+        names = {name for name, _ in imported(module)}
+        assert not [name for name in names if name.startswith(("nodes.cli.", "sim.cli."))], module
+        reads = any(isinstance(node, ast.Import) and node.names[0].name == "argparse" for node in ast.walk(tree))
+        assert reads == (module in WITH_ARGUMENTS), f"{module}: reads a command line"
+
+
+OTHER_QUANTITIES = {
+    ("nodes.cli.bag", "--rate"),  # of `bag play`, a speed as in ROS 2
+    ("nodes.cli.publish", "--rate"),  # of `topic pub`, messages a second as in ROS 2
+    ("sim.cli.bench.taps", "--taps"),  # several
+    ("sim.cli.study.design", "--hand"),  # a range, or a published hand by its name
+}
+
+
+def test_a_quantity_is_declared_once() -> None:
+    found = {
+        (module, option)
+        for module, path in MODULES.items()
+        if room(module) in ("nodes.cli", "sim.cli")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "add_argument"
+        for argument in node.args
+        if isinstance(argument, ast.Constant) and (option := str(argument.value)).removeprefix("--") in QUANTITIES
+    }
+    assert found == OTHER_QUANTITIES

@@ -13,7 +13,7 @@ import msgspec
 import zmq
 
 from messages.codec import MAX_PAYLOAD, MessageRefusedError
-from messages.errors import HapticError
+from messages.errors import RefusedError
 from messages.transport.endpoints import connect
 from messages.transport.keys import trusted
 from messages.types import Name, Text
@@ -66,7 +66,7 @@ class Reply(msgspec.Struct, frozen=True):
     error: Text = ""
 
 
-class ControlError(HapticError):
+class ControlError(RefusedError):
     """A node refused a request, or did not answer."""
 
 

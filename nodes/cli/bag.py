@@ -12,16 +12,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nodes.cli.main import UsageError, add_json, add_run_name, answer, complain
-from nodes.parameters.registry import Registry
+from messages.errors import UsageError
+from nodes.cli.main import VERBS, add_json, add_run_name, answer, complain, sub_verbs
+from nodes.cli.quantities import not_negative
 
 if TYPE_CHECKING:
     from nodes.recording.accounts import ClockRecord, Completeness
     from nodes.recording.reader import Recording
 
 OWN = ("record", "info", "play", "cut", "filter", "recover", "export", "plot")
-VERBS = Registry("haptic.bag", "sub-verb of bag")
-"""What other packages do with a recording: modules of the same shape as a verb."""
 
 
 def _positive(text: str) -> float:
@@ -31,16 +30,9 @@ def _positive(text: str) -> float:
     return value
 
 
-def _time(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} must be a time from 0 on")
-    return value
-
-
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="|".join([*OWN, *VERBS.names()]), required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="|".join([*OWN, *sub_verbs("bag")]), required=True)
 
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
@@ -75,7 +67,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     play.add_argument("--loop", "-l", action="store_true", help="begin again at the end, until Ctrl-C")
     play.add_argument("--topics", nargs="+", metavar="TOPIC", help="topics to publish; all when left out")
-    play.add_argument("--start-offset", type=_time, default=0.0, metavar="S", help="begin so many seconds into it")
+    play.add_argument(
+        "--start-offset", type=not_negative, default=0.0, metavar="S", help="begin so many seconds into it"
+    )
     play.add_argument(
         "--remap", "-m", nargs="+", default=[], metavar="OLD:=NEW", help="publish a topic under another name"
     )
@@ -87,8 +81,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     few.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="whole names of topics")
     for own in (cut, few):
         own.add_argument("file", type=Path)
-        own.add_argument("--from", type=_time, dest="start", metavar="S", help="from this time of the run on [s]")
-        own.add_argument("--to", type=_time, dest="stop", metavar="S", help="up to this time [s]")
+        own.add_argument(
+            "--from", type=not_negative, dest="start", metavar="S", help="from this time of the run on [s]"
+        )
+        own.add_argument("--to", type=not_negative, dest="stop", metavar="S", help="up to this time [s]")
         _add_patterns(own)
 
     recover = declare("recover", _recover, "Copy all that is sound in a cut or damaged recording into a complete one.")
@@ -106,9 +102,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         "Taken from the ending of --out when left out",
     )
 
-    for name in VERBS.names():
+    for name, full in sub_verbs("bag").items():
         # Another package's sub-verb declares its own arguments and what runs.
-        module = VERBS.load(name)
+        module = VERBS.load(full)
         text = (module.__doc__ or "").strip().partition("\n")[0]
         own = sub.add_parser(name, help=text, description=text)
         add_json(own)
@@ -116,8 +112,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
     plot = declare("plot", _plot, "Draw recordings: position, force, energy, response time; several as an overlay.")
     plot.add_argument("files", type=Path, nargs="+", metavar="file")
-    plot.add_argument("--from", type=_time, dest="start", metavar="S", help="from this time of the run on [s]")
-    plot.add_argument("--to", type=_time, dest="stop", metavar="S", help="up to this time [s]")
+    plot.add_argument("--from", type=not_negative, dest="start", metavar="S", help="from this time of the run on [s]")
+    plot.add_argument("--to", type=not_negative, dest="stop", metavar="S", help="up to this time [s]")
     plot.add_argument("--xy", action="store_true", help="draw force over position instead of both over time")
 
     for own, default in (
@@ -192,7 +188,8 @@ def _record_until(arguments: argparse.Namespace, ended: list[int]) -> int:
     import os
     import time
 
-    from nodes.cli.ask import chosen_run, known_topic
+    from nodes.cli.ask import chosen_run
+    from nodes.client.launches import known_topic
     from nodes.recording.logger import record
 
     run = chosen_run(arguments)

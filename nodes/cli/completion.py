@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Callable, Iterable
-from importlib import import_module
 from typing import Any
 
-from nodes.cli.main import VERBS, Parser, parser_for
+from nodes.cli.main import VERBS, Parser, parser_for, verbs
 from nodes.launcher import launch_file, runs
 from nodes.launcher.runs import RunError, RunInfo, find_run
 from nodes.parameters.registry import NotInstalledError
@@ -71,7 +70,7 @@ def candidates(typed: list[str]) -> list[str]:
     *done, prefix = typed or [""]
     chosen = next((word for word in done if not word.startswith("-")), None)
     if chosen is None:
-        return _fitting([*VERBS.names(), "--version", "--help"], prefix)
+        return _fitting([*verbs(), "--version", "--help"], prefix)
     try:
         parser: argparse.ArgumentParser = parser_for(chosen)
     except NotInstalledError:
@@ -102,16 +101,16 @@ def _descend(parser: argparse.ArgumentParser, done: list[str]) -> tuple[argparse
     rest = list(done)
     while True:
         sub = next((action for action in parser._actions if isinstance(action, argparse._SubParsersAction)), None)
-        modules = parser.get_default("modules")
+        below = parser.get_default("sub_verbs")
         place = next((i for i, word in enumerate(rest) if not word.startswith("-")), None)
         if place is None:
             return parser, rest
         word = rest[place]
         if sub is not None and word in sub.choices:
             parser = sub.choices[word]
-        elif modules and word in modules:
+        elif below and word in below:
             parser = Parser(prog=word)
-            import_module(modules[word]).add(parser)
+            VERBS.load(below[word]).add(parser)
         else:
             return parser, rest
         rest = rest[place + 1 :]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
+from messages.errors import UsageError
 from messages.transport import keys
-from nodes.cli.main import UsageError, add_json, answer
+from nodes.cli.main import add_json, answer
 
 
 def add(parser: argparse.ArgumentParser) -> None:

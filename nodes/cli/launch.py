@@ -15,6 +15,7 @@ from typing import Any
 
 import msgspec
 
+from messages.errors import UsageError
 from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
 from nodes.base import realtime
@@ -22,14 +23,13 @@ from nodes.base.setup import Setup
 from nodes.base.words import instead_of_stderr, last_words
 from nodes.cli.colour import coloured
 from nodes.cli.debugging import Debugging
-from nodes.cli.main import UsageError, add_json, answer
+from nodes.cli.main import add_json, answer
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.places import refuse_unwritable
 from nodes.cli.status_line import StatusLine
 from nodes.compiled.choose import compile_later
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
-from nodes.launcher.runs import RunError
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
@@ -275,8 +275,6 @@ def run(arguments: argparse.Namespace) -> int:
         return _launch(with_view(launch) if arguments.view else launch, arguments)
     except ParameterError as error:
         raise UsageError(launch.origins.located(str(error)) if launch is not None else str(error)) from error
-    except RunError as error:
-        raise UsageError(str(error)) from error
 
 
 def _places(launch: Launch) -> Iterator[tuple[str, Path]]:

@@ -6,9 +6,13 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from nodes.cli.ask import add_run, ask, chosen_run, node_name
-from nodes.cli.main import UsageError, answer
+from messages.errors import UsageError
+from nodes.cli.ask import add_run, chosen_run
+from nodes.cli.main import answer
 from nodes.cli.param import FORCE, forced, told
+from nodes.cli.quantities import declare as declare_quantities
+from nodes.cli.quantities import declare_law
+from nodes.client.launches import ask, node_name
 from nodes.parameters.store import ParameterError
 from nodes.stability.plant import Plant
 
@@ -45,18 +49,6 @@ ROWS = (
 )
 
 
-def _limited(least: float, strictly: bool) -> Callable[[str], float]:
-    def number(text: str) -> float:
-        value = float(text)
-        if not (least < value < float("inf") or (value == least and not strictly)):
-            raise argparse.ArgumentTypeError(
-                f"{text} must be {'above' if strictly else 'at least'} {least:g}, and finite"
-            )
-        return value
-
-    return number
-
-
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|show|switch", required=True)
@@ -85,20 +77,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "assignments", nargs="*", metavar="name:=value", help="parameters of the law, or of the launch file"
     )
     show.add_argument("--launch", metavar="SCENARIO", help="law, rate and device of a launch file")
-    positive, not_negative = _limited(0.0, True), _limited(0.0, False)
-    show.add_argument("--rate", type=positive, help="rate of the loop [Hz]")
-    show.add_argument("--mass", type=positive, help="mass of the device [kg]")
-    show.add_argument(
-        "--damping", type=not_negative, help="viscous damping of the device [N s/m]; that of the law is --gain"
-    )
-    show.add_argument("--delay", type=not_negative, help="delay of the loop [ticks]")
-    show.add_argument("--hand", type=not_negative, help="stiffness of a hand on the device [N/m]")
-    show.add_argument("--stiffness", type=positive, help="nominal K of the law [N/m]")
-    show.add_argument("--gain", type=not_negative, help="damping gain of the law [N s/m, or N s^α/m]")
-    show.add_argument("--order", type=positive, help="α of pd_alpha")
-    show.add_argument("--taps", type=int, help="length of the derivative's tap vector, n + 1")
-    show.add_argument("--gains", choices=("physical", "paper", "unlimited"), help="unit of the gains")
-    show.add_argument("--derivative", help="realisation of the derivative, e.g. gl")
+    declare_quantities(show, rate=None, mass=None, damping=None, delay=None, hand=None, gain=None)
+    declare_law(show)
 
 
 def _list(arguments: argparse.Namespace) -> int:
@@ -189,16 +169,13 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def _describes(arguments: argparse.Namespace) -> bool:
     """Whether a loop is described rather than a running one meant."""
-    from nodes.launcher.runs import RunError, runs
+    from nodes.launcher.runs import runs
 
     if arguments.assignments or any(getattr(arguments, name) is not None for name in OFFLINE):
         return True
     if arguments.law.lstrip().startswith("{"):
         return True
-    try:
-        return arguments.run_name is None and not runs()
-    except RunError as error:
-        raise UsageError(str(error)) from error
+    return arguments.run_name is None and not runs()
 
 
 def _live(run: RunInfo, arguments: argparse.Namespace) -> dict[str, Any]:

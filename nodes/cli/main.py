@@ -1,7 +1,7 @@
 """The command ``haptic``: finds its verbs through the entry points ``haptic.verbs`` and imports only the one asked for.
 
 A verb is a module whose docstring's first line is its help and which has ``add(parser)``: it declares its arguments and sets
-``run``, a function of the parsed arguments that returns the exit code.
+``run``, a function of the parsed arguments that returns the exit code. A name with a dot is a sub-verb: ``study.kmax``.
 """
 
 from __future__ import annotations
@@ -17,21 +17,13 @@ import sys
 from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
 
-from messages.errors import HapticError
+from messages.errors import HapticError, UsageError
 from nodes.cli.colour import coloured
 from nodes.parameters.registry import NotInstalledError, Registry
 
 VERBS = Registry("haptic.verbs", "verb")
 
 _CHOICE = re.compile(r"invalid choice: '(?P<given>[^']*)' \((?:maybe you meant '[^']*', )?choose from (?P<known>.*)\)")
-
-
-class UsageError(HapticError):
-    """What the user asked for cannot be done as asked; the text says why and what to do. Exit code 2."""
-
-
-class RefusedError(HapticError):
-    """What was asked is sensible, but was refused or did not succeed; the text says why. Exit code 1."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -57,6 +49,16 @@ class Parser(argparse.ArgumentParser):
         options = [word.partition("=")[0] for word in words if word.startswith("-")]
         hint = _probably(options[0], self._option_string_actions) if options else ""
         super().error(f"unrecognized arguments: {' '.join(words)}{hint}")
+
+
+def verbs() -> list[str]:
+    """List the verbs, without their sub-verbs."""
+    return [name for name in VERBS.names() if "." not in name]
+
+
+def sub_verbs(verb: str) -> dict[str, str]:
+    """List the sub-verbs that are registered for a verb: name, and the name with the verb's."""
+    return {name.partition(".")[2]: name for name in VERBS.names() if name.startswith(f"{verb}.")}
 
 
 def _probably(given: str, known: Iterable[str]) -> str:
@@ -93,7 +95,7 @@ def parser_for(chosen: str | None) -> Parser:
     parser = Parser(prog="haptic", description="Haptic virtual coupling in separate processes.")
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     sub = parser.add_subparsers(dest="verb", metavar="VERB")
-    for name in VERBS.names():
+    for name in verbs():
         if chosen is not None and name != chosen:
             sub.add_parser(name)
             continue
@@ -146,7 +148,7 @@ def main(argv: list[str] | None = None) -> int:
 def _run(argv: list[str]) -> int:
     chosen = next((word for word in argv if not word.startswith("-")), None)
     try:
-        parser = parser_for(chosen if chosen in VERBS.names() else None)
+        parser = parser_for(chosen if chosen in verbs() else None)
     except NotInstalledError as error:
         complain(error)
         return 2

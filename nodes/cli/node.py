@@ -6,8 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from nodes.cli.ask import add_run, ask, chosen_run, node_name
-from nodes.cli.main import RefusedError, UsageError, answer
+from messages.errors import RefusedError, UsageError
+from nodes.cli.ask import add_run, chosen_run
+from nodes.cli.main import answer
+from nodes.client.launches import ask, node_name
 from nodes.launcher.runs import RunError, RunInfo
 
 

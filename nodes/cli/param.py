@@ -10,9 +10,11 @@ from typing import Any
 
 import msgspec
 
+from messages.errors import RefusedError, UsageError
 from nodes.base.kinds import load
-from nodes.cli.ask import add_run, ask, chosen_run, node_name
-from nodes.cli.main import RefusedError, UsageError, answer
+from nodes.cli.ask import add_run, chosen_run
+from nodes.cli.main import answer
+from nodes.client.launches import ask, node_name
 from nodes.environment.surfaces import SURFACES
 from nodes.laws.base import LAWS
 from nodes.laws.presets import PRESETS

@@ -7,7 +7,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from nodes.cli.main import UsageError
+from messages.errors import UsageError
 
 
 def refuse_unwritable(path: Path, option: str = "--out") -> None:

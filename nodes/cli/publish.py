@@ -7,11 +7,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from messages.errors import RefusedError, UsageError
 from messages.topics import LOOP
 from messages.types import Vector
-from nodes.cli.ask import ask, chosen_chain
-from nodes.cli.main import RefusedError, UsageError, answer
-from nodes.client.launches import roles
+from nodes.cli.ask import chosen_chain
+from nodes.cli.main import answer
+from nodes.client.launches import ask, roles
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import ParameterError, convert
 from nodes.parameters.yaml_io import parse_yaml

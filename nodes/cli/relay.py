@@ -15,13 +15,15 @@ from typing import TYPE_CHECKING
 
 import zmq
 
+from messages.errors import UsageError
 from messages.transport.links import Links
 from messages.transport.open_port import OpenPort
 from messages.transport.sockets import Subscription, new_context
 from nodes.base import realtime
-from nodes.cli.ask import chosen_run, known_topic
-from nodes.cli.listen import QUEUE, QUIET_MS
-from nodes.cli.main import UsageError, add_json, add_run_name, answer
+from nodes.cli.ask import chosen_run
+from nodes.cli.main import add_json, add_run_name, answer
+from nodes.client.launches import known_topic
+from nodes.client.listen import QUEUE, QUIET_MS
 from nodes.launcher.runs import RunInfo, alive, runs
 
 if TYPE_CHECKING:

@@ -8,8 +8,9 @@ import os
 import signal
 import time
 
+from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_run
-from nodes.cli.main import RefusedError, UsageError, add_json, answer
+from nodes.cli.main import add_json, answer
 from nodes.launcher.runs import RunInfo, alive, runs
 
 TIMEOUT = 60.0

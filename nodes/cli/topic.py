@@ -13,15 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from messages.errors import UsageError
 from messages.schema import schema
 from messages.topics import LOOP, message_type
-from nodes.cli.ask import add_run, chosen_run, known_topic
-from nodes.cli.main import UsageError, answer
+from nodes.cli.ask import add_run, chosen_run
+from nodes.cli.main import answer
 from nodes.cli.publish import add as add_publish
 from nodes.cli.publish import publish
+from nodes.client.launches import known_topic
 
 if TYPE_CHECKING:
-    from nodes.cli.listen import Heard
+    from nodes.client.listen import Heard
     from nodes.launcher.runs import RunInfo
 
 REPORT_PERIOD = 1.0
@@ -140,7 +142,7 @@ class _Interrupt:
 
 def _heard(arguments: argparse.Namespace, run: RunInfo) -> Iterator[Heard | None]:
     """Go through the messages of the topic asked for, until count, duration, a signal or the end of the run."""
-    from nodes.cli.listen import listen
+    from nodes.client.listen import listen
 
     interrupt = _Interrupt()
     left = 1 if getattr(arguments, "once", False) else arguments.count or -1

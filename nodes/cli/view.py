@@ -10,9 +10,10 @@ import sys
 from pathlib import Path
 from types import FrameType
 
+from messages.errors import RefusedError, UsageError
 from nodes.base import realtime
 from nodes.cli.ask import chosen_chain
-from nodes.cli.main import RefusedError, UsageError, add_run_name, answer
+from nodes.cli.main import add_run_name, answer
 from nodes.cli.page import announce
 from nodes.launcher.runs import RunInfo, alive
 from nodes.parameters.store import ParameterError

@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from messages import topics
-from messages.errors import HapticError
+from messages.errors import UsageError
 from messages.transport.requests import ControlError, call
 from messages.transport.sockets import new_context
 from nodes.launcher.runs import RunError, RunInfo, find_run, runs
@@ -25,7 +25,7 @@ PATIENCE = 2.0
 _PUBLISHES = {"driver": topics.DEVICE_STATE, "environment": topics.PROXY, "coupling": topics.FORCE}
 
 
-class NoSuchNameError(HapticError):
+class NoSuchNameError(UsageError):
     """A launch has no node or topic of that name; the text names those that it has."""
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import msgspec
 
 from messages import topics
-from messages.errors import HapticError
+from messages.errors import UsageError
 from nodes.base.setup import Setup
 
 MAX_IPC_PATH = 107
@@ -29,7 +29,7 @@ LONGEST_NAME = 32
 """Longest name of a node [letters]."""
 
 
-class RunError(HapticError):
+class RunError(UsageError):
     """There is no such run, or its directory cannot be used."""
 
 

@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import msgspec
 
+from messages.errors import RefusedError, UsageError
 from messages.types import ZERO, Vector
-from nodes.cli.main import RefusedError, UsageError
 from nodes.driver.hardware.mailbox import MailboxDevice
 from sim.hands_on.delay import FORCE, PULSES, MeasuredDelay, measure
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from nodes.cli.main import RefusedError
+from messages.errors import RefusedError
 from nodes.driver.hardware.mailbox import MailboxDevice
 
 

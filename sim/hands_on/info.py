@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from nodes.cli.main import RefusedError
+from messages.errors import RefusedError
 from nodes.driver.hardware.mailbox import MailboxDevice
 from nodes.laws.parse import parse_law
 from nodes.stability.k_max import k_max, without_spring

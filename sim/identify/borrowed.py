@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from messages import topics
+from messages.errors import RefusedError, UsageError
 from messages.types import DeviceState
 from nodes.base.kinds import load
-from nodes.cli.ask import ask
-from nodes.cli.listen import listen
-from nodes.cli.main import RefusedError, UsageError
+from nodes.client.launches import ask
+from nodes.client.listen import listen
 from nodes.launcher.runs import RunInfo
 from sim.identify.interrupts import undisturbed, whole
 

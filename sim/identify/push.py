@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from messages import topics
-from nodes.cli.main import RefusedError
+from messages.errors import RefusedError
 from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carried
 from sim.identify.interrupts import undisturbed
 from sim.measure.launches import beside, within

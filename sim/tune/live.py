@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from nodes.cli.ask import ask
-from nodes.cli.main import RefusedError
+from messages.errors import RefusedError
+from nodes.client.launches import ask
 from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, Borrowed, PushedLaunch
 from sim.identify.interrupts import undisturbed
 from sim.tune.knock import LONGEST, WINDOW, Array, KnockedEdge, KnockVerdict, Plan, climb, factor_of, judge, law_of

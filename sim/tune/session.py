@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from nodes.cli.ask import ask
-from nodes.cli.main import RefusedError
+from messages.errors import RefusedError
+from nodes.client.launches import ask
 
 if TYPE_CHECKING:
     from sim.identify.borrowed import PushedLaunch

@@ -15,8 +15,8 @@ from sim import results
 from sim.axes import legend_below, name_points, plain_log
 from sim.chart.page import draw
 from sim.chart.points import Group, Point, with_front
+from sim.cli.drill import table
 from sim.drill.drill import DrillOutcome
-from sim.drill.verb import table
 from sim.results import EARLIER, fresh
 from tests.support.overlap import drawn_texts, overlaps
 

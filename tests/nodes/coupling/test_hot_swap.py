@@ -13,7 +13,7 @@ import pytest
 from messages.transport.requests import ControlError
 from messages.types import Event, Force
 from nodes.parameters.yaml_io import parse_yaml
-from sim.bench.swaps import measure
+from sim.cli.bench.swaps import measure
 from tests.support import INSTALLED
 from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import Running, running, wait_for

@@ -20,7 +20,7 @@ from nodes.compiled.choose import choose
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
 from nodes.recording.reader import Recording
-from sim.bench.loop import KERNELS
+from sim.cli.bench.loop import KERNELS
 from sim.measure.rig import full_pipe
 from tests.support import INSTALLED
 from tests.support.launching import Running, running, wait_for

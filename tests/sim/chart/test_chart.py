@@ -20,7 +20,6 @@ from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
-from sim.bench.tap_timing import TapTimings
 from sim.chart.derivative_errors import analyse
 from sim.chart.derivatives import largest_stable, with_stiffness
 from sim.chart.equal_demand import NYQUIST, RADII, keeps, laws, tuned
@@ -32,6 +31,7 @@ from sim.design.demand import Demand
 from sim.design.families import best_pd
 from sim.device.model import DeviceModel
 from sim.measure.stopwatch import Progress, Timing, interleaved, machine
+from sim.measure.tap_timing import TapTimings
 from sim.scene.loop import Scene, SceneSurface, run
 
 few = st.integers(0, 4).map(float)

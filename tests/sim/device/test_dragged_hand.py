@@ -18,7 +18,7 @@ from nodes.compiled.choose import Wanted, choose
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.view.pointer import PointerParameters, PointerReader, PointerWriter, pointer_file
-from sim.bench.loop import KERNELS
+from sim.cli.bench.loop import KERNELS
 from sim.device.driver import SimDevice, SimDriver
 from sim.device.model import DeviceModel, Hand
 from sim.device.state import PENDING, VirtualDevice, target

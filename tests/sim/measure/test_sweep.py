@@ -18,8 +18,9 @@ from typing import Any
 
 import pytest
 
-from nodes.cli.main import RefusedError, UsageError
-from sim.measure.sweep import add_sweep, check_cluster, executor, key_of, read_ledger, sweep
+from messages.errors import RefusedError, UsageError
+from sim.cli.sweeps import add_sweep, check_cluster, executor
+from sim.measure.sweep import key_of, read_ledger, sweep
 from tests.support import ROOT
 from tests.support.launching import wait_for
 

@@ -14,13 +14,13 @@ from nodes.laws.parse import parse_law
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
+from sim.cli.study.edge import LAWS
 from sim.design.recorded_loop import measure
 from sim.device.model import DeviceModel
 from sim.experiments.drop import free_scene
 from sim.paper.swing import CannotTellError, _law, recorded_swing, ringing, windows
 from sim.paper.swing_drops import counted, dropped
 from sim.scene.loop import run
-from sim.studies.edge import LAWS
 from tests.support.launching import launch_json
 
 T = 0.002

@@ -19,7 +19,7 @@ from nodes.compiled.choose import choose
 from nodes.launcher import launch_file
 from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
-from sim.bench.loop import KERNELS
+from sim.cli.bench.loop import KERNELS
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
 from sim.scene.from_launch import from_launch

@@ -1,1 +1,0 @@
-"""Benchmarks: the verb `haptic bench`, one benchmark a file."""

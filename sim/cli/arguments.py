@@ -1,0 +1,107 @@
+"""Arguments that the stability and design studies share: the device, the loop, the law, and where results go."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import UsageError
+from nodes.cli.main import add_json
+from nodes.cli.quantities import declare, interval
+from nodes.laws import Law, law_names, load_law
+from nodes.laws.parse import law_to_dict, parse_law
+from nodes.parameters.store import ParameterError
+from nodes.parameters.yaml_io import parse_yaml
+from nodes.stability.plant import Plant
+from sim.device.presets import HANDS
+
+if TYPE_CHECKING:
+    from sim.design.recorded_loop import Measured
+
+
+def hand(text: str) -> tuple[float, float]:
+    """Read a range of stiffness, or the name of a published hand: from none to its stiffness."""
+    return (0.0, HANDS[text].model["stiffness"].value) if text in HANDS else interval(text)
+
+
+def add_loop(parser: argparse.ArgumentParser, delay: float = 0.0) -> None:
+    """Declare the damping of the device, and the loop."""
+    declare(parser, damping=1.0, delay=delay, rate=500.0)
+
+
+def add_device(parser: argparse.ArgumentParser, delay: float = 0.0, hand: float = 0.0) -> None:
+    """Declare the device and its loop."""
+    declare(parser, mass=0.1, damping=1.0, delay=delay, rate=500.0, hand=hand)
+
+
+def recorded(path: Path) -> Measured:
+    """Read what a recording tells of its loop."""
+    from nodes.recording.writer import RecordError
+    from sim.design.recorded_loop import measure
+
+    try:
+        return measure(path)
+    except (RecordError, ValueError, OSError) as error:
+        raise UsageError(str(error)) from error
+
+
+def add_answer(parser: argparse.ArgumentParser) -> None:
+    """Declare --json and --out."""
+    add_json(parser)
+    parser.add_argument(
+        "--out-dir",
+        "--out",
+        type=Path,
+        default=Path("studies"),
+        dest="out",
+        help="directory of files (default: %(default)s)",
+    )
+
+
+def device(arguments: argparse.Namespace) -> Plant:
+    """Collect the device from parsed arguments."""
+    return Plant(1.0 / arguments.rate, arguments.mass, arguments.damping, arguments.delay, arguments.hand)
+
+
+def head(law: Law, plant: Plant, gain: str = "") -> str:
+    """Say what a study is about, in its first line: the law, the device and the loop."""
+    told = law_to_dict(law)
+    forms = {"stiffness": "K {:g} N/m", "damping": "B {:g}", "order": "order {:g}"}
+    keys = ("order",) if gain else forms
+    parts = [gain] if gain else []
+    parts += [forms[key].format(told[key]) for key in keys if key in told]
+    device = f"m {plant.mass:g} kg, b {plant.damping:g} N s/m, hand {plant.stiffness:g} N/m"
+    return f"{' '.join([law.kind, ', '.join(parts)])}; {device}, delay {plant.delay:g} ticks, {1.0 / plant.period:g} Hz"
+
+
+def law(arguments: argparse.Namespace, name: str, gain: float | None = None, nominal: bool = False) -> Law:
+    """Build the law that was asked for; what decides the answer is asked for, not assumed."""
+    data: Any = {"kind": name}
+    if name.lstrip().startswith("{"):
+        try:
+            data = parse_yaml(name, "law")
+        except ParameterError as error:
+            raise UsageError(str(error)) from error
+    given = {
+        "stiffness": arguments.stiffness,
+        "damping": gain,
+        "order": arguments.order,
+        "taps": arguments.taps,
+        "gains": arguments.gains,
+        "derivative": arguments.derivative,
+    }
+    if isinstance(data, dict):
+        data |= {key: value for key, value in given.items() if value is not None}
+    try:
+        kind = data.get("kind") if isinstance(data, dict) else None
+        fields = load_law(kind).__struct_fields__ if kind in law_names() else ()
+        if "damping" in fields and "damping" not in data and not name.lstrip().startswith("{"):
+            raise UsageError(f"{kind}: give its damping gain, --gain B; 0 is a bare spring")
+        if "stiffness" in fields and nominal and "stiffness" not in data:
+            raise UsageError(f"{kind}: give its nominal stiffness, --stiffness K [N/m]")
+        if "stiffness" in fields:
+            data.setdefault("stiffness", 1.0)
+        return parse_law(data)
+    except (ParameterError, TypeError) as error:
+        raise UsageError(str(error)) from error

@@ -1,0 +1,1 @@
+"""What `haptic bag` can do with the simulation at hand."""

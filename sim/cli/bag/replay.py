@@ -1,0 +1,202 @@
+"""Replay a recording with another law: what the recorded hand and device would have felt."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import RefusedError, UsageError
+from nodes.cli.main import answer
+
+if TYPE_CHECKING:
+    from sim.device.model import DeviceModel
+    from sim.identify.counterfactual import Felt
+    from sim.identify.recorded_scene import RecordedScene
+
+EXPLAINED = 1e-5
+"""A residual below this is explained even where the encoder is finer [m]."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("file", type=Path, help="recording of a launch")
+    parser.add_argument(
+        "assignments", nargs="*", metavar="name:=value", help="law:=NAME or a description, and its parameters"
+    )
+    parser.add_argument(
+        "--model",
+        help="the device: declared (as the virtual device was), identified (from this recording), a recording to identify it "
+        "from, or a YAML file of a device (default: declared where there is one, else identified)",
+    )
+    parser.add_argument("--out", type=Path, metavar="PNG", help="also draw both runs")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay the same law, then the other."""
+    import numpy as np
+
+    from nodes.launcher.launch_file import parse_assignments
+    from nodes.laws.parse import LawRefusedError
+    from nodes.parameters.store import ParameterError
+    from nodes.recording.writer import RecordError
+    from sim.identify.counterfactual import nudges, replay
+    from sim.identify.recorded_scene import another_law, refuse_law
+
+    try:
+        given = parse_assignments(arguments.assignments)
+        if given:
+            refuse_law(arguments.file, given)
+        recorded, external, model = _prepared(arguments)
+        # A device as it was declared lacks nothing.
+        nudged = None if model == "declared" else nudges(recorded, external)
+        same = replay(recorded, None, external, nudged)
+        alone = same if nudged is None else replay(recorded, None, external)
+        law, described = another_law(recorded, given)
+    except (RecordError, OSError, ParameterError, LawRefusedError) as error:
+        raise UsageError(str(error)) from error
+    except ValueError as error:
+        raise RefusedError(str(error)) from error
+    other = replay(recorded, law, external, nudged) if given else same
+    error_m, model_error_m = (float(np.max(np.abs(felt.measured - recorded.position))) for felt in (same, alone))
+    step = recorded.scene.scene.device.resolution
+    figures: dict[str, Any] = {
+        "recording": str(recorded.path),
+        "model": model,
+        "lockstep": recorded.lockstep,
+        "ticks": len(recorded.position),
+        "ticks_recorded": recorded.recorded_ticks,
+        "self_error_m": error_m,
+        "self_error_steps": None if step is None else error_m / step,
+        "model_error_m": model_error_m,
+        "model_error_steps": None if step is None else model_error_m / step,
+        "nudges": {
+            "ticks": 0 if nudged is None else int(np.count_nonzero(nudged[:, 0])),
+            "largest_m": 0.0 if nudged is None else float(np.max(np.abs(nudged[:, 0]))),
+        },
+        "hand": None if external is None else "spring" if recorded.scene.scene.device.hand else "force",
+        "law": described,
+        "recorded": _told(same),
+        "predicted": _told(other),
+        "left_out": list(recorded.left_out),
+    }
+    if arguments.out is not None:
+        _draw(arguments.out, recorded, same, other)
+        figures["plot"] = str(arguments.out)
+    answer(arguments.json, figures, _text(figures))
+    return 0
+
+
+def _told(felt: Felt) -> dict[str, Any]:
+    return {"settled": felt.settled, "peak_force_n": felt.peak_force, "rest_m": felt.rest}
+
+
+def _prepared(arguments: argparse.Namespace) -> tuple[RecordedScene, Any, str]:
+    """Rebuild the recording with its model, and estimate the force that the model lacks."""
+    import math
+
+    from sim.identify.counterfactual import missing_force
+    from sim.identify.experiment import read
+    from sim.identify.identify import identify
+    from sim.identify.recorded_scene import rebuild
+
+    name = arguments.model
+    if name in (None, "declared"):
+        try:
+            return rebuild(arguments.file), None, "declared"
+        except ValueError:
+            if name is not None:
+                raise
+    if name is not None and Path(name).suffix in (".yaml", ".yml"):
+        device, noise = _device(Path(name))
+    else:
+        source = arguments.file if name in (None, "identified") else Path(name)
+        found = identify(read(source))
+        device, noise = _modelled(found, arguments.file), found.residual
+        name = name or "identified"
+        if source == arguments.file and not found.held and noise < max(found.encoder.value or 0.0, EXPLAINED):
+            # The model explains the recording to an encoder step: nothing else moved the device.
+            return rebuild(arguments.file, device), None, name
+    recorded = rebuild(arguments.file, device)
+    rounding = (device.resolution or noise) / math.sqrt(12.0)
+    return recorded, missing_force(recorded, rounding), str(name)
+
+
+def _device(path: Path) -> tuple[DeviceModel, float]:
+    from nodes.parameters.store import convert
+    from nodes.parameters.yaml_io import read_yaml
+    from sim.device.model import DeviceModel
+
+    model: DeviceModel = convert(read_yaml(path), DeviceModel, path.stem)
+    return model, model.resolution or 1e-6
+
+
+def _modelled(found: Any, recording: Path) -> DeviceModel:
+    """Put the identified device where the recording begins, its weight with it."""
+    import msgspec
+
+    from sim.device.model import DeviceModel
+    from sim.identify.experiment import read
+    from sim.identify.identify import initial_state
+    from sim.identify.report import device_parameters
+
+    position, velocity = initial_state(read(recording, found.axis), found)
+    load = 0.0 if found.load.value is None or found.held else found.load.value
+    start: dict[str, Any] = {"position": position, "velocity": velocity, "gravity": -load / found.mass.known()[0]}
+    if found.held and found.stiffness.value:
+        # The hand holds on to where it is going; the way itself is in the force that the model lacks.
+        start["hand"] = {"stiffness": found.stiffness.value, "path": [(0.0, 0.0)]}
+    return msgspec.convert({**device_parameters(found), **start}, DeviceModel)
+
+
+def _text(figures: dict[str, Any]) -> str:
+    def error(name: str) -> str:
+        steps = figures[f"{name}_error_steps"]
+        return f"{figures[f'{name}_error_m'] * 1e6:.3g} µm" + ("" if steps is None else f" = {steps:.3g} encoder steps")
+
+    lines = [
+        f"{figures['recording']}: device {figures['model']}, {'lockstep' if figures['lockstep'] else 'real time'}",
+        f"  the recorded law replayed differs from what was recorded by at most {error('self')}",
+    ]
+    if figures["ticks"] < figures["ticks_recorded"]:
+        lines.append(
+            f"  only the first {figures['ticks']} of {figures['ticks_recorded']} ticks: the driver slept through the next one"
+        )
+    nudges = figures["nudges"]
+    if nudges["ticks"]:
+        lines.append(
+            f"  the model was nudged at {nudges['ticks']} ticks, by at most {nudges['largest_m'] * 1e6:.2g} µm; "
+            f"without that it differs by {error('model')}"
+        )
+    for name in ("recorded", "predicted"):
+        told = figures[name]
+        state = "settles" if told["settled"] else "does not settle"
+        lines.append(
+            f"  {name:9} {state}, peak {told['peak_force_n']:.4g} N, rests at {told['rest_m']:.6g} m (± {error('model')})"
+        )
+    lines.append("  predicted for " + ", ".join(f"{key} {value}" for key, value in figures["law"].items()))
+    if figures["hand"] == "force":
+        lines.append(
+            "  the hand acts as the force that it gave; one that gives way needs hand: {stiffness: K} in --model's YAML"
+        )
+    if figures["left_out"]:
+        lines.append(f"  not replayed: {', '.join(figures['left_out'])}")
+    return "\n".join(lines)
+
+
+def _draw(path: Path, recorded: RecordedScene, same: Felt, other: Felt) -> None:
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    time = np.arange(len(recorded.position)) * recorded.scene.scene.period
+    top.plot(time, 1e3 * recorded.position, "k", lw=2.5, alpha=0.3, label="recorded")
+    for felt, label in ((same, "same law replayed"), (other, "predicted")):
+        top.plot(time, 1e3 * felt.measured, lw=0.9, label=label)
+        bottom.plot(time, felt.force, lw=0.9)
+    top.set(ylabel="position [mm]")
+    bottom.set(xlabel="time [s]", ylabel="force [N]")
+    top.legend(fontsize=8)
+    figure.savefig(path, dpi=120)

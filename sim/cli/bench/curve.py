@@ -1,0 +1,216 @@
+"""What encryption costs: response over tcp with CURVE against ipc, in one run.
+
+The loop's own environment and coupling, each in its process: one pair of them answers over ipc, as on one machine, one pair
+over tcp on loopback with CURVE, as on two. This process is the driver of both in turn, tick by tick, so that whatever else
+the machine does meets both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from socket import create_server
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from messages import topics
+from messages.codec import Decoder, encode
+from messages.errors import RefusedError
+from messages.transport import keys
+from messages.transport.gate import Gate
+from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.types import DeviceState, Force
+from nodes.base import realtime
+from nodes.base.setup import Scheduling, Setup
+from nodes.cli.main import add_json, answer
+from nodes.cli.quantities import declare
+from nodes.launcher.child import PYTHON
+
+if TYPE_CHECKING:
+    from messages.transport.endpoints import Context
+
+PATIENCE_MS = 5000
+"""Longest wait for an answer [ms]."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    declare(parser, rate=500.0)
+    parser.add_argument("--rounds", type=int, default=10, help="rounds of each kind (default: %(default)s)")
+    parser.add_argument("--ticks", type=int, default=250, help="ticks of a round (default: %(default)s)")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def _free_port() -> int:
+    with create_server(("127.0.0.1", 0)) as found:
+        return int(found.getsockname()[1])
+
+
+class _Loop:
+    """Two nodes over tcp, and this process as their driver."""
+
+    def __init__(self, context: Context, folder: Path, name: str, key: str, period: float, stack: ExitStack) -> None:
+        state, proxy, force = (
+            f"tcp://127.0.0.1:{_free_port()}#{key}" if key else f"ipc://{folder}/{name}{hop}" for hop in range(3)
+        )
+        cpus = [realtime.quietest_processor()]
+        self._publisher = Publisher(context, state)
+        stack.callback(self._publisher.close, 0)
+        self._inbox = Subscription(context, [force], [topics.FORCE])
+        stack.callback(self._inbox.close)
+        law = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}, "stability": "off"}
+        surface = {"surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}}
+        for kind, factory, place, topic, source, parameters in (
+            ("environment", "nodes.environment.node:Environment", proxy, topics.DEVICE_STATE, state, surface),
+            ("coupling", "nodes.coupling.node:Coupling", force, topics.PROXY, proxy, law),
+        ):
+            setup = Setup(
+                run=name,
+                run_dir=str(folder),
+                name=f"{kind}_{name}",
+                kind=kind,
+                factory=factory,
+                period=period,
+                pace="lockstep",
+                apply="on_arrival",
+                axes=["z"],
+                ticks=0,
+                publish=place,
+                control=f"ipc://{folder}/{kind}_{name}.ctl",
+                sources={topic: source},
+                listeners=1,
+                scheduling=Scheduling(cpus=cpus),
+                parameters=parameters,
+            )
+            path = folder / f"{kind}_{name}.json"
+            path.write_bytes(msgspec.json.encode(setup))
+            node = subprocess.Popen([*PYTHON, "-m", "nodes", str(path)], stdin=subprocess.DEVNULL)
+            stack.callback(node.wait)
+            stack.callback(node.terminate)
+        self._name, self._seq = name, 0
+        self._decode = Decoder(Force).decode
+        self._topic = topics.DEVICE_STATE.encode()
+
+    def wait(self) -> None:
+        """Wait until both nodes answer."""
+        deadline = time.monotonic() + 30.0
+        while self._publisher.listeners() < 1:
+            if time.monotonic() > deadline:
+                raise RefusedError(f"{self._name}: the nodes did not come up within 30 s")
+            time.sleep(0.01)
+        while self.tick(100) is None:
+            if time.monotonic() > deadline:
+                raise RefusedError(f"{self._name}: the nodes did not answer within 30 s")
+        while self._inbox.receive(100) is not None:
+            pass
+
+    def tick(self, patience_ms: int = PATIENCE_MS) -> float | None:
+        """Do one tick; the response time [s], or None without an answer."""
+        self._seq += 1
+        position = (0.0, 0.0, -1e-3 if self._seq % 2 else 1e-3)
+        begun = time.monotonic()
+        payload = encode(DeviceState(seq=self._seq, stamp=self._seq * 1e-3, position=position))
+        self._publisher.send(self._topic, payload)
+        while True:
+            frames = self._inbox.receive(patience_ms)
+            if frames is None:
+                return None
+            if self._decode(frames[1]).seq == self._seq:
+                return time.monotonic() - begun
+
+    def answered(self) -> float:
+        """Do one tick that must be answered; the response time [s]."""
+        response = self.tick()
+        if response is None:
+            raise RefusedError(f"{self._name}: no answer within {PATIENCE_MS / 1e3:g} s")
+        return response
+
+
+def _round(loops: dict[str, _Loop], ticks: int, period: float) -> dict[str, list[float]]:
+    """Do a round at the loop's rate, tick by tick in turn; responses [s]."""
+    found: dict[str, list[float]] = {name: [] for name in loops}
+    start = time.monotonic()
+    for n in range(ticks):
+        # A tick of one, half a period later a tick of the other: what disturbs meets both.
+        for half, (name, loop) in enumerate(loops.items()):
+            realtime.sleep_until(start + (n + 0.5 * half) * period)
+            found[name].append(loop.answered())
+    return found
+
+
+@contextmanager
+def _own_keys(folder: Path) -> Iterator[keys.Identity]:
+    """Keys for the length of the benchmark; the user's own are not touched."""
+    before = os.environ.get("HAPTIC_KEYS")
+    os.environ["HAPTIC_KEYS"] = str(folder / "keys")
+    try:
+        yield keys.new_identity()
+    finally:
+        if before is None:
+            del os.environ["HAPTIC_KEYS"]
+        else:
+            os.environ["HAPTIC_KEYS"] = before
+
+
+def measure(rate: float, rounds: int, ticks: int) -> dict[str, Any]:
+    """Measure both kinds in turn."""
+    period = 1.0 / rate
+    responses: dict[str, list[list[float]]] = {"ipc": [], "curve": []}
+    with tempfile.TemporaryDirectory(prefix="haptic-bench-") as text, ExitStack() as stack:
+        folder = Path(text)
+        me = stack.enter_context(_own_keys(folder))
+        denied: list[str] = []
+        context = new_context()
+        stack.callback(context.term)
+        gate = Gate(context, denied.append)
+        stack.callback(gate.stop)
+        gate.start()
+        loops = {
+            "ipc": _Loop(context, folder, "ipc", "", period, stack),
+            "curve": _Loop(context, folder, "curve", me.public, period, stack),
+        }
+        for loop in loops.values():
+            loop.wait()
+        _round(loops, ticks, period)
+        for _ in range(rounds):
+            for name, found in _round(loops, ticks, period).items():
+                responses[name].append(found)
+    ratios = [
+        statistics.median(curve) / statistics.median(ipc)
+        for ipc, curve in zip(responses["ipc"], responses["curve"], strict=True)
+    ]
+    figures: dict[str, Any] = {"rate_hz": rate, "rounds": rounds, "ticks_per_round": ticks, "response_us": {}}
+    for name, lists in responses.items():
+        values = sorted(value for one in lists for value in one)
+        share = {"p50": 0.5, "p99": 0.99}
+        figures["response_us"][name] = {
+            key: round(values[int(part * (len(values) - 1))] * 1e6, 1) for key, part in share.items()
+        }
+    figures["ratio"] = round(statistics.median(ratios), 4)
+    figures["ratio_of_rounds"] = [round(ratio, 4) for ratio in sorted(ratios)]
+    return figures
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the benchmark."""
+    found = measure(arguments.rate, arguments.rounds, arguments.ticks)
+    ipc, curve = found["response_us"]["ipc"], found["response_us"]["curve"]
+    spread = found["ratio_of_rounds"]
+    text = (
+        f"three hops at {found['rate_hz']:g} Hz, {found['rounds']} rounds of {found['ticks_per_round']} "
+        f"ticks, the two in turn\n"
+        f"  ipc              p50 {ipc['p50']:.0f} µs, p99 {ipc['p99']:.0f} µs\n"
+        f"  tcp with CURVE   p50 {curve['p50']:.0f} µs, p99 {curve['p99']:.0f} µs\n"
+        f"  ratio            {found['ratio']:.3f} (median of the rounds, which gave {spread[0]:.3f} to {spread[-1]:.3f})"
+    )
+    answer(arguments.json, found, text)
+    return 0

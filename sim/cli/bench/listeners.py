@@ -1,0 +1,116 @@
+"""What listeners cost the loop: four extra loggers, one of them stopped and one killed, against none, in one run."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import statistics
+import subprocess
+import time
+from typing import Any
+
+from messages.topics import DEVICE_STATE
+from nodes.cli.main import add_json, answer
+from nodes.cli.quantities import declare
+from nodes.recording.reader import Recording
+from nodes.recording.summary import quantile
+from sim.measure.launches import HAPTIC, Running, machine, wait_for
+from sim.measure.stopwatch import Progress
+
+LISTENERS = 4
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--rounds", type=int, default=5, help="rounds of without and with (default 5)")
+    parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
+    declare(parser, rate=500.0)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[bytes]]:
+    """Attach loggers and wait until each one's file grows."""
+    paths = [launch.folder / f"{label}-{i}.mcap" for i in range(count)]
+    listeners = [
+        subprocess.Popen(
+            [*HAPTIC, "bag", "record", "--out", str(path)],
+            cwd=launch.folder,
+            env=launch.environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for path in paths
+    ]
+    for path in paths:
+        wait_for(lambda path=path: path.exists() and path.stat().st_size > 20_000, f"{path.name} grows", 30.0)  # type: ignore[misc]
+    return listeners
+
+
+def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dict[str, Any]:
+    """Run one launch and attach loggers in every second half of a round."""
+    halves: list[tuple[str, float, float]] = []
+    with Running("floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500") as launch:
+        listeners: list[subprocess.Popen[bytes]] = []
+        try:
+            for i in range(rounds):
+                began = time.monotonic()
+                time.sleep(seconds)
+                halves.append(("without", began, time.monotonic()))
+                progress.step("without listeners")
+                listeners = _listen(launch, LISTENERS, f"round{i}")
+                listeners[0].send_signal(signal.SIGSTOP)
+                listeners[1].kill()
+                began = time.monotonic()
+                time.sleep(seconds)
+                halves.append(("with", began, time.monotonic()))
+                progress.step("with four, one stopped, one killed")
+                for listener in listeners:
+                    listener.kill()
+                    listener.wait()
+            figures = launch.finish(signal.SIGINT)
+        finally:
+            for listener in listeners:
+                listener.kill()
+                listener.wait()
+        recording = Recording(launch.folder / figures["recording"])
+        states = recording.messages(DEVICE_STATE)
+        gaps = recording.topics[DEVICE_STATE].gaps - figures["overruns"]
+    quantiles: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
+    missed = dict.fromkeys(quantiles, 0)
+    for label, began, ended in halves:
+        part = [state for state in states if began <= state.stamp <= ended]
+        responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
+        quantiles[label].append((quantile(responses, 0.5), quantile(responses, 0.99)))
+        missed[label] += part[-1].missed - part[0].missed
+    quiet = [p99 for _, p99 in quantiles["without"]]
+    busy = [p99 for _, p99 in quantiles["with"]]
+    return {
+        "without_us": {
+            "p50": statistics.median(p50 for p50, _ in quantiles["without"]),
+            "p99": statistics.median(quiet),
+        },
+        "with_us": {"p50": statistics.median(p50 for p50, _ in quantiles["with"]), "p99": statistics.median(busy)},
+        "p99_ratio": statistics.median(with_ / without for with_, without in zip(busy, quiet, strict=True)),
+        "spread_without": max(quiet) / min(quiet),
+        "missed": missed,
+        "lost_by_own_logger": gaps,
+    }
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the benchmark."""
+    progress = Progress(2 * arguments.rounds)
+    figures = measure(arguments.rounds, arguments.seconds, arguments.rate, progress)
+    figures["machine"] = machine()
+    without, with_ = figures["without_us"], figures["with_us"]
+    text = (
+        f"{figures['machine']}\n"
+        f"response without listeners p50 {without['p50']:.0f} µs, p99 {without['p99']:.0f} µs; with four extra loggers, one "
+        f"stopped and one killed, p50 {with_['p50']:.0f} µs, p99 {with_['p99']:.0f} µs\n"
+        f"p99 with/without {figures['p99_ratio']:.2f}; rounds without listeners differ by {figures['spread_without']:.2f}; "
+        f"missed {figures['missed']['without']} without, {figures['missed']['with']} with; "
+        f"lost by the launch's own logger {figures['lost_by_own_logger']}"
+    )
+    answer(arguments.json, figures, text)
+    return 0

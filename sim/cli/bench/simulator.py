@@ -1,0 +1,65 @@
+"""Simulated ticks per second and core, against a plain C loop that gives the same bits, and over all cores."""
+
+from __future__ import annotations
+
+import argparse
+
+from messages.errors import UsageError
+from nodes.cli.main import add_json, answer
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--rounds", type=int, default=101, help="interleaved rounds (default: %(default)s)")
+    parser.add_argument("--ticks", type=int, default=2500, help="length of a run (default: %(default)s)")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, and print the ratios of the same run."""
+    if arguments.rounds < 1:
+        raise UsageError(f"--rounds {arguments.rounds}: at least 1")
+    if arguments.ticks < 100:
+        raise UsageError(f"--ticks {arguments.ticks}: at least 100, or calling is what is timed")
+    from sim.experiments.simulator_speed import FLAGS, measure
+    from sim.measure.stopwatch import Progress, machine
+
+    speed = measure(arguments.ticks, arguments.rounds, Progress(2 * arguments.rounds).step)
+    lines = ["taps   ticks/s and core         plain C   ours/C"]
+    points = []
+    for taps, timing in speed.simulator.items():
+        plain = speed.plain_c.get(taps)
+        ratio = None if plain is None else plain.median / timing.median
+        points.append(
+            {
+                "taps": taps,
+                "ticks_per_s": 1.0 / timing.median,
+                "ticks_per_s_quartiles": [1.0 / timing.high, 1.0 / timing.low],
+                "c_ticks_per_s": None if plain is None else 1.0 / plain.median,
+                "ratio": ratio,
+            }
+        )
+        beside = f"{1e-6 / plain.median:12.1f} M   {ratio:6.2f}" if plain is not None else f"   no C: {speed.reason}"
+        lines.append(f"{taps:4d} {1e-6 / timing.median:15.1f} M {beside}")
+    scaling = speed.one_core.median / speed.all_cores.median
+    lines.append(
+        f"many runs at once: {1e-6 / speed.one_core.median:.1f} M ticks/s on 1 core, {1e-6 / speed.all_cores.median:.1f} M "
+        f"on {speed.cores}: {scaling:.2f} times"
+    )
+    here = machine()
+    if here["load_1min"] is not None and here["load_1min"] > 0.5 * speed.cores:
+        lines.append(f"others were at work here (load {here['load_1min']}): scaling over the cores cannot be trusted")
+    figures = {
+        "points": points,
+        "one_core_ticks_per_s": 1.0 / speed.one_core.median,
+        "all_cores_ticks_per_s": 1.0 / speed.all_cores.median,
+        "cores": speed.cores,
+        "scaling": scaling,
+        "no_c_because": speed.reason or None,
+        "c_flags": list(FLAGS),
+        "rounds": arguments.rounds,
+        "machine": here,
+    }
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0

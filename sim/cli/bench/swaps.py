@@ -1,0 +1,240 @@
+"""Swap laws and set parameters of a running loop, thousands of times: receipts, missed ticks, force steps at rest.
+
+A machine misses ticks by itself. Whether the swaps do is told by comparison within one run: blocks of requests alternate
+with idle blocks of the same length, and each missed tick is counted to the block it fell into.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from messages.topics import DEVICE_STATE, FORCE, RECEIPT
+from messages.transport.requests import ControlError
+from messages.types import DeviceState, Receipt
+from nodes.cli.main import add_json, answer
+from nodes.cli.quantities import declare
+from nodes.recording.reader import Recording
+from nodes.recording.summary import quantile
+from sim.measure.launches import Running, machine
+
+LAWS = ("pd", "pd_alpha", "multi_term")
+SETTLED = 2500
+"""Ticks until the drop has come to rest to the last bit that matters."""
+
+MEMORY = 12
+"""Ticks that the longest of the laws looks back, and some more."""
+
+STILL = 1e-17
+"""Positions that differ by no more are at rest [m]: some fifty units of the last place of 1 mm."""
+
+
+@dataclass
+class Block:
+    """One stretch of requests, or of none.
+
+    Attributes
+    ----------
+    busy : bool
+        Whether requests were made.
+    began, ended : float
+        On the host's monotonic clock [s].
+    """
+
+    busy: bool
+    began: float
+    ended: float
+
+
+@dataclass
+class Asked:
+    """What was asked of the coupling, and what it answered.
+
+    Attributes
+    ----------
+    answers : list of dict
+        One per request that was answered.
+    times : list of float
+        How long each answer took [s].
+    refused : list of str
+        Errors.
+    blocks : list of Block
+        Busy and idle stretches, alternating.
+    """
+
+    answers: list[dict[str, Any]] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    blocks: list[Block] = field(default_factory=list)
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--swaps", type=int, default=1000, help="swaps of laws (default %(default)s)")
+    parser.add_argument("--sets", type=int, default=1000, help="sets of parameters (default %(default)s)")
+    parser.add_argument(
+        "--duration", type=float, default=60.0, help="time for all [s], half of it idle (default %(default)s)"
+    )
+    declare(parser, rate=500.0)
+    parser.add_argument(
+        "--blocks", type=int, default=20, help="busy blocks, each with an idle one (default %(default)s)"
+    )
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, duration: float) -> Asked:
+    """Make the requests: within a block evenly spaced, as far as the answers come in time."""
+    asked = Asked()
+    total = swaps + sets
+    # Evenly mixed, whatever the proportion: request k is a swap when the share of swaps passes a whole number.
+    plan = ["swap" if (k + 1) * swaps // total > k * swaps // total else "set" for k in range(total)]
+    spacing = duration / (2 * total)
+    swapped = 0
+    for block in range(blocks):
+        part = plan[block * total // blocks : (block + 1) * total // blocks]
+        began = time.monotonic()
+        for k, kind in enumerate(part):
+            time.sleep(max(0.0, began + k * spacing - time.monotonic()))
+            asked_at = time.monotonic()
+            try:
+                if kind == "swap":
+                    swapped += 1
+                    found = ask("law.switch", law=LAWS[swapped % len(LAWS)])
+                else:
+                    # Damping is not felt at rest: a set of it must not make the force step either.
+                    law, damping = LAWS[k % len(LAWS)], 2.5 + 0.5 * (len(asked.answers) % 3)
+                    found = ask(
+                        "param.set", values={f"laws.{law}.damping": damping} if law == "pd" else {"ramp": k % 4}
+                    )
+                asked.answers.append(found)
+            except ControlError as error:
+                asked.refused.append(str(error))
+            asked.times.append(time.monotonic() - asked_at)
+        ended = time.monotonic()
+        asked.blocks.append(Block(True, began, ended))
+        time.sleep(ended - began)
+        asked.blocks.append(Block(False, ended, time.monotonic()))
+    return asked
+
+
+def _equal_at_rest(ask: Callable[..., Any]) -> None:
+    """Make up for each law's leak, so that all have the same H(1) and a swap at rest must not be felt."""
+    wanted = ask("law.show", law="pd")["h1_n_per_m"]
+    for law in LAWS[1:]:
+        # Twice, because the sum of taps is rounded.
+        for _ in range(2):
+            h1 = ask("law.show", law=law)["h1_n_per_m"]
+            stiffness = ask("param.get", name=f"laws.{law}.stiffness")
+            ask("param.set", values={f"laws.{law}.stiffness": stiffness + (wanted - h1)})
+    # Figures of both laws are not needed with every swap.
+    ask("param.set", values={"figures": False})
+
+
+def measure(swaps: int, sets: int, blocks: int, duration: float, rate: float = 500.0) -> dict[str, Any]:
+    """Run one launch and change it all the time."""
+    with Running("floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001") as launch:
+
+        def ask(op: str, **args: Any) -> Any:
+            return launch.call("coupling", op, **args)
+
+        _equal_at_rest(ask)
+        before = int(ask("param.set", values={"ramp": 0})["revision"])
+        launch.wait_ticks(SETTLED)
+        asked = _ask_all(ask, swaps, sets, blocks, duration)
+        figures = launch.finish(signal.SIGINT)
+        return _figures(Recording(launch.folder / figures["recording"]), figures, asked, before)
+
+
+def _quantiles(values: list[float], unit: float) -> dict[str, float]:
+    ordered = sorted(values) or [math.nan]
+    return {
+        name: round(quantile(ordered, share) * unit, 3) for name, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))
+    }
+
+
+def _steps_at_rest(states: list[DeviceState], receipts: list[Receipt]) -> list[float]:
+    """Force steps of those changes that came while the mass rested; a machine that stalls lets it fall in between."""
+    position = {state.seq: state.position[2] for state in states}
+    steps = []
+    for receipt in receipts:
+        recent = [position.get(receipt.seq - age, math.inf) for age in range(1, MEMORY + 1)]
+        # A tick that was left out is not known to have been at rest (and infinity less itself is not small either).
+        if max(recent) - min(recent) <= STILL:
+            steps.append(receipt.force_step)
+    return steps
+
+
+def _figures(recording: Recording, summary: dict[str, Any], asked: Asked, before: int) -> dict[str, Any]:
+    states = recording.messages(DEVICE_STATE)
+    receipts = [receipt for receipt in recording.messages(RECEIPT) if receipt.revision > before]
+    told = {receipt.revision: receipt for receipt in receipts}
+    lost = [found for found in asked.answers if found["revision"] not in told]
+    steps = _steps_at_rest(states, receipts)
+    blocks: dict[bool, list[dict[str, Any]]] = {True: [], False: []}
+    for block in asked.blocks:
+        part = [state for state in states if block.began <= state.stamp < block.ended]
+        counted = {
+            "ticks": part[-1].seq - part[0].seq,
+            # A driver that was itself held up has left ticks out; they are the machine's or ours as well.
+            "missed": part[-1].missed - part[0].missed + part[-1].overruns - part[0].overruns,
+            "responses": [state.response for state in part if state.response > 0.0],
+        }
+        blocks[block.busy].append(counted)
+    figures: dict[str, Any] = {
+        "machine": machine(),
+        "rate_hz": summary["rate_hz"],
+        "ticks": summary["ticks"],
+        "requests": len(asked.answers) + len(asked.refused),
+        "refused": len(asked.refused),
+        "receipts": len(receipts),
+        "lost": len(lost),
+        "forces_lost": recording.topics[FORCE].gaps - summary["overruns"],
+        "at_rest": len(steps),
+        "force_step_max_n": max(steps, default=math.nan),
+        "answer_ms": _quantiles(asked.times, 1e3),
+        "errors": sorted(set(asked.refused))[:5],
+    }
+    for busy, label in ((True, "busy"), (False, "idle")):
+        figures[label] = {
+            "ticks": sum(block["ticks"] for block in blocks[busy]),
+            "missed": sum(block["missed"] for block in blocks[busy]),
+            "blocks_with_missed": sum(block["missed"] > 0 for block in blocks[busy]),
+            "response_us": _quantiles([value for block in blocks[busy] for value in block["responses"]], 1e6),
+        }
+    pairs = list(zip(blocks[True], blocks[False], strict=True))
+    figures["missed"] = figures["busy"]["missed"] + figures["idle"]["missed"]
+    figures["blocks"] = len(pairs)
+    figures["only_busy_missed"] = sum(busy["missed"] > 0 == idle["missed"] for busy, idle in pairs)
+    figures["only_idle_missed"] = sum(idle["missed"] > 0 == busy["missed"] for busy, idle in pairs)
+    return figures
+
+
+def text(figures: dict[str, Any]) -> str:
+    """Tell the figures to people."""
+    lines = [
+        f"{figures['machine']}, {figures['rate_hz']:.1f} Hz, {figures['ticks']} ticks",
+        f"  requests {figures['requests']}, receipts {figures['receipts']}, refused {figures['refused']}, "
+        f"lost {figures['lost']}; answered in p50 {figures['answer_ms']['p50']:.1f}, p99 {figures['answer_ms']['p99']:.1f} ms",
+        f"  largest force step {figures['force_step_max_n']:.2g} N, of {figures['at_rest']} changes at rest",
+    ]
+    for label in ("busy", "idle"):
+        part = figures[label]
+        lines.append(
+            f"  {label}  {part['ticks']} ticks, missed {part['missed']} "
+            f"(in {part['blocks_with_missed']} of {figures['blocks']} blocks), "
+            f"response p50 {part['response_us']['p50']:.0f}, p99 {part['response_us']['p99']:.0f} µs"
+        )
+    return "\n".join(lines)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the benchmark."""
+    figures = measure(arguments.swaps, arguments.sets, arguments.blocks, arguments.duration, arguments.rate)
+    answer(arguments.json, figures, text(figures))
+    return 0 if figures["requests"] == figures["receipts"] else 1

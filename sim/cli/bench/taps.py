@@ -1,0 +1,84 @@
+"""Time per tick against the number of taps: plain loop, written out, numpy, numba, and where each becomes the fastest."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from messages.errors import UsageError
+from nodes.cli.main import add_json, answer
+from sim.results import fresh
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--rounds", type=int, default=25, help="interleaved rounds (default: %(default)s)")
+    parser.add_argument("--taps", type=_lengths, help="numbers of taps, separated by commas (default: 4 to 2000)")
+    add_json(parser)
+    parser.add_argument("--out", type=Path, help="also write bench_taps.json, .png and .svg to this directory")
+    parser.set_defaults(run=run)
+
+
+def _lengths(text: str) -> tuple[int, ...]:
+    try:
+        values = tuple(sorted({int(part) for part in text.split(",")}))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected whole numbers separated by commas") from None
+    if values[0] < 2:
+        raise argparse.ArgumentTypeError(f"{values[0]}: a derivative needs at least 2 taps")
+    return values
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, and say which way is fastest from where on."""
+    if arguments.rounds < 1:
+        raise UsageError(f"--rounds {arguments.rounds}: at least 1")
+    from sim.measure.stopwatch import Progress, machine
+    from sim.measure.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps
+
+    found = time_taps(arguments.taps or LENGTHS, arguments.rounds, Progress(arguments.rounds).step)
+    laws = time_laws(arguments.rounds, lambda _: None)
+    figures = as_json(found, machine())
+    figures["laws_us"] = {name: 1e6 * timing.median for name, timing in laws.items()}
+    if arguments.out is not None:
+        figures["files"] = [str(path) for path in _write(figures, arguments.out)]
+    lines = ["   taps" + "".join(f"{way:>12}" for way in WAYS) + "   fastest with the kernel's bits   [µs per tick]"]
+    for point in figures["points"]:
+        cells = "".join(f"{point[f'{way}_us']:12.3g}" for way in WAYS)
+        lines.append(f"{point['taps']:7d}{cells}   {figures['fastest'][str(point['taps'])]}")
+    for pair, taps in figures["crossover_taps"].items():
+        lines.append(f"{pair.replace('_', ' ')}: {'never' if taps is None else f'from {taps:.0f} taps on'}")
+    lines.append("a tick of " + ", ".join(f"{name} {us:.3g} µs" for name, us in figures["laws_us"].items()))
+    cost = figures["import_s"]
+    lines.append(
+        f"the coupling changes from the written-out sum to numpy beyond {figures['unrolled_taps']} taps; importing numpy costs "
+        f"{cost['numpy']:.2f} s at its start, numba {cost['numba']:.2f} s"
+    )
+    lines.append(f"same bits: {'yes' if figures['same_bits'] else 'NO'}; {figures['machine']['cpu']}")
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0
+
+
+def _write(figures: dict[str, Any], folder: Path) -> list[Path]:
+    import json
+
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.add_subplot(xlabel="taps", ylabel="time per tick [µs]", xscale="log", yscale="log")
+    taps = [point["taps"] for point in figures["points"]]
+    for way, style in (("plain", "o-"), ("unrolled", "v-"), ("numpy", "s-"), ("numba", "^-"), ("numpy_dot", ":")):
+        label = "numpy dot (other bits)" if way == "numpy_dot" else way
+        axes.plot(taps, [point[f"{way}_us"] for point in figures["points"]], style, ms=4, label=label)
+        low, high = ([point[f"{way}_us_{end}"] for point in figures["points"]] for end in ("low", "high"))
+        axes.fill_between(taps, low, high, alpha=0.15)
+    axes.axvline(figures["unrolled_taps"], color="grey", lw=0.8, ls="--")
+    axes.set_title(f"Adding n taps, {figures['machine']['cpu']}", fontsize=9)
+    axes.legend(fontsize=8)
+    axes.grid(alpha=0.3, which="both")
+    paths = [fresh(folder / f"bench_taps.{suffix}") for suffix in ("json", "png", "svg")]
+    paths[0].write_text(json.dumps(figures, indent=1) + "\n")
+    for path in paths[1:]:
+        figure.savefig(path, dpi=150)
+    return paths

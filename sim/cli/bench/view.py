@@ -1,0 +1,230 @@
+"""What the page costs the loop: open in a real browser with somebody dragging, against no page, in one run; and its delays."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from messages.errors import UsageError
+from messages.topics import DEVICE_STATE, FORCE, PROXY
+from messages.types import DeviceState, Force, Message, Proxy
+from nodes.base.realtime import memory_bytes, off
+from nodes.cli.main import add_json, answer
+from nodes.cli.quantities import declare
+from nodes.recording.reader import Recording
+from nodes.view.live import Facts, LiveRun
+from sim.measure.launches import HAPTIC, Running, machine
+from sim.measure.page_pictures import take
+from sim.measure.stopwatch import Progress
+
+BROWSER = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
+
+FIRST = """function look() {
+  if (document.body?.dataset.bins > 0 && document.querySelector("#laws input")) window.shown = performance.now();
+  else requestAnimationFrame(look);
+}
+look();"""
+"""In the page: when, since the browser set out for it, its scene, plots and laws are there [ms]."""
+
+SWITCH = """name => new Promise((done) => {
+  const begun = performance.now(), before = document.querySelectorAll("#log li.receipt").length;
+  new MutationObserver((_, observer) => {
+    if (document.querySelectorAll("#log li.receipt").length === before) return;
+    observer.disconnect();
+    done(performance.now() - begun);
+  }).observe(document.getElementById("log"), { childList: true });
+  document.querySelector(`#laws input[value=${name}]`).click();
+})"""
+"""In the page: choose a law, and wait until its receipt stands in the log [ms]."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--rounds", type=int, default=4, help="rounds of without and with (default 4)")
+    parser.add_argument("--seconds", type=float, default=4.0, help="length of each half of a round (default 4 s)")
+    declare(parser, rate=500.0)
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help="take one of the page while the wall is pushed (PNG)"
+    )
+    parser.add_argument(
+        "--pictures", type=Path, metavar="FOLDER", help="take those of the project's pages instead of measuring (PNG)"
+    )
+    parser.add_argument("--minutes", type=float, default=30.0, help="of ticks for the memory (default 30)")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def _drag(page: Any, seconds: float, picture: Path | None = None) -> None:
+    """Drag the hand into the wall and out of it, 60 times a second; hold still for a picture."""
+    box = page.locator("#scene").bounding_box()
+    middle, y, until = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, time.monotonic() + seconds
+    page.mouse.move(middle, y)
+    page.mouse.down()
+    while (now := time.monotonic()) < until:
+        page.mouse.move(middle + 0.49 * box["width"] * math.sin(4.0 * now), y)
+        page.wait_for_timeout(1000.0 / 60.0)
+    if picture is not None:
+        page.mouse.move(middle + 0.42 * box["width"], y)
+        page.wait_for_timeout(2000.0)
+        page.screenshot(path=picture)
+    page.mouse.up()
+
+
+def _with_page(
+    launch: Running, browser: Any, seconds: float, delays: dict[str, list[float]], picture: Path | None
+) -> tuple[float, float]:
+    """Open a page, drag for a while, switch a law twice; when the dragging began and ended."""
+    view = subprocess.Popen(
+        [*HAPTIC, "view", "--json"], cwd=launch.folder, env=launch.environment, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert view.stdout is not None  # noqa: S101  # it is a pipe
+        url = json.loads(view.stdout.readline())["url"]
+        page = browser.new_page(viewport={"width": 1280, "height": 960}, bypass_csp=True)
+        page.add_init_script(FIRST)
+        page.goto(url)
+        delays["first_picture_s"].append(page.wait_for_function("window.shown").json_value() / 1e3)
+        # All that a page may cost at once: it is dragged, heard, and another law is played beside the launch.
+        page.locator("#sound").click()
+        page.evaluate("haptic.beside.choose('multi_term')")
+        page.wait_for_function("haptic.beside.times.length > 100")
+        began = time.monotonic()
+        _drag(page, seconds)
+        ended = time.monotonic()
+        delays["hand_to_picture_s"] += [ms / 1e3 for ms in page.evaluate("haptic.lag.all")]
+        delays["hand_to_force_s"] += [ms / 1e3 for ms in page.evaluate("haptic.lag.forces")]
+        delays["switch_s"] += [page.evaluate(SWITCH, name) / 1e3 for name in ("multi_term", "pd")]
+        if picture is not None:
+            _drag(page, 1.0, picture)
+        page.close()
+        return began, ended
+    finally:
+        view.send_signal(signal.SIGINT)
+        view.communicate(timeout=30.0)
+
+
+def loop_cost(
+    rounds: int, seconds: float, rate: float, progress: Progress, picture: Path | None = None
+) -> dict[str, Any]:
+    """Run one launch and open a page in every second half of a round."""
+    halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
+    delays: dict[str, list[float]] = {
+        "first_picture_s": [],
+        "switch_s": [],
+        "hand_to_picture_s": [],
+        "hand_to_force_s": [],
+    }
+    # As ``haptic view`` opens one: a browser, too, keeps off the processor of the loop.
+    with Running("touch_wall", f"rate:={rate}") as launch, off(launch.run.processors), browsing() as browser:
+        for _ in range(rounds):
+            began = time.monotonic()
+            time.sleep(seconds)
+            halves["without"].append((began, time.monotonic()))
+            progress.step("no page")
+            halves["with"].append(_with_page(launch, browser, seconds, delays, picture))
+            progress.step("a page, somebody dragging")
+        figures = launch.finish(signal.SIGINT)
+        recording = Recording(launch.folder / figures["recording"])
+        states = recording.messages(DEVICE_STATE)
+        lost = recording.topics[DEVICE_STATE].gaps - figures["overruns"]
+    found: dict[str, Any] = {"rate_hz": rate, "lost": lost}
+    for label, spans in halves.items():
+        p50, p99, missed, ticks = [], [], 0, 0
+        for began, ended in spans:
+            part = [state for state in states if began <= state.stamp <= ended]
+            responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
+            p50.append(responses[len(responses) // 2])
+            p99.append(responses[int(0.99 * len(responses))])
+            missed += part[-1].missed - part[0].missed
+            ticks += len(part)
+        found[label] = {"p50_us": p50, "p99_us": p99, "missed": missed, "ticks": ticks}
+    without, with_ = found["without"], found["with"]
+    for name in ("p50", "p99"):
+        pairs = zip(with_[f"{name}_us"], without[f"{name}_us"], strict=True)
+        found[f"{name}_ratio"] = statistics.median(a / b for a, b in pairs)
+        found[f"{name}_spread"] = max(without[f"{name}_us"]) / min(without[f"{name}_us"])
+    return found | {name: statistics.median(values) for name, values in delays.items()}
+
+
+def memory(minutes: float, rate: float) -> dict[str, float]:
+    """Feed what a view keeps with minutes of ticks, as fast as it takes them."""
+    live = LiveRun(Facts("run", "scenario", "", 1.0 / rate, "realtime", "on_arrival", ["x"], "driver"))
+    live.tick(0.0)
+    after = 0.0
+    for seq in range(round(60.0 * minutes * rate)):
+        x = 0.02 * math.sin(0.01 * seq)
+        stamp = seq / rate
+        messages: tuple[tuple[str, Message], ...] = (
+            (DEVICE_STATE, DeviceState(seq=seq, stamp=stamp, position=(x, 0.0, 0.0), response=1.5e-4)),
+            (PROXY, Proxy(seq=seq, stamp=stamp, position=(x, 0.0, 0.0), proxy=(x, 0.0, 0.0))),
+            (FORCE, Force(seq=seq, stamp=stamp, force=(-x, 0.0, 0.0))),
+        )
+        for topic, message in messages:
+            live.keep(topic, message, stamp)
+        if seq % 16 == 0:
+            live.tick(stamp)
+        if seq == round(60.0 * rate):
+            after = memory_bytes() / 1e6
+    return {"after_one_minute_mb": after or memory_bytes() / 1e6, "at_the_end_mb": memory_bytes() / 1e6}
+
+
+@contextlib.contextmanager
+def browsing() -> Iterator[Any]:
+    """Start a browser for the length of a with block."""
+    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError as error:
+        raise UsageError("bench view: needs playwright; pip install playwright") from error
+    if path is None:
+        raise UsageError("bench view: needs a browser; apt install chromium")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=BROWSER)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the benchmark."""
+    if arguments.pictures is not None:
+        with browsing() as browser:
+            taken = take(browser, arguments.pictures, lambda name: print(name, file=sys.stderr, flush=True))
+        answer(arguments.json, {"pictures": [str(path) for path in taken]}, "\n".join(map(str, taken)))
+        return 0
+    progress = Progress(2 * arguments.rounds)
+    figures = loop_cost(arguments.rounds, arguments.seconds, arguments.rate, progress, arguments.picture)
+    figures |= {"memory": memory(arguments.minutes, arguments.rate), "machine": machine()}
+    lines = [figures["machine"]]
+    for label, text in (("without", "no page"), ("with", "page open, dragged, with sound and A | B")):
+        half = figures[label]
+        lines.append(
+            f"{text}: response p50 {statistics.median(half['p50_us']):.0f} µs, p99 {statistics.median(half['p99_us']):.0f} µs, "
+            f"missed {half['missed']} of {half['ticks']}"
+        )
+    lines.append(
+        f"with/without: p50 {figures['p50_ratio']:.2f} (rounds without differ by {figures['p50_spread']:.2f}), "
+        f"p99 {figures['p99_ratio']:.2f} ({figures['p99_spread']:.2f}); messages lost by the recording {figures['lost']}"
+    )
+    kept, switch, hand = figures["memory"], figures["switch_s"] * 1e3, figures["hand_to_picture_s"] * 1e3
+    force = figures["hand_to_force_s"] * 1e3
+    lines.append(
+        f"first picture {figures['first_picture_s']:.2f} s after the URL; from the hand to the force {force:.0f} ms, "
+        f"to the picture {hand:.0f} ms; "
+        f"a switch is shown in {switch:.0f} ms; memory "
+        f"{kept['after_one_minute_mb']:.1f} MB after one minute, {kept['at_the_end_mb']:.1f} MB after {arguments.minutes:g}"
+    )
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0

@@ -1,0 +1,281 @@
+"""List devices, and identify the one at hand: mass, damping, friction, delay and encoder with 95 % intervals."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import RefusedError, UsageError
+from nodes.cli.ask import add_run
+from nodes.cli.main import add_json, answer
+from nodes.cli.quantities import declare
+from sim.identify.progress import say
+
+if TYPE_CHECKING:
+    from sim.identify.borrowed import PushedLaunch
+    from sim.identify.identified import Identified
+    from sim.identify.push import Pushed
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs."""
+    sub = parser.add_subparsers(dest="chosen", metavar="list|info|check|free|recentre|presets|identify", required=True)
+    listed = sub.add_parser("list", help="which devices can be driven from here")
+    add_json(listed)
+    listed.set_defaults(run=_list)
+    for name, run, text in (
+        ("info", _info, "Connect to a device with forces off and tell what it is, and what it bears."),
+        (
+            "check",
+            _check,
+            "Check a device by hand: noise, rate, axes without a force, then a first force in steps, each asked for.",
+        ),
+        ("free", _free, "Name who holds a device; where nobody does, switch its forces off and give it back."),
+    ):
+        one = sub.add_parser(name, help=text, description=text)
+        one.add_argument("kind", help="kind of node that drives it: haptic device list")
+        one.add_argument(
+            "parameters", nargs="*", metavar="name:=value", help="of its driver: touch.library:=/opt/libHD.so"
+        )
+        add_json(one)
+        one.set_defaults(run=run)
+        if name == "info":
+            declare(one, rate=500.0, delay=1.0, gain=3.0)
+    text = "Put the device of a running launch into the middle of its scene, wherever its handle is."
+    centred = sub.add_parser("recentre", help=text, description=text)
+    centred.add_argument("driver", nargs="?", default="driver", help="node that drives it (default: %(default)s)")
+    add_run(centred)
+    centred.set_defaults(run=_recentre)
+    known = sub.add_parser("presets", help="what is known of real devices, and from where: device:=touch_x")
+    add_json(known)
+    known.set_defaults(run=_presets)
+    text = "Push the device of a running launch (or of a scenario, started for it) and identify it."
+    own = sub.add_parser("identify", help=text, description=text)
+    own.add_argument("scenario", nargs="?", help="start this launch file; left out: the running launch, or identify")
+    own.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    add_push(own)
+    add_run(own)
+    own.set_defaults(run=_identify)
+
+
+def add_push(parser: argparse.ArgumentParser) -> None:
+    """Declare how the device is pushed."""
+    parser.add_argument("--duration", type=float, default=8.0, help="of one push [s] (default: %(default)s)")
+    parser.add_argument("--amplitude", type=float, default=0.7, help="largest push [N] (default: %(default)s)")
+    parser.add_argument("--reach", type=float, default=0.03, help="how far it is pushed [m] (default: %(default)s)")
+    parser.add_argument(
+        "--places",
+        type=float,
+        nargs="+",
+        metavar="OFFSET",
+        help="push at each of these distances from here, along every axis [m] "
+        "(default: -0.02 0 0.02 where the device has three axes, else 0)",
+    )
+    parser.add_argument(
+        "--load",
+        type=float,
+        metavar="FORCE",
+        help="the force that carries the device's weight [N] (default: what acts on it at rest, refused above --amplitude: "
+        "it may be a hand's)",
+    )
+    hand = parser.add_mutually_exclusive_group()
+    hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand holds the device")
+    hand.add_argument("--free", dest="held", action="store_false", help="no hand does (default: finds out)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("recordings"), help="directory of files (default: %(default)s)"
+    )
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from sim.hands_on.found import figures, text
+
+    answer(arguments.json, {"devices": figures()}, text())
+    return 0
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    from sim.hands_on.found import device_of
+    from sim.hands_on.info import info, text
+
+    device = device_of(arguments.kind, arguments.parameters)
+    told = info(device, arguments.rate, arguments.delay, arguments.gain)
+    answer(arguments.json, told, f"{arguments.kind}: {device.TITLE}\n{text(told)}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from sim.hands_on.check import check
+    from sim.hands_on.found import device_of
+
+    told = check(device_of(arguments.kind, arguments.parameters), arguments.kind)
+    answer(arguments.json, told, told["line"])
+    return 0 if told["passed"] else 1
+
+
+def _free(arguments: argparse.Namespace) -> int:
+    from sim.hands_on.found import device_of
+    from sim.hands_on.free import free
+
+    device = device_of(arguments.kind, arguments.parameters)
+    answer(arguments.json, free(device), f"{arguments.kind}: forces are off, and nobody holds it")
+    return 0
+
+
+def _recentre(arguments: argparse.Namespace) -> int:
+    from nodes.cli.ask import chosen_run
+    from nodes.client.launches import ask, node_name
+
+    run = chosen_run(arguments)
+    found = ask(run, node_name(run, arguments.driver), "recentre")
+    x, y, z = (f"{1e3 * value:+.1f}" for value in found["moved_m"])
+    answer(arguments.json, found, f"the device is in the middle of the scene: moved by {x}, {y}, {z} mm")
+    return 0
+
+
+def _presets(arguments: argparse.Namespace) -> int:
+    from sim.device.presets import figures, text
+
+    answer(arguments.json, {"presets": figures()}, text())
+    return 0
+
+
+def _identify(arguments: argparse.Namespace) -> int:
+    from nodes.launcher.runs import runs
+    from sim.identify.interrupts import interrupted_once
+    from sim.identify.report import figures, text
+
+    if ":=" in (arguments.scenario or ""):
+        arguments.assignments.insert(0, arguments.scenario)
+        arguments.scenario = "identify"
+    excitation(arguments)
+    with interrupted_once() as signalled:
+        try:
+            if arguments.scenario is None and (arguments.run_name or runs()):
+                found = identify_running(arguments, say)
+            else:
+                found = identify_scenario(arguments, arguments.scenario or "identify", arguments.assignments)
+        except KeyboardInterrupt:
+            say("nothing was recorded: interrupted before the push began; law and surface are back")
+            return 128 + (signalled() or 2)
+    told = []
+    for pushed, one in found:
+        told.append(
+            {
+                "recording": str(pushed.recording),
+                "place_m": list(pushed.place),
+                "stopped": pushed.reason,
+                **figures(one),
+            }
+        )
+    lines = [
+        f"at {', '.join(f'{x:.3g}' for x in pushed.place)} m, {pushed.recording} ({pushed.reason})\n{text(one)}"
+        for pushed, one in found
+    ]
+    # The first push's figures at the top: one device, one place is the usual case.
+    answer(arguments.json, {**told[0], "places": told}, "\n".join(lines))
+    return 0 if all(one.mass.value is not None and not one.refuted for _, one in found) else 1
+
+
+def excitation(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Describe the excitation that was asked for."""
+    from nodes.laws.parse import LawRefusedError, parse_law
+
+    law = {name: getattr(arguments, name) for name in ("duration", "amplitude", "reach")}
+    try:
+        parse_law({"kind": "excitation", **law}, "excitation")
+    except LawRefusedError as error:
+        raise UsageError(str(error)) from error
+    return {"kind": "excitation", **law}
+
+
+def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pushed, Identified]]:
+    """Push the device of a running launch at each place, and identify it there on each axis."""
+    from nodes.cli.ask import chosen_run
+    from sim.identify.borrowed import PushedLaunch
+
+    loop = PushedLaunch(chosen_run(arguments))
+    law = excitation(arguments)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    places = arguments.places or ([-0.02, 0.0, 0.02] if len(loop.axes) == 3 else [0.0])
+    here = [float(x) for x in loop.progress()["position_m"]]
+    found: list[tuple[Pushed, Identified]] = []
+    for n, offset in enumerate(places):
+        centre = [x + offset if i in loop.axes else x for i, x in enumerate(here)]
+        out = arguments.out / f"{loop.run.run}-push{n}-{os.getpid()}.mcap"
+        pushed, axes = _pushed(loop, law, out, centre, tell, arguments)
+        found += [(pushed, one) for one in axes]
+        if pushed.reason != "done":
+            break
+    return found
+
+
+def _pushed(
+    loop: PushedLaunch, law: dict[str, Any], out: Path, centre: list[float], tell: Any, arguments: argparse.Namespace
+) -> tuple[Pushed, list[Identified]]:
+    """Push and identify; in lockstep, where ticks cost no time, again and longer when the recorder lost too many of them."""
+    from sim.identify.push import push
+
+    longer = (1, 4, 16) if loop.run.nodes[loop.driver].pace == "lockstep" else (1,)
+    for times in longer:
+        out.unlink(missing_ok=True)
+        pushed = push(loop, {**law, "duration": times * law["duration"]}, out, centre, tell, arguments.load)
+        try:
+            return pushed, _axes(loop, pushed, arguments.held)
+        except RefusedError:
+            if pushed.reason != "done" or times == longer[-1]:
+                raise
+    raise RefusedError(f"{out}: nothing was identified")
+
+
+def _axes(loop: PushedLaunch, pushed: Pushed, held: bool | None) -> list[Identified]:
+    from sim.identify.experiment import read
+    from sim.identify.identify import identify
+
+    try:
+        return [identify(read(pushed.recording, "xyz"[i], pushed.ticks), held) for i in loop.axes]
+    except ValueError as error:
+        raise RefusedError(f"{pushed.recording}: {error} (the push ended: {pushed.reason})") from error
+
+
+def identify_scenario(
+    arguments: argparse.Namespace, scenario: str, assignments: list[str]
+) -> list[tuple[Pushed, Identified]]:
+    """Start a scenario that pushes by itself, and identify its recording."""
+    import json
+    import subprocess
+
+    from nodes.launcher import launch_file
+    from nodes.parameters.store import ParameterError
+    from sim.identify.experiment import read
+    from sim.identify.identify import identify
+    from sim.identify.push import Pushed
+    from sim.measure.launches import beside, end
+
+    try:
+        launch = launch_file.read(scenario, launch_file.parse_assignments(assignments))
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
+    named = {word.partition(":=")[0] for word in assignments}
+    words = list(assignments)
+    if scenario == "identify":
+        given = {"duration": arguments.duration, "amplitude": arguments.amplitude, "reach": arguments.reach}
+        words += [f"{name}:={value}" for name, value in given.items() if name not in named]
+    process = beside("launch", scenario, *words, "--json", "--no-plot", stdout=subprocess.PIPE, text=True)
+    try:
+        out, _ = process.communicate()
+    except KeyboardInterrupt:
+        # It ends safely; what it recorded until then counts.
+        end(process)
+        out, _ = process.communicate()
+    try:
+        figures = json.loads(out.splitlines()[-1])
+        recording = Path(figures["recording"])
+    except (IndexError, KeyError, TypeError, json.JSONDecodeError) as error:
+        raise RefusedError(f"haptic launch {scenario}: exit code {process.returncode}, no recording") from error
+    pushed = Pushed(recording, (0.0, 0.0, 0.0), figures["exit_reason"])
+    try:
+        return [(pushed, identify(read(recording, axis), arguments.held)) for axis in launch.run.axes]
+    except ValueError as error:
+        raise RefusedError(f"{recording}: {error}") from error

@@ -1,0 +1,122 @@
+"""Do faults to a real launch, one after the other, and tell what came of each."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+
+import msgspec
+
+from messages.errors import UsageError
+from nodes.cli.colour import coloured
+from nodes.cli.main import add_json, answer
+from sim.drill.drill import HOLD, LIMIT, RATE, DrillOutcome, drill
+from sim.drill.faults import faults
+from sim.drill.soak import MISS_LIMIT, soak, text
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "faults",
+        nargs="*",
+        help='faults by name, e.g. "kill coupling"; all when left out; or soak: a long run under use',
+    )
+    parser.add_argument("--minutes", type=float, default=10.0, help="length of a soak [min] (default: %(default)s)")
+    parser.add_argument(
+        "--miss-limit",
+        type=float,
+        default=MISS_LIMIT,
+        help="share of ticks that a soak may miss (default: %(default)s)",
+    )
+    parser.add_argument("--list", action="store_true", help="list the faults")
+    parser.add_argument("--markdown", action="store_true", help="write the table as Markdown, for a page")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the drills."""
+    # Ended by SIGTERM, it ends its launch first, as after Ctrl-C.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    if arguments.faults == ["soak"]:
+        return _soak(arguments)
+    known = {fault.name: fault for fault in faults()}
+    if arguments.list:
+        figures = {name: fault.what for name, fault in known.items()}
+        answer(arguments.json, {"faults": figures}, "\n".join(f"{name:18} {what}" for name, what in figures.items()))
+        return 0
+    unknown = [name for name in arguments.faults if name not in known]
+    if unknown:
+        raise UsageError(f"no fault is named {unknown[0]!r}; there is: {', '.join(known)}")
+    outcomes = []
+    for name in arguments.faults or known:
+        print(f"[drill] {name}", file=sys.stderr, flush=True)
+        outcomes.append(drill(known[name]))
+    failed = [outcome for outcome in outcomes if not outcome.passed and not outcome.skipped]
+    figures_all = {
+        "limit_ticks": LIMIT,
+        "rate_hz": RATE,
+        "passed": not failed,
+        "drills": msgspec.to_builtins(outcomes),
+    }
+    answer(arguments.json, figures_all, table(outcomes, arguments.markdown))
+    return 1 if failed else 0
+
+
+def _soak(arguments: argparse.Namespace) -> int:
+    seconds = arguments.minutes * 60.0
+    if not seconds >= 10.0:
+        raise UsageError(f"--minutes {arguments.minutes:g}: a soak takes at least 10 s, --minutes 0.17")
+    found = soak(seconds, min(60.0, seconds / 3.0), arguments.miss_limit)
+    answer(arguments.json, msgspec.to_builtins(found), text(found))
+    return 0 if found.passed else 1
+
+
+HEADS = ("fault", "what was done", "safe after [ticks]", "ticks lost", "given out [mJ]", "recovered", "result")
+"""Columns of the table; the third to the fifth hold numbers."""
+
+
+def table(outcomes: list[DrillOutcome], markdown: bool = False) -> str:
+    """Write the table of a drill."""
+    rows = [HEADS, *map(_row, outcomes)]
+    if markdown:
+        lines = [f"| {' | '.join(row)} |" for row in rows]
+        lines.insert(1, "| --- | --- | ---: | ---: | ---: | --- | --- |")
+    else:
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [_laid_out(row, widths) for row in rows]
+    lines.append(
+        f"safe after: longest time for which an old force or damping acted, limit {LIMIT} ticks of {1e3 / RATE:g} ms "
+        f"(the device itself lets go after {HOLD * 1e3:g} ms)"
+    )
+    for one in outcomes:
+        lines += [f"{one.fault}: skipped: {one.skipped}"] if one.skipped else []
+        lines += [f"{one.fault}: {reason}" for reason in one.reasons] if not (one.passed or one.skipped) else []
+    return "\n".join(lines)
+
+
+def _row(one: DrillOutcome) -> tuple[str, ...]:
+    if one.skipped:
+        return (one.fault, one.what, "", "", "", "", "skipped")
+    return (
+        one.fault,
+        one.what,
+        str(one.safe_ticks),
+        f"{one.lost_ticks} of {one.window_ticks}",
+        f"{one.energy_j * 1e3:.2f}",
+        "yes" if one.recovered else "no",
+        "passed" if one.passed else "FAILED",
+    )
+
+
+def _laid_out(row: tuple[str, ...], widths: list[int]) -> str:
+    cells = [
+        cell.rjust(width) if 2 <= i <= 4 else cell.ljust(width)
+        for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+    ]
+    color = {"passed": "green", "FAILED": "red"}.get(row[-1])
+    if color:
+        cells[-1] = coloured(cells[-1], color, sys.stdout)
+    return "  ".join(cells).rstrip()

@@ -1,0 +1,12 @@
+"""Study stability, designs and the paper's figures: one sub-verb per study."""
+
+from __future__ import annotations
+
+import argparse
+
+from nodes.cli.dispatch import dispatch
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the studies."""
+    dispatch(parser, "study", "study")

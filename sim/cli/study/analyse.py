@@ -1,0 +1,191 @@
+"""What a law really renders: f(ω), leak, passivity limit, pole radius, K_max, and how far the device may be off."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from messages.errors import UsageError
+from nodes.cli.main import answer
+from nodes.cli.quantities import declare, declare_law, interval, not_negative, positive
+from nodes.laws import CompiledLaw
+from nodes.laws.parse import LawRefusedError, compile_law
+from nodes.recording.figure_style import OMEGA, save_figure, styled, threshold
+from nodes.stability.closed_loop import law_figures
+from nodes.stability.every_delay import every_delay
+from nodes.stability.k_max import edge_of, k_max, tolerance, without_spring
+from nodes.stability.plant import Plant
+from nodes.stability.rest import rest, stiffest_at_rest
+from sim.chart.rest_map import rest_map
+from sim.cli import arguments as shared
+from sim.results import fresh
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("law", help="kind, preset or YAML mapping, e.g. '{kind: pd, stiffness: 1000, damping: 3}'")
+    declare(parser, gain=None)
+    declare_law(parser)
+    parser.add_argument(
+        "--every-delay",
+        type=interval,
+        metavar="LOW..HIGH",
+        help="certify the loop for every sequence of delays of this range, at most a tick wide [ticks]",
+    )
+    parser.add_argument("--resolution", type=positive, help="of the device's encoder: tells the friction for rest [m]")
+    parser.add_argument("--friction", type=not_negative, help="of the device: tells the stiffness for rest [N]")
+    shared.add_device(parser)
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Analyse one law on one device."""
+    device, period = shared.device(arguments), 1.0 / arguments.rate
+    law = shared.law(arguments, arguments.law, arguments.gain, nominal=True)
+    try:
+        compiled = compile_law(law, period)
+        derivative = without_spring(law, period)
+    except LawRefusedError as error:
+        raise UsageError(str(error)) from error
+    if compiled.evaluate is not None:
+        raise UsageError(
+            f"{law.kind}: has code of its own, so no transfer function and no poles to analyse; drop it: "
+            "haptic study kmax --method simulation"
+        )
+    figures = law_figures(compiled, device)
+    limits = tolerance(compiled, device)
+    boundary = k_max(derivative, device)
+    figures |= {"tolerance": None if limits is None else asdict(limits), **_boundary(asdict(boundary))}
+    edge = edge_of(derivative, device)
+    figures["edge"] = None if edge is None else asdict(edge)
+    figures["every_delay"] = _every_delay(arguments, compiled, device)
+    figures["rest"] = _rest(arguments, compiled, derivative, device)
+    if arguments.resolution is not None:
+        friction = arguments.friction or figures["rest"]["friction_bound_n"]
+        nominal = compiled.taps[0] - derivative.taps[0]
+        figures["rest"]["map"] = rest_map(
+            compiled, nominal, device, arguments.resolution, friction, arguments.out / "rest.png"
+        )
+    figures["loop"] = shared.head(law, device)
+    figures["plot"] = str(_draw(arguments, compiled, device))
+    answer(arguments.json, figures, f"{figures['loop']}\n{_text(figures)}")
+    return 0
+
+
+def _every_delay(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> dict[str, Any] | None:
+    if arguments.every_delay is None:
+        return None
+    try:
+        found = every_delay(law, device, arguments.every_delay)
+    except ValueError as error:
+        raise UsageError(f"--every-delay: {error}") from error
+    return {"delay_ticks": list(arguments.every_delay), **asdict(found)}
+
+
+def _rest(
+    arguments: argparse.Namespace, law: CompiledLaw, derivative: CompiledLaw, device: Plant
+) -> dict[str, Any] | None:
+    if arguments.resolution is None:
+        if arguments.friction is not None:
+            raise UsageError("--friction: rest takes the encoder too; give --resolution")
+        return None
+    needed = rest(law, device, arguments.resolution)
+    found: dict[str, Any] = {**asdict(needed), "text": needed.text()}
+    if arguments.friction is not None:
+        stiffest = stiffest_at_rest(derivative, arguments.resolution, arguments.friction)
+        found["limit_cycle_free"] = needed.free(arguments.friction)
+        found["k_rest_n_per_m"] = stiffest if stiffest > 0.0 else None
+    return found
+
+
+def _boundary(found: dict[str, Any]) -> dict[str, Any]:
+    return {key: found[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")}
+
+
+def _text(figures: dict[str, Any]) -> str:
+    def shown(value: float | None, unit: str, missing: str = "none") -> str:
+        return missing if value is None else f"{value:.6g} {unit}".rstrip()
+
+    verdict = "stable" if figures["pole_radius"] < 1.0 else "UNSTABLE"
+    lines = [
+        f"H(1)            {shown(figures['h1_n_per_m'], 'N/m')}",
+        f"H(-1)           {shown(figures['h_nyquist_n_per_m'], 'N/m')}",
+        f"f min, H(1)     {shown(figures['f_min_n_s_per_m'], 'N s/m')} at {figures['f_min_rad_per_s']:.5g} rad/s",
+        f"f(w_N), H(1)    {shown(figures['f_nyquist_n_s_per_m'], 'N s/m')}",
+        f"passive from b  {shown(figures['damping_needed_n_s_per_m'], 'N s/m')}",
+        f"passive scale   {shown(figures['passive_scale'], '')}",
+        f"pole radius     {figures['pole_radius']:.9f} ({verdict})",
+        f"K_max           {shown(figures['k_max_n_per_m'], 'N/m')} nominal, "
+        f"{shown(figures['h1_max_n_per_m'], 'N/m')} felt ({figures['method']})",
+    ]
+    lines += _beyond(figures)
+    limits = figures["tolerance"]
+    if limits is not None:
+        lines += [
+            f"mass            {shown(limits['mass_min_kg'], 'kg', 'stable down to 1e-4 of it, no limit found')} .. "
+            f"{shown(limits['mass_max_kg'], 'kg', 'stable up to 1e4 of it, no limit found')}",
+            f"damping from    {shown(limits['damping_min_n_s_per_m'], 'N s/m', '0 N s/m')}",
+            f"hand up to      {shown(limits['hand_stiffness_max_n_per_m'], 'N/m', '1e6 N/m, no limit found')}",
+            f"delay up to     {shown(limits['delay_max_ticks'], 'ticks', '100 ticks more, no limit found')}",
+        ]
+    return "\n".join([*lines, figures["plot"]])
+
+
+def _beyond(figures: dict[str, Any]) -> list[str]:
+    """Lines on the frequency that occurs, on every sequence of delays, and on rest; those that were asked for."""
+    lines = []
+    edge, jitter, still = figures["edge"], figures["every_delay"], figures["rest"]
+    if edge is not None:
+        lines.append(
+            f"at the edge     rings at {edge['omega_rad_per_s'] / (2.0 * math.pi):.5g} Hz, where f = {edge['f_n_s_per_m']:.5g} "
+            f"N s/m: 2(b R - f)/T = {edge['k_exact_n_per_m']:.6g} N/m, R = {edge['damping_factor']:.5g} (THEORY.md §9)"
+        )
+    if jitter is not None:
+        low, high = jitter["delay_ticks"]
+        told = {
+            True: f"stable: a common norm shrinks over each of {jitter['words']} words of delays",
+            False: f"UNSTABLE: {', '.join(f'{d:.4g}' for d in jitter['growing'])} ticks, repeated, grow by "
+            f"{jitter['growth']:.6f} per tick",
+            None: "not decided: no norm found, and no sequence that grows",
+        }[jitter["stable"]]
+        lines.append(f"every delay     of {low:g}..{high:g} ticks: {told} (THEORY.md §10)")
+    if still is not None:
+        lines.append(f"rest            {still['text']}")
+        if "k_rest_n_per_m" in still:
+            stiffest = still["k_rest_n_per_m"]
+            lines.append(
+                f"stiffest rest   {'none' if stiffest is None else f'{stiffest:.6g} N/m'} with the declared friction"
+            )
+        lines.append(f"rest map        {still['map']['plot']}")
+    return lines
+
+
+@styled
+def _draw(arguments: argparse.Namespace, law: CompiledLaw, device: Plant) -> Path:
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from nodes.stability.effective_damping import effective_damping
+
+    period, theta = device.period, np.linspace(0.0, np.pi, 801)
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.add_subplot(
+        xlabel=OMEGA, ylabel=r"$f(\omega)$  [N s/m]", title=f"effective damping of {arguments.law}"
+    )
+    spring = 0.5 * period * law.h1
+    axes.plot(theta / np.pi, effective_damping(law, period, theta / period), label="without delay")
+    whole = int(device.delay)
+    if whole:
+        axes.plot(
+            theta / np.pi,
+            effective_damping(law, period, theta / period, whole),
+            label=f"late by {whole} T",
+        )
+    limit = device.damping - spring
+    threshold(axes, limit, f"b − H(1)T/2 = {limit:.3g} N s/m: passive below")
+    axes.legend()
+    return save_figure(figure, arguments.out / "analyse.png", fresh)

@@ -1,0 +1,103 @@
+"""Chart speed against accuracy: realisations of D^α, also at equal demand, integrators, ways to K_max, loop rates, proxies."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+from messages.errors import UsageError
+from nodes.cli.main import answer
+from sim.cli.arguments import add_answer
+from sim.results import fresh
+
+if TYPE_CHECKING:
+    from sim.measure.stopwatch import Progress
+
+PARTS = ("derivatives", "demand", "integrators", "kmax", "rates", "proxies")
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "--parts",
+        default=",".join(PARTS),
+        help="which comparisons, separated by commas (default: %(default)s); rates starts real processes",
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer lengths, rates and rounds: a first look")
+    add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, save and draw the chart."""
+    parts = [part for part in arguments.parts.split(",") if part]
+    for part in parts:
+        if part not in PARTS:
+            raise UsageError(f"--parts {part}: there is none of that name; choose from {', '.join(PARTS)}")
+    from sim.chart.derivatives import derivative_groups, derivative_steps
+    from sim.chart.equal_demand import demand_groups, demand_steps
+    from sim.chart.integrators import integrator_groups, integrator_steps
+    from sim.chart.k_max import kmax_groups, kmax_steps
+    from sim.chart.page import conclusions, draw, page
+    from sim.chart.points import Group, as_json, keep, kept, save, with_front
+    from sim.chart.proxies import proxy_groups, proxy_steps
+    from sim.chart.rates import rate_groups, rate_steps
+    from sim.measure.launches import MeasurementError
+    from sim.measure.stopwatch import Progress, machine
+
+    makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {
+        # The weight is about how many tenths of a second one step takes, so that the bar moves evenly.
+        "derivatives": (derivative_groups, derivative_steps, 1),
+        "demand": (demand_groups, demand_steps, 1),
+        "integrators": (integrator_groups, integrator_steps, 1),
+        "kmax": (kmax_groups, kmax_steps, 1),
+        "rates": (rate_groups, rate_steps, 30),
+        "proxies": (proxy_groups, proxy_steps, 20),
+    }
+    start = time.monotonic()
+    progress = Progress(sum(makers[part][1](arguments.quick) * makers[part][2] for part in parts))
+    groups: list[Group] = []
+    failures: list[str] = []
+    # What is done of a run that is stopped; figures of time are of one machine, so a finished run leaves none.
+    diary = arguments.out / ("chart.quick.part" if arguments.quick else "chart.part")
+    for part in parts:
+        make, steps, weight = makers[part]
+        step = partial(_advance, progress, weight)
+        try:
+            found = kept(diary, part)
+            if found is None:
+                found = [with_front(group) for group in make(step, arguments.quick)]
+                keep(diary, part, found)
+            else:
+                progress.step(f"{part}: done before", steps(arguments.quick) * weight)
+            groups += found
+        except MeasurementError as error:
+            # The other parts are worth keeping; the exit code tells that one is missing.
+            failures.append(f"{part}: {error}")
+        except KeyboardInterrupt:
+            failures.append(f"{part}: interrupted; the same command goes on here")
+            break
+    else:
+        diary.unlink(missing_ok=True)
+    seconds, where = time.monotonic() - start, machine()
+    files = save(groups, where, seconds, arguments.out)
+    for group in groups:
+        files += draw(group, arguments.out)
+    read = fresh(arguments.out / "chart.md")
+    read.write_text(page(groups, where, seconds))
+    lines = conclusions(groups)
+    figures = as_json(groups, where, seconds) | {
+        "conclusions": lines,
+        "page": str(read),
+        "files": [*map(str, files)],
+        "failures": failures,
+    }
+    answer(arguments.json, figures, "\n".join([*lines, *failures, f"{read} ({seconds:.0f} s)"]))
+    return 1 if failures else 0
+
+
+def _advance(progress: Progress, weight: int, what: str) -> None:
+    progress.step(what, weight)

@@ -1,0 +1,76 @@
+"""Measure a law on curved surfaces: energy along closed ways, kicks, and K_max of a sliding contact, in both frames."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import Any
+
+from messages.errors import UsageError
+from nodes.cli.main import add_json, answer
+from nodes.cli.quantities import declare, not_negative, positive
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    declare(parser, stiffness=800.0, gain=2.0, rate=500.0)
+    parser.add_argument("--depth", type=positive, default=2e-3, help="below the surface [m] (default: 0.002)")
+    parser.add_argument("--speed", type=positive, default=0.2, help="along the surface [m/s] (default: 0.2)")
+    parser.add_argument(
+        "--slides", default="0,0.02,0.04", help="speeds of the sliding contact [m/s] (default: 0,0.02,0.04)"
+    )
+    parser.add_argument(
+        "--launched", action="store_true", help="confirm each K_max by two launches, 2 %% below it and above"
+    )
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Lead laws along surfaces, then search the edge of stability while one slides."""
+    if arguments.depth > 0.005:
+        raise UsageError(f"--depth {arguments.depth:g}: at most 0.005 m, in a rod of 0.006 m")
+    try:
+        slides = [not_negative(text) for text in arguments.slides.split(",") if text]
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(f"--slides {arguments.slides}: {error}") from error
+    from nodes.launcher import launch_file
+    from nodes.laws.pd import PD
+    from nodes.laws.pd_alpha import PDAlpha
+    from sim.experiments.curved import FRAMES, along_ways, growth_launched, sliding_k_max, theory
+
+    period, given = 1.0 / arguments.rate, {"stiffness": arguments.stiffness, "damping": arguments.gain}
+    laws = [
+        ("pd", PD(**given).compile(period)),
+        ("pd_alpha", PDAlpha(**given, order=1.2, taps=10, gains="physical").compile(period)),
+    ]
+    found = along_ways(laws, period, arguments.speed, arguments.depth)
+    lines = [f"{'surface':26}{'law':10}{'frame':9}{'given out':>12}{'kicks [mN]':>12}{'off a spring [mN]':>19}"]
+    lines += [
+        f"{row.surface:26}{row.law:10}{row.frame:9}{100.0 * row.given_out:10.3f} %{1e3 * row.kicks_n:12.3f}"
+        f"{1e3 * row.largest_n:19.3f}"
+        for row in found
+    ]
+    launch = launch_file.read("sphere_feel", {"rate": arguments.rate, "pace": "lockstep"})
+    one_axis = theory(period)
+    lines += ["", f"K_max of a contact that slides over a sphere of 35 mm; in one axis {one_axis:.5g} N/m"]
+    edges: list[dict[str, Any]] = []
+    for speed in slides:
+        for frame in FRAMES:
+            edge = sliding_k_max(launch, speed, frame)
+            row: dict[str, Any] = {
+                "speed_m_per_s": speed,
+                "frame": frame,
+                "k_max_n_per_m": edge,
+                "over": edge / one_axis,
+            }
+            text = f"at {speed:g} m/s, {frame:8}{edge:10.5g} N/m, {edge / one_axis:.4f} of it"
+            if arguments.launched:
+                below, above = (growth_launched(launch, part * edge, speed, frame) for part in (0.98, 1.02))
+                row["growth_below"], row["growth_above"] = below, above
+                text += f"; launched, the ripple grows {below:.3f} times at 0.98 of that, {above:.3f} times at 1.02"
+            lines.append(text)
+            edges.append(row)
+    figures = {"ways": [asdict(row) for row in found], "one_axis_n_per_m": one_axis, "edges": edges}
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0

@@ -1,0 +1,406 @@
+"""Design a law for the device and delay at hand: the stiffest at a pole radius over a range of mass, and the passive one."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from messages.errors import UsageError
+from nodes.cli.main import answer
+from nodes.cli.quantities import Interval, declare, not_negative, positive
+from nodes.laws import CompiledLaw
+from nodes.recording.figure_style import OMEGA, save_figure, styled, threshold
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.plant import Plant
+from nodes.stability.rest import rest
+from sim.chart.rest_map import rest_map
+from sim.cli import arguments as shared
+from sim.design.demand import CONVENTIONS, Demand, Robust
+from sim.design.families import (
+    Tuned,
+    best_pd,
+    certificate,
+    certified,
+    compare,
+    designed,
+    fir,
+    latest_delay,
+    to_yaml,
+)
+from sim.design.landing import best_pd_windowed, drops
+from sim.design.passive import Passive, stiffest_passive
+from sim.design.recorded_loop import Measured
+from sim.design.replay import replayed_radius
+from sim.experiments.terms import RESOLUTION
+from sim.results import fresh
+
+_REPLAYED = 2000
+"""Ticks of a recording that are replayed; a decay of 0.99 per tick is down to rounding by then."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    declare(parser, mass=Interval(0.05, 0.2), damping=Interval(1.0, 1.0), delay=Interval(1.0, 1.0), rate=500.0, taps=4)
+    # A recording may say both.
+    parser.set_defaults(delay=None, rate=None)
+    parser.add_argument(
+        "--hand",
+        type=shared.hand,
+        default=(0.0, 0.0),
+        help="stiffness of a hand, LOW..HIGH [N/m], or one of `haptic device presets`",
+    )
+    parser.add_argument("--radius", type=positive, default=0.99, help="pole radius allowed (default: %(default)s)")
+    parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
+    parser.add_argument(
+        "--from-run", type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording"
+    )
+    parser.add_argument("--effort", type=int, default=1, help="multiplies the search (default: %(default)s)")
+    parser.add_argument(
+        "--land",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="demand that every drop settles too, from 5 to 20 mm and 3 %% beyond the masses, under all contact conventions; "
+        "without it a law is stiffer, and may not bear a landing",
+    )
+    parser.add_argument(
+        "--every-delay",
+        action="store_true",
+        help="demand a certificate for every sequence of delays of the range, at most a tick wide; not only for constant ones",
+    )
+    parser.add_argument("--resolution", type=positive, help="of the device's encoder, with --friction [m]")
+    parser.add_argument(
+        "--friction",
+        type=positive,
+        help="of the device: |H(-1)| <= 2 friction/resolution, no chatter at rest [N]",
+    )
+    parser.add_argument("--compare", action="store_true", help="against best PD, every PDα and the paper's optimum")
+    parser.add_argument("--delays", type=not_negative, nargs="+", default=[0.0, 1.0, 2.0], help="of --compare [ticks]")
+    parser.add_argument(
+        "--margins", type=not_negative, nargs="+", default=[0.0, 0.5], help="delay margins of --compare [ticks]"
+    )
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Design, or compare."""
+    if not 1 <= arguments.taps <= 12:
+        raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
+    if arguments.compare and arguments.taps < 2:
+        raise UsageError(f"--taps {arguments.taps} --compare: PD and PDα have at least 2 taps")
+    if arguments.every_delay and arguments.compare:
+        raise UsageError("--every-delay: of one design, not of --compare")
+    if arguments.radius > 1.0:
+        raise UsageError(f"--radius {arguments.radius:g}: above 1 is unstable")
+    if not arguments.mass[0] > 0.0:
+        raise UsageError(f"--mass {arguments.mass[0]:g}..{arguments.mass[1]:g}: must be positive")
+    demand, measured = _demand(arguments)
+    return _compare(arguments, demand) if arguments.compare else _design(arguments, demand, measured)
+
+
+def _demand(arguments: argparse.Namespace) -> tuple[Demand, Measured | None]:
+    rate, delay = arguments.rate or 500.0, arguments.delay or (1.0, 1.0)
+    run = None
+    if arguments.from_run is not None:
+        run = shared.recorded(arguments.from_run)
+        rate, delay = arguments.rate or 1.0 / run.period, arguments.delay or run.delay
+    nyquist = arguments.nyquist
+    if (arguments.friction is None) != (arguments.resolution is None):
+        raise UsageError("--friction, --resolution: rest takes both, or neither")
+    if arguments.friction is not None:
+        nyquist = min(nyquist, 2.0 * arguments.friction / arguments.resolution)
+    least, most = arguments.damping
+    demand = Demand(
+        mass=arguments.mass,
+        damping=least,
+        damping_max=most if most > least else None,
+        delay=delay,
+        period=1.0 / rate,
+        radius=arguments.radius,
+        nyquist=nyquist,
+        stiffness=arguments.hand,
+        lands=CONVENTIONS if arguments.land else (),
+    )
+    return demand, run
+
+
+def _say(what: str) -> None:
+    print(f"{what} ...", file=sys.stderr, flush=True)
+
+
+def _wanted(demand: Demand) -> dict[str, Any]:
+    return {
+        "mass_kg": list(demand.mass),
+        "damping_n_s_per_m": demand.damping,
+        "damping_max_n_s_per_m": demand.damping_max,
+        "delay_ticks": list(demand.delay),
+        "rate_hz": 1.0 / demand.period,
+        "radius_limit": demand.radius,
+        "h_nyquist_limit_n_per_m": demand.nyquist,
+        "hand_n_per_m": list(demand.stiffness),
+        "lands": bool(demand.lands),
+    }
+
+
+def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | None) -> int:
+    _say(f"{arguments.taps} free taps")
+
+    def free(wanted: Demand) -> Tuned:
+        return designed(wanted, arguments.taps, arguments.effort)
+
+    try:
+        law = certified(free, demand) if arguments.every_delay else free(demand)
+    except ValueError as error:
+        raise UsageError(f"--every-delay: {error}") from error
+    _say("PD, to compare")
+    pd = best_pd(demand)
+    passive = None
+    if demand.damping > 0.0:
+        _say("passive")
+        passive = stiffest_passive(arguments.taps, demand.period, demand.damping, demand.delay, demand.nyquist)
+    figures: dict[str, Any] = {
+        "demand": _wanted(demand),
+        "designed": None,
+        "passive": None,
+        "best_pd": _row(pd, demand),
+    }
+    lines = [_describe(demand)]
+    if measured is not None:
+        figures |= _replayed(arguments.from_run, demand, law, measured)
+        lines.append(
+            f"recorded delay {measured.median:.4g} ticks, jitter {measured.jitter:.4g} ticks, {measured.unanswered} of "
+            f"{len(measured.delays)} ticks not answered in time; pole radius when the first {_REPLAYED} are replayed one by "
+            f"one: {figures['replayed_radius']}"
+        )
+    if law.found is not None and law.law is not None:
+        told, said = _designed(arguments, demand, law, pd)
+        plot = fresh(arguments.out / "design.png")
+        _draw(plot, demand, law, pd, passive)
+        figures |= {"designed": told, "plot": str(plot)}
+        if not told["lands"]:
+            lines.insert(
+                0, "This law does NOT bear a landing: a drop on a floor does not settle; without --no-land it would"
+            )
+        lines += [*said, str(plot)]
+        if arguments.friction is not None:
+            lines += _at_rest(arguments, law.found, demand, told)
+    else:
+        lines.append(
+            "no law of this length keeps the demand: allow a larger radius, a narrower range, more taps or --no-land"
+        )
+    if passive is not None:
+        figures["passive"] = _passive_row(passive, demand, arguments.out)
+        lines.append(_passive_line(passive, demand, figures["passive"]))
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0 if law.found is not None else 1
+
+
+def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tuned) -> tuple[dict[str, Any], list[str]]:
+    """Write the designed law down; its figures, and what is said of it."""
+    assert law.found is not None  # noqa: S101  # the caller looked
+    assert law.law is not None  # noqa: S101  # the caller looked
+    path = fresh(arguments.out / "designed.yaml")
+    lands = all(drops(law.found.law, demand).values())
+    comment = _describe(demand) + ("" if lands else "\nit does NOT bear a landing")
+    path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
+    every = certificate(law.found.law, demand)
+    told = _row(law, demand) | {"yaml": str(path), "lands": lands, "every_delay": every}
+    proofs: dict[Any, str] = {True: "certified", False: "NOT stable", None: "not decided"}
+    proof = proofs.get(every, "the range is wider than a tick")
+    return told, [
+        _line(told),
+        f"{'':13}  every sequence of these delays, five masses: {proof} (THEORY.md §10)",
+        _line(_row(pd, demand)),
+        f"haptic param load coupling {path}",
+    ]
+
+
+def _at_rest(arguments: argparse.Namespace, found: Robust, demand: Demand, figures: dict[str, Any]) -> list[str]:
+    """Friction that the law asks for at the heaviest, least damped device, and the map of its K about this one."""
+    device = Plant(demand.period, demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0])
+    needed = rest(found.law, device, arguments.resolution)
+    path = arguments.out / "design_rest.png"
+    drawn = rest_map(found.law, found.h1_n_per_m, device, arguments.resolution, arguments.friction, path)
+    figures["rest"] = asdict(needed) | {"map": drawn}
+    figures["rest"]["limit_cycle_free"] = needed.free(arguments.friction)
+    stops = "stops" if figures["rest"]["limit_cycle_free"] is True else "need not stop"
+    return [
+        f"with {arguments.friction:g} N a motion {stops}: {needed.text()}",
+        str(path),
+    ]
+
+
+def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dict[str, Any]:
+    """Replay the recorded delays on the lightest and the heaviest device: jitter is not a constant delay."""
+    worst = None
+    if law.found is not None:
+        compiled = law.found.law
+        worst = max(
+            replayed_radius(
+                compiled, Plant(demand.period, mass, demand.damping, 0.0, hand), measured.delays[:_REPLAYED]
+            )
+            for mass in demand.mass
+            for hand in demand.stiffness
+        )
+    return {
+        "from_run": str(path),
+        "delay_median_ticks": measured.median,
+        "jitter_ticks": measured.jitter,
+        "unanswered_ticks": measured.unanswered,
+        "replayed_radius": worst if worst is not None and math.isfinite(worst) else None,
+    }
+
+
+def _describe(demand: Demand) -> str:
+    mass, delay = demand.mass, demand.delay
+    return (
+        f"m {mass[0]:g}..{mass[1]:g} kg, b {_span(demand.dampings)} N s/m, delay {delay[0]:.4g}..{delay[1]:.4g} ticks at "
+        f"{1.0 / demand.period:g} Hz, pole radius <= {demand.radius:g}, |H(-1)| <= {demand.nyquist:g} N/m, "
+        f"hand {demand.stiffness[0]:g}..{demand.stiffness[1]:g} N/m"
+    )
+
+
+def _span(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:g}" if ends[0] == ends[1] else f"{ends[0]:g}..{ends[1]:g}"
+
+
+def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
+    if tuned.found is None:
+        return {"family": tuned.family, "law": None, "h1_n_per_m": None}
+    return {
+        "family": tuned.family,
+        "law": tuned.law,
+        "taps_n_per_m": tuned.found.taps.tolist(),
+        "h1_n_per_m": tuned.found.h1_n_per_m,
+        "h_nyquist_n_per_m": tuned.found.h_nyquist_n_per_m,
+        "pole_radius": tuned.found.radius,
+        "worst_mass_kg": tuned.found.worst[0],
+        "stable_up_to_delay_ticks": latest_delay(tuned.found.law, demand),
+        "drops_settled": drops(tuned.found.law, demand),
+    }
+
+
+def _passive_row(passive: Passive, demand: Demand, out: Path) -> dict[str, Any]:
+    """Write the passive law down; its figures."""
+    path = fresh(out / "passive.yaml")
+    told = f"passive for any mass and hand: {_describe(demand)}"
+    path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=told), encoding="utf-8")
+    law = CompiledLaw(tuple(passive.taps.tolist()))
+    radius = max(
+        pole_radius(law, Plant(demand.period, mass, demand.damping, delay, hand))
+        for mass, delay, hand in itertools.product(demand.mass, demand.delay, demand.stiffness)
+    )
+    return {
+        "pole_radius": radius,
+        "taps_n_per_m": passive.taps.tolist(),
+        "h1_n_per_m": passive.h1_n_per_m,
+        "h_nyquist_n_per_m": passive.h_nyquist_n_per_m,
+        "damping_needed_n_s_per_m": passive.damping_needed_n_s_per_m,
+        "ratio": passive.ratio,
+        "bound_n_per_m": passive.bound_n_per_m,
+        "yaml": str(path),
+    }
+
+
+def _passive_line(passive: Passive, demand: Demand, row: dict[str, Any]) -> str:
+    return (
+        f"passive        H(1) {passive.h1_n_per_m:9.2f} N/m  H(-1) {passive.h_nyquist_n_per_m:9.1f} N/m  "
+        f"radius {row['pole_radius']:.6f}  "
+        f"K T/b {passive.ratio:.4f} (bound {passive.bound_n_per_m * demand.period / demand.damping:.4f})  {row['yaml']}"
+    )
+
+
+def _line(row: dict[str, Any]) -> str:
+    if row["law"] is None:
+        return f"{row['family']:13}  keeps the demand with no stiffness at all"
+    limit, dropped = row["stable_up_to_delay_ticks"], row["drops_settled"]
+    tuning = ", ".join(f"{key} {row['law'][key]:.5g}" for key in ("stiffness", "damping", "order") if key in row["law"])
+    return (
+        f"{row['family']:13}  H(1) {row['h1_n_per_m']:9.2f} N/m  H(-1) {row['h_nyquist_n_per_m']:9.1f} N/m  "
+        f"radius {row['pole_radius']:.6f}  stable up to {'100 ticks, and on' if limit is None else f'{limit:.3f} ticks'}  "
+        f"drops settled {sum(dropped.values())}/{len(dropped)}  "
+        f"{tuning or 'taps ' + ', '.join(f'{tap:.6g}' for tap in row['taps_n_per_m'])}"
+    )
+
+
+def _compare(arguments: argparse.Namespace, demand: Demand) -> int:
+    rows, lines = [], []
+    for margin in arguments.margins:
+        for delay in arguments.delays:
+            case = replace(demand, delay=(delay, delay + margin))
+            lines.append(_describe(case))
+            laws = []
+            _say(lines[-1])
+            for one in compare(case, arguments.taps, _say):
+                laws.append(_row(one, case))
+                lines.append(f"  {_line(laws[-1])}")
+            rows.append(_verdict(case, laws, lines))
+            _say("PD with a windowed velocity, by drops")
+            windowed = best_pd_windowed(case, arguments.resolution or RESOLUTION)
+            rows[-1]["pd_windowed"] = windowed
+            tuned = (
+                "no stiffness"
+                if windowed is None
+                else "K {stiffness:.0f} N/m, B {damping:.3g} N s/m".format(**windowed)
+            )
+            lines.append(f"  pd_windowed has no poles, so no radius: {tuned} by its drops alone, all of which settle")
+    figures = {"demand": _wanted(demand), "cases": rows}
+    answer(arguments.json, figures, "\n".join(lines))
+    return 0
+
+
+def _verdict(demand: Demand, laws: list[dict[str, Any]], lines: list[str]) -> dict[str, Any]:
+    known = {law["family"]: law["h1_n_per_m"] for law in laws if law["h1_n_per_m"] is not None}
+    mine = known.pop("designed", None)
+    rival = max(known, key=lambda family: known[family]) if known else None
+    gain = None if mine is None or rival is None else mine / known[rival]
+    if gain is None:
+        lines.append("  nothing to compare: " + ("only the designed law keeps the demand" if mine else "no law does"))
+    else:
+        # A search for laws that land ends somewhere on a ragged edge.
+        verb = "stiffer than" if gain > 1.005 else "no stiffer than"
+        lines.append(f"  designed is {verb} the best of the others ({rival}): x {gain:.3f}")
+    return {"demand": _wanted(demand), "laws": laws, "best_other": rival, "gain": gain}
+
+
+@styled
+def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | None) -> None:
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from nodes.stability.effective_damping import effective_damping
+    from sim.axes import plain_log
+
+    named = [(one.family, one.found.taps) for one in (law, pd) if one.found is not None]
+    if passive is not None:
+        named.append(("passive", passive.taps))
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    masses = np.geomspace(0.5 * demand.mass[0], 2.0 * demand.mass[1], 121)
+    theta = np.linspace(0.0, np.pi, 401)
+    whole = round(demand.delay[1])
+    for name, taps in named:
+        compiled = CompiledLaw(tuple(taps.tolist()))
+        radii = [
+            pole_radius(compiled, Plant(demand.period, m, demand.damping, demand.delay[1], demand.stiffness[0]))
+            for m in masses.tolist()
+        ]
+        label = f"{name}, H(1) = {compiled.h1:.0f} N/m"
+        left.semilogx(masses, radii, label=label)
+        needed = 0.5 * demand.period * compiled.h1 + effective_damping(
+            compiled, demand.period, theta / demand.period, whole
+        )
+        right.plot(theta / np.pi, needed, label=label)
+    plain_log(left.xaxis, float(masses[0]), float(masses[-1]))
+    threshold(left, demand.radius, f"{demand.radius:g}: demanded at most")
+    left.axvspan(*demand.mass, alpha=0.1, lw=0)
+    left.set(xlabel="mass  [kg]", ylabel="pole radius  [1]", title=f"delay {demand.delay[1]:.3g} ticks")
+    threshold(right, demand.damping, f"b = {demand.damping:g} N s/m of the device")
+    right.set(xlabel=OMEGA, ylabel="damping needed  [N s/m]", title=f"passivity, {whole} ticks late")
+    left.legend()
+    save_figure(figure, path)

@@ -1,0 +1,132 @@
+"""Find how coarse a scene may be before the device could tell: mesh to plane, bodies from dynamic to fixed."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import UsageError
+from nodes.cli.main import add_json, answer
+from nodes.cli.quantities import not_negative, positive
+
+if TYPE_CHECKING:
+    from nodes.launcher.launch_spec import Launch
+    from sim.experiments.detail import Detail
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("scenario", help="name of a launch file with a shape in three axes, or the path of one")
+    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    parser.add_argument(
+        "--fraction",
+        type=not_negative,
+        default=0.01,
+        help="part of the largest force that is no difference (default: 0.01)",
+    )
+    parser.add_argument(
+        "--resolution", type=positive, help="encoder step [m] (default: the scene's device, or a Touch X's)"
+    )
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Lead a lockstep run's path through every level."""
+    from nodes.coupling.law_book import LawBook
+    from nodes.coupling.parameters import CouplingParameters
+    from nodes.launcher import launch_file
+    from nodes.parameters.store import ParameterError, convert
+    from sim.experiments.terms import RESOLUTION
+
+    words = [*arguments.assignments, "pace:=lockstep"]
+    try:
+        launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(words))
+        parts = {spec.kind: (name, spec.parameters) for name, spec in launch.nodes.items()}
+        if not {"environment", "mujoco"} & set(parts) or "coupling" not in parts:
+            raise UsageError(
+                f"{launch.scenario}: has no node of kind environment with a shape or of kind mujoco, and a coupling"
+            )
+        name, given = parts["coupling"]
+        coupling = convert(given, CouplingParameters, name)
+        law = LawBook(name, launch.run.period).compile(coupling, coupling.law)
+        device = parts.get("sim_driver", ("", {}))[1].get("device", {})
+        resolution = arguments.resolution or device.get("resolution") or RESOLUTION
+        way = _of_bodies if "mujoco" in parts else _of_shapes
+        found = way(arguments, launch, words, law.h1, resolution)
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
+    except ValueError as error:
+        raise UsageError(f"{launch.scenario}: {error}") from error
+    told: dict[str, Any] = {"scenario": launch.scenario, **asdict(found), "needs": found.coarsest.name}
+    answer(arguments.json, told, _text(launch.scenario, law.h1, resolution, found))
+    return 0
+
+
+def _of_bodies(
+    arguments: argparse.Namespace, launch: Launch, words: list[str], stiffness: float, resolution: float
+) -> Detail:
+    """Play a scene in which things move, in one process: it gives the bits of a launch."""
+    from sim.experiments.detail_bodies import body_detail
+    from sim.measure.stopwatch import Progress
+
+    del words
+    return body_detail(launch, stiffness, resolution, arguments.fraction, Progress(5).step)
+
+
+def _of_shapes(
+    arguments: argparse.Namespace, launch: Launch, words: list[str], stiffness: float, resolution: float
+) -> Detail:
+    import tempfile
+    from pathlib import Path
+
+    import numpy as np
+
+    from messages.topics import PROXY
+    from nodes.environment.shapes.kinds import Touchable
+    from nodes.environment.surfaces import parse_surface
+    from nodes.recording.reader import Recording
+    from sim.experiments.detail import detail
+    from sim.measure.launches import launch as run_launch
+    from sim.measure.stopwatch import Progress
+
+    name, given = next((name, one.parameters) for name, one in launch.nodes.items() if one.kind == "environment")
+    surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
+    if not isinstance(surface, Touchable):
+        raise UsageError(
+            f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape in three axes, e.g. mesh_pebble"
+        )
+    solids = surface.solids(f"{name}.surface")
+    with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
+        figures = run_launch(arguments.scenario, *words, folder=Path(folder))
+        recorded = Recording(Path(folder) / figures["recording"]).messages(PROXY)
+    path = np.array([message.position for message in recorded])
+    period, part = launch.run.period, arguments.fraction
+    return detail(solids, path, surface.tool_radius, period, stiffness, resolution, part, Progress(12).step)
+
+
+def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> str:
+    lines = [
+        f"{scenario}: H(1) {stiffness:.4g} N/m, encoder step {1e6 * resolution:.3g} µm: force step "
+        f"{1e3 * found.force_step_n:.3g} mN; largest force {found.largest_n:.3g} N; no difference up to "
+        f"{1e3 * found.limit_n:.3g} mN",
+        "",
+        f"{'level':30}{'shapes':>8}{'triangles':>11}{'force differs [mN]':>20}{'proxy [µm]':>12}{'places':>8}{'µs a call':>18}",
+        f"{'':49}{'max':>10}{'rms':>10}{'':20}{'median':>9}{'p99':>9}",
+    ]
+    lines += [
+        f"{level.name:30}{level.solids:8}{level.triangles:11}{1e3 * level.force_n:10.3g}{1e3 * level.rms_n:10.3g}"
+        f"{level.proxy_um:12.3g}{level.places:8}{level.call_us:9.3g}{level.call_p99_us:9.3g}"
+        f"{'  enough' if level.enough else ''}"
+        for level in found.levels
+    ]
+    lines += [f"left out: {text}" for text in found.left_out]
+    enough, finest = found.coarsest, found.levels[0]
+    lines.append(f"this scene needs: {enough.name}")
+    if enough is not finest:
+        lines[-1] += (
+            f"; as it is, it adds at most {1e3 * enough.force_n:.3g} mN and costs "
+            f"{finest.call_us - enough.call_us:+.3g} µs a tick"
+        )
+    return "\n".join(lines)

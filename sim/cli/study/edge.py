@@ -1,0 +1,175 @@
+"""The frequency that occurs at the edge of stability: K_max by Colgate's condition there alone, and from a recorded swing."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from messages.errors import UsageError
+from nodes.cli.main import answer
+from nodes.cli.quantities import Interval, declare, not_negative
+from nodes.laws.parse import LawRefusedError, parse_law
+from nodes.recording.figure_style import COLOURS, INK, MARKERS, save_figure, styled, threshold
+from nodes.recording.writer import RecordError
+from nodes.stability.k_max import edge_of, k_max, without_spring
+from sim.cli import arguments as shared
+
+LAWS: dict[str, dict[str, Any]] = {
+    "pd": {"kind": "pd", "stiffness": 1.0},
+    "pd_filtered 100 Hz": {"kind": "pd_filtered", "stiffness": 1.0, "cutoff": 100.0},
+    "pd_alpha 0.5": {"kind": "pd_alpha", "stiffness": 1.0, "order": 0.5, "taps": 20, "gains": "paper"},
+    "pd_alpha 1.5": {"kind": "pd_alpha", "stiffness": 1.0, "order": 1.5, "taps": 4, "gains": "paper"},
+    "paper_optimum": {"kind": "paper_optimum"},
+}
+"""The laws that are compared."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "recording",
+        nargs="?",
+        type=Path,
+        help="predict an interval of K_max from the swing of its longest contact, no mass known",
+    )
+    declare(parser, gain=Interval(1.0, 40.0))
+    parser.add_argument(
+        "--drops", type=int, help="of random devices instead: how often the interval of a swing holds the true K_max"
+    )
+    parser.add_argument("--points", type=int, default=24, help="gains, in geometric steps (default: %(default)s)")
+    parser.add_argument(
+        "--device-damping",
+        type=not_negative,
+        help="of the recorded device, when it is real [N s/m]; narrows the interval",
+    )
+    shared.add_device(parser)
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compare laws, or predict from a recording."""
+    if arguments.recording is not None:
+        return _predict(arguments)
+    if arguments.drops is not None:
+        return _drops(arguments)
+    low, high = arguments.gain
+    if not 0.0 < low < high or arguments.points < 2:
+        raise UsageError(f"--gain {low:g}..{high:g} --points {arguments.points}: needs 0 < LOW < HIGH and 2 points")
+    device, period = shared.device(arguments), 1.0 / arguments.rate
+    gains = [low * (high / low) ** (i / (arguments.points - 1)) for i in range(arguments.points)]
+    rows = []
+    for name, law in LAWS.items():
+        for gain in gains:
+            derivative = without_spring(parse_law({**law, "damping": gain}), period)
+            limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
+            if limit is not None and edge is not None:
+                rows.append({"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)})
+    if not rows:
+        raise UsageError(f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains")
+    ratios = [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in rows]
+    exact = max(abs(row["k_exact_n_per_m"] / row["k_max_n_per_m"] - 1.0) for row in rows)
+    plot = _draw(arguments, rows, device.damping, period)
+    figures = {
+        "points": rows,
+        "ratio_min": min(ratios),
+        "ratio_max": max(ratios),
+        "exact_error": exact,
+        "plot": str(plot),
+    }
+    text = (
+        f"m {device.mass:g} kg, b {device.damping:g} N s/m, hand {device.stiffness:g} N/m, delay {device.delay:g} ticks, "
+        f"{arguments.rate:g} Hz; B {low:g} .. {high:g}\n"
+        f"K_max = 2(b R - f(w_c))/T to {exact:.1e} over {len(rows)} loops; without R the ratio is {min(ratios):.3f} .. "
+        f"{max(ratios):.3f} (THEORY.md §9)\n"
+        f"pd_windowed is left out: no taps, so no f(w); its K_max is by drops (study kmax --method simulation)\n{plot}"
+    )
+    answer(arguments.json, figures, text)
+    return 0
+
+
+def _drops(arguments: argparse.Namespace) -> int:
+    from sim.measure.stopwatch import Progress
+    from sim.paper.swing_drops import counted, dropped
+
+    if not 1 <= arguments.drops <= 100_000:
+        raise UsageError(f"--drops {arguments.drops}: between 1 and 100000")
+    progress, rows = Progress(arguments.drops), []
+    for number in range(arguments.drops):
+        name = list(LAWS)[number % len(LAWS)]
+        rows.append(dropped(number, name, LAWS[name], 1.0 / arguments.rate))
+        progress.step(name, 1)
+    laws = {name: counted([row for row in rows if row["law"] == name]) for name in LAWS}
+    lines = [f"{'law':20} {'drops':>6} {'told':>6} {'hold K_max':>11} {'worst miss':>11} {'median width':>13}"]
+    for name, one in {**laws, "all": counted(rows)}.items():
+        if one["told"]:
+            lines.append(
+                f"{name:20} {one['drops']:6d} {one['told']:6d} {one['hold']:11d} {100.0 * one['worst_miss']:9.2f} % "
+                f"{100.0 * one['median_width']:11.2f} %"
+            )
+    answer(arguments.json, {**counted(rows), "laws": laws, "rows": rows}, "\n".join(lines))
+    return 0
+
+
+def _predict(arguments: argparse.Namespace) -> int:
+    from sim.paper.swing import CannotTellError, recorded_swing
+
+    try:
+        swing = recorded_swing(arguments.recording, arguments.device_damping)
+    except CannotTellError as error:
+        answer(arguments.json, {"k_max_n_per_m": None, "why": str(error)}, f"cannot tell: {error}")
+        return 1
+    except (RecordError, LawRefusedError, ValueError, OSError) as error:
+        raise UsageError(str(error)) from error
+    figures = asdict(swing)
+    low, high = swing.k_max_n_per_m
+    mass, damping, k = swing.mass_kg, swing.damping_n_s_per_m, swing.stiffness_n_per_m
+    known = (
+        f"with the damping of {damping[0]:g} N s/m"
+        if damping[0] == damping[1]
+        else f"with a damping between none and the {damping[1]:.3g} N s/m that the decay shows (--device-damping narrows it)"
+    )
+    text = (
+        f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg, {known} (THEORY.md §9)\n"
+        f"measured at K = {k:.6g} N/m, {100.0 * k / high:.0f} to {100.0 * k / low if low else math.inf:.0f} % of it: swings at "
+        f"{swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick; rings at "
+        f"{swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"
+    )
+    answer(arguments.json, figures, text)
+    return 0
+
+
+@styled
+def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: float, period: float) -> Path:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for i, name in enumerate(LAWS):
+        mine = [row for row in rows if row["law"] == name]
+        k = [row["k_max_n_per_m"] for row in mine]
+        look: Any = {"ls": "none", "marker": MARKERS[i], "color": COLOURS[i], "label": name}
+        left.plot([row["f_n_s_per_m"] for row in mine], k, **look)
+        hertz = [row["omega_rad_per_s"] / (2.0 * math.pi) for row in mine]
+        right.plot(hertz, [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in mine], **look)
+    span = sorted(row["f_n_s_per_m"] for row in rows)
+    left.plot(span, [2.0 * (damping - f) / period for f in span], color=INK, ls="-", lw=0.8, label="$2(b-f)/T$")
+    left.set(
+        xlabel=r"$f(\omega_c)$  [N s/m]",
+        ylabel=r"$K_\mathrm{max}$  [N/m]",
+        title="the smaller f where it rings, the stiffer",
+    )
+    right.set(
+        xlabel=r"$\omega_c/2\pi$  [Hz]",
+        ylabel=r"$2(b-f(\omega_c))/T$ over $K_\mathrm{max}$  [1]",
+        title=r"Colgate at $\omega_c$ alone, without R",
+    )
+    threshold(right, 1.0, "1: as predicted")
+    left.legend()
+    figure.suptitle(
+        f"m = {arguments.mass:g} kg, b = {damping:g} N s/m, d = {arguments.delay:g}, {arguments.rate:g} Hz", fontsize=9
+    )
+    return save_figure(figure, arguments.out / "edge.png")

@@ -1,0 +1,85 @@
+"""Where methods fail: boundaries from just inside and just outside by two methods, and the theory's traps, each sprung."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from nodes.cli.main import answer
+from nodes.recording.figure_style import COLOURS, GREY, styled, threshold
+from sim.cli import arguments as shared
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from sim.paper.failures import FailureEdge
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Look at all boundaries, spring all traps."""
+    from sim.paper.claims import save, table
+    from sim.paper.failures import MARGIN, edges, traps
+    from sim.paper.traps import euler_bias
+
+    found = []
+    for edge in edges():
+        found.append(edge)
+        if sys.stderr.isatty():
+            print(f"\r{len(found)} boundaries  {edge.name:50.50}", end="", file=sys.stderr, flush=True)
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    claims = traps()
+    bias = {n: euler_bias(n) for n in (2, 3, 4, 5, 7, 10, 20, 50)}
+    figures = {
+        "margin": MARGIN,
+        "edges": [asdict(edge) | {"agreed": edge.agreed} for edge in found],
+        "euler_bias": [{"substeps": n, "found": a, "predicted": b} for n, (a, b) in bias.items()],
+    }
+    saved = save("failures", figures, claims, _draw(found, bias), arguments.out)
+    lines = [f"{'boundary':64} {'K [N/m]':>9}  pole radius − 1 at K ∓ {100.0 * MARGIN:g} %  simulated"]
+    for edge in found:
+        simulated = " / ".join("settled" if s else "not" for s in (edge.settled_inside, edge.settled_outside))
+        lines.append(
+            f"{edge.name:64.64} {edge.stiffness:9.1f}  {edge.inside - 1.0:+.1e} / {edge.outside - 1.0:+.1e}"
+            f"        {simulated}{'' if edge.agreed else '   DISAGREE'}"
+        )
+    answer(arguments.json, saved, "\n".join(lines) + f"\n\n{table(claims)}\n{saved['plot']}")
+    return 0 if all(edge.agreed for edge in found) else 1
+
+
+@styled
+def _draw(edges: list[FailureEdge], bias: dict[int, tuple[float, float]]) -> Figure:
+    from matplotlib.figure import Figure
+
+    from sim.axes import legend_below
+
+    figure = Figure(figsize=(11.5, 5.0), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    for row, edge in enumerate(edges):
+        for radius, settled in ((edge.inside, edge.settled_inside), (edge.outside, edge.settled_outside)):
+            left.plot(radius - 1.0, row, "o" if settled else "x", color=COLOURS[0] if settled else COLOURS[1])
+    threshold(left, 0.0, "pole radius 1", vertical=True)
+    left.set_xscale("symlog", linthresh=1e-5)
+    left.set_yticks(range(len(edges)), [edge.name for edge in edges], fontsize=7)
+    left.grid(visible=False, axis="y")
+    left.invert_yaxis()
+    left.margins(x=0.1)
+    left.set_xlabel("pole radius − 1 [1]")
+    left.set_title("just inside and outside: ● simulation settled, × it did not")
+    counts = sorted(bias)
+    right.plot(counts, [bias[n][1] for n in counts], color=GREY, label=r"$1/(1-1/n_\mathrm{sub})$")
+    right.plot(counts, [bias[n][0] for n in counts], "o", color=COLOURS[1], label="semi-implicit Euler, heavy device")
+    right.set(xscale="log", xlabel="sub-steps per tick  [1]", ylabel=r"$K_\mathrm{max}$ over the exact one  [1]")
+    right.set_xticks(counts, [str(n) for n in counts])
+    right.minorticks_off()
+    right.set_title("what an integrator adds to $K_\\mathrm{max}$")
+    legend_below(figure, right)
+    return figure

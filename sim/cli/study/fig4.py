@@ -1,0 +1,138 @@
+"""The paper's figure 4: largest stiffness that settles in a drop over B, for PD, the paper's optimum and designed laws."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import UsageError
+from nodes.cli.main import answer
+from nodes.cli.quantities import Interval, declare, not_negative, positive
+from nodes.recording.figure_style import COLOURS, MARKERS, styled, threshold
+from sim.cli import arguments as shared
+from sim.cli.sweeps import add_sweep, begun, executor
+from sim.measure.sweep import Row, read_ledger, sweep
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from sim.paper.fig4 import Curve, Setting
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    declare(parser, mass=0.1, damping=1.0, rate=500.0, gain=Interval(0.5, 60.0))
+    parser.add_argument("--points", type=int, default=24, help="gains, in geometric steps (default: %(default)s)")
+    parser.add_argument("--resolution", type=positive, default=2.3e-5, help="Touch X's resolution [m]")
+    parser.add_argument("--friction", type=not_negative, default=0.06, help="its friction [N], a remembered figure")
+    parser.add_argument("--horizon", type=int, default=2500, help="of a drop [ticks] (default: %(default)s)")
+    add_sweep(parser)
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def _setting(arguments: argparse.Namespace) -> Setting:
+    import numpy as np
+
+    from sim.experiments.drop import Criterion
+    from sim.paper.fig4 import Setting
+
+    low, high = arguments.gain
+    if not 0.0 < low < high or arguments.points < 2:
+        raise UsageError(f"--gain {low:g}..{high:g} --points {arguments.points}: needs 0 < LOW < HIGH and 2 points")
+    try:
+        criterion = Criterion(arguments.horizon)
+    except ValueError as error:
+        raise UsageError(f"--horizon: {error}") from error
+    gains = tuple(np.geomspace(low, high, arguments.points).tolist())
+    device = arguments.mass, arguments.damping, 1.0 / arguments.rate
+    return Setting(*device, gains, arguments.resolution, arguments.friction, criterion)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Drop, draw, and check the claims."""
+    from sim.measure.stopwatch import Progress
+    from sim.paper.claims import save, table
+    from sim.paper.fig4 import as_json, curves_of, designs, drops, point, spread_of_conventions
+    from sim.paper.fig4_claims import claims_4
+
+    setting = _setting(arguments)
+    ledger = begun(arguments, "fig4")
+    first = designs(setting)
+    # A design takes as long as some hundred points; the bar moves by points.
+    progress = Progress(len(first) + len(drops(setting, [job | {"taps": [0.0]} for job in first])))
+    jobs: list[Row] = []
+    complete = True
+    try:
+        with executor(arguments) as pool:
+            jobs = drops(setting, sweep(point, first, pool, ledger, 1, progress.step))
+            sweep(point, jobs, pool, ledger, 4, progress.step)
+    except KeyboardInterrupt:
+        complete = False
+    everything = curves_of(jobs, read_ledger(ledger))
+    curves = [curve for curve in everything if curve.convention == 0]
+    claims = []
+    if complete:
+        try:
+            claims = claims_4(setting, curves, spread_of_conventions(setting, everything))
+        except ValueError as error:
+            raise UsageError(
+                f"--horizon {arguments.horizon} --points {arguments.points}: too little settles to judge the claims ({error}); "
+                "give a longer horizon or more points"
+            ) from error
+    saved = save(
+        "fig4",
+        as_json(setting, curves) | {"complete": complete, "ledger": str(ledger)},
+        claims,
+        _draw(setting, curves),
+        arguments.out,
+    )
+    text = (
+        table(claims) if claims else f"interrupted: what was found is in {ledger}, and the same command goes on there"
+    )
+    head = (
+        f"figure 4: drop of {setting.mass:g} kg, {setting.damping:g} N s/m, {arguments.rate:g} Hz, {arguments.points} gains B "
+        f"of {setting.gains[0]:g} to {setting.gains[-1]:g} N s/m, {setting.criterion.ticks} ticks"
+    )
+    answer(arguments.json, saved, f"{head}\n{text}\n{saved['plot']}\n{saved['data']}")
+    return 0 if complete else 130
+
+
+@styled
+def _draw(setting: Setting, curves: list[Curve]) -> Figure:
+    from matplotlib.figure import Figure
+
+    from sim.axes import legend_below, plain_log
+    from sim.paper.fig4 import DELAYS, LAWS
+
+    figure = Figure(figsize=(10.0, 7.0), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True)
+    for column, delay in enumerate(DELAYS):
+        stiffness, frequency = axes[0][column], axes[1][column]
+        for curve in (c for c in curves if c.delay == delay):
+            i = LAWS.index(curve.law)
+            color: Any = {"color": COLOURS[i]}
+            gains = setting.gains[: len(curve.found)]
+            felt = [f.h1_max_n_per_m or float("nan") for f in curve.found]
+            if curve.touch:
+                stiffness.plot(gains, felt, **color, marker="x", ls="none")
+                continue
+            nominal = [f.k_max_n_per_m or float("nan") for f in curve.found]
+            stiffness.plot(gains, nominal, **color, ls="-", marker=MARKERS[i], ms=3.5, label=curve.law)
+            stiffness.plot(gains, felt, **color, ls="--", lw=0.9)
+            swings = [f.frequency_hz or float("nan") for f in curve.found]
+            frequency.plot(gains, swings, **color, ls="-", marker=MARKERS[i], ms=3.5)
+        stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles  [N/m]")
+        stiffness.set_title(f"d = {delay:g}: nominal K full, felt H(1) dashed, Touch X sensor × (H(1))")
+        edge = 2.0 * setting.damping / setting.period
+        threshold(stiffness, edge, f"2b/T = {edge:.4g} N/m: passive for any hand")
+        plain_log(stiffness.yaxis, *stiffness.get_ylim())
+        plain_log(stiffness.xaxis, setting.gains[0], setting.gains[-1])
+        frequency.set(xlabel="B  [N s/m]", ylabel="measured swing at the limit  [Hz]")
+    legend_below(figure, axes[0][0])
+    figure.suptitle(
+        f"Drop of {setting.mass:g} kg, b = {setting.damping:g} N s/m, {1.0 / setting.period:g} Hz, "
+        f"{setting.criterion.ticks} ticks, history = penetration, clamped",
+        fontsize=10,
+    )
+    return figure

@@ -1,0 +1,44 @@
+"""Identify the device of a recording: mass, damping, friction, delay, encoder, each with a 95 % interval."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from messages.errors import RefusedError, UsageError
+from nodes.cli.main import add_json, answer
+from nodes.recording.writer import RecordError
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("recording", type=Path, help="of a launch, best of haptic launch identify")
+    parser.add_argument("--axis", choices=("x", "y", "z"), help="which axis (default: the one that was pushed hardest)")
+    hand = parser.add_mutually_exclusive_group()
+    hand.add_argument("--held", dest="held", action="store_true", default=None, help="a hand held the device")
+    hand.add_argument("--free", dest="held", action="store_false", help="no hand did (default: finds out)")
+    parser.add_argument("--window", type=int, default=100, help="length of a window [ticks] (default: %(default)s)")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Identify."""
+    from sim.identify.experiment import read
+    from sim.identify.identify import identify
+    from sim.identify.report import figures, text
+
+    if not 20 <= arguments.window <= 5000:
+        raise UsageError(f"--window {arguments.window}: between 20 and 5000 ticks")
+    try:
+        experiment = read(arguments.recording, arguments.axis)
+    except (RecordError, OSError) as error:
+        raise UsageError(str(error)) from error
+    except ValueError as error:
+        raise RefusedError(str(error)) from error
+    try:
+        found = identify(experiment, arguments.held, arguments.window)
+    except ValueError as error:
+        raise RefusedError(f"{arguments.recording}: {error}") from error
+    answer(arguments.json, {"recording": str(arguments.recording), **figures(found)}, text(found))
+    return 0 if found.mass.value is not None and not found.refuted else 1

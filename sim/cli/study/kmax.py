@@ -1,0 +1,229 @@
+"""Largest stable stiffness of a law on a known device: closed form, pole radius, simulation or real launches; or its chart."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import UsageError
+from nodes.cli.main import answer
+from nodes.cli.quantities import Interval, declare, declare_law
+from nodes.laws import CompiledLaw
+from nodes.recording.figure_style import label_ends, save_figure, styled
+from nodes.stability.k_max import KMax, k_max, with_spring, without_spring
+from nodes.stability.plant import Plant
+from sim.cli import arguments as shared
+from sim.device.model import DeviceModel, Hand
+from sim.results import fresh
+
+if TYPE_CHECKING:
+    from sim.scene.loop import Scene
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--law", default="pd", help="kind, preset or YAML mapping (default: %(default)s)")
+    declare(parser, gain=Interval())
+    parser.add_argument("--points", type=int, default=41, help="points of a range of gains (default: %(default)s)")
+    parser.add_argument(
+        "--method",
+        choices=("closed_form", "pole_radius", "simulation", "lockstep"),
+        help="default: the closed form where there is one, else the pole radius; lockstep drops it through real processes",
+    )
+    parser.add_argument(
+        "--scene", choices=("drop", "press", "free"), default="drop", help="what is played (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--history",
+        choices=("penetration", "position"),
+        default="penetration",
+        help="what feeds the law outside contact in a simulated drop (default: %(default)s)",
+    )
+    parser.add_argument("--horizon", type=int, default=2500, help="ticks of a simulated run (default: %(default)s)")
+    parser.add_argument(
+        "--grid",
+        type=int,
+        default=257,
+        help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: %(default)s)",
+    )
+    declare_law(parser)
+    shared.add_device(parser)
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Find K_max, or its boundary over a range of gains."""
+    device = shared.device(arguments)
+    if arguments.gain is not None and arguments.gain[0] < arguments.gain[1]:
+        if arguments.method == "lockstep":
+            raise UsageError("--method lockstep: one --gain at a time, every stiffness takes a launch")
+        return _boundary(arguments, device)
+    gain = None if arguments.gain is None else arguments.gain[0]
+    if arguments.method == "lockstep":
+        return _lockstep(arguments, gain, device)
+    loop = _loop(arguments, gain, device)
+    found = _k_max(arguments, gain, device)
+    stable = [[low, high if math.isfinite(high) else None] for low, high in found.stable]
+    figures = {"loop": loop} | _figures(found) | {"stable_n_per_m": stable}
+    if found.k_max_n_per_m is None:
+        answer(arguments.json, figures, f"{loop}\nno stiffness is stable: lower the gain, the delay or the order")
+        return 1
+    if not math.isfinite(found.k_max_n_per_m):
+        answer(arguments.json, figures, f"{loop}\nevery stiffness that was looked at is stable: there is no K_max")
+        return 0
+    text = (
+        f"{loop}\n"
+        f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\n"
+        f"H(1)_max {found.h1_max_n_per_m:.6g} N/m (felt)\n"
+        f"method   {found.method}"
+    )
+    answer(arguments.json, figures, text)
+    return 0
+
+
+def _loop(arguments: argparse.Namespace, gain: float | None, device: Plant, gains: str = "") -> str:
+    """Name what is looked at; K is what is looked for."""
+    law = shared.law(arguments, arguments.law, gain)
+    return shared.head(law, device, gains or f"B {getattr(law, 'damping', 0.0):g}")
+
+
+def _k_max(arguments: argparse.Namespace, gain: float | None, device: Plant) -> KMax:
+    law = shared.law(arguments, arguments.law, gain)
+    try:
+        derivative = without_spring(law, device.period)
+        if arguments.method == "simulation":
+            return _simulated(arguments, derivative, device)
+        return k_max(derivative, device, arguments.method)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) -> int:
+    """Bisect one grid twice, by launches and in one process; around what the simulation found."""
+    import numpy as np
+
+    from sim.experiments.drop import Criterion
+    from sim.experiments.k_max_launched import same_k_max
+    from sim.measure.launches import MeasurementError
+    from sim.measure.stopwatch import Progress
+
+    if arguments.grid < 2:
+        raise UsageError(f"--grid {arguments.grid}: expected at least 2")
+    law = shared.law(arguments, arguments.law, gain)
+    try:
+        guess = _simulated(arguments, without_spring(law, device.period), device).k_max_n_per_m
+        if guess is None or not math.isfinite(guess):
+            raise UsageError("--method lockstep: the simulation found no K_max to look around")
+        steps = np.geomspace(0.5, 2.0, arguments.grid)
+        # Not at the guess itself: what is found must be decided by the runs.
+        grid = (guess * steps * (steps[1] / steps[0]) ** (1 / 3)).tolist()
+        bar = Progress(2 + math.ceil(math.log2(arguments.grid - 1)))
+        found = same_k_max(law, _scene(arguments, device), Criterion(ticks=arguments.horizon), grid, bar.step)
+    except (ValueError, MeasurementError) as error:
+        raise UsageError(str(error)) from error
+    same = found.launched_n_per_m == found.one_process_n_per_m
+    figures: dict[str, Any] = {
+        "loop": _loop(arguments, gain, device),
+        "k_max_n_per_m": found.launched_n_per_m,
+        "h1_max_n_per_m": found.h1_n_per_m,
+        "method": "lockstep",
+        "one_process_n_per_m": found.one_process_n_per_m,
+        "same": same,
+        "launches": found.launches,
+        "grid_ratio": grid[1] / grid[0],
+    }
+    by_launch, alone = (
+        "none" if k is None else f"{k:.6g} N/m" for k in (found.launched_n_per_m, found.one_process_n_per_m)
+    )
+    text = (
+        f"{figures['loop']}\n"
+        f"K_max    {by_launch} (nominal), by {found.launches} launches in lockstep\n"
+        f"         {alone} in one process: {'the same' if same else 'NOT the same'}, "
+        f"on steps of {figures['grid_ratio'] - 1.0:.2%}"
+    )
+    answer(arguments.json, figures, text)
+    return 0 if same and found.launched_n_per_m is not None else 1
+
+
+def _scene(arguments: argparse.Namespace, device: Plant) -> Scene:
+    """Set up the experiment; a grip is held where the floor is, and behind the wall to press."""
+    from sim.experiments.drop import drop_scene, free_scene, press_scene
+
+    raw = arguments.history == "position"
+    if arguments.scene == "press":
+        pressed = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay)
+        grip = Hand(stiffness=device.stiffness, path=[(0.0, -0.01)]) if device.stiffness > 0.0 else None
+        return press_scene(pressed, device.period, raw=raw, clamp=True, hand=grip)
+    hand = Hand(stiffness=device.stiffness, path=[(0.0, 0.0)]) if device.stiffness > 0.0 else None
+    model = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay, hand=hand)
+    if arguments.scene == "free":
+        return free_scene(model, device.period)
+    return drop_scene(model, device.period, raw=raw, clamp=True)
+
+
+def _simulated(arguments: argparse.Namespace, derivative: CompiledLaw, device: Plant) -> KMax:
+    """Raise K until the drop no longer settles."""
+    from sim.experiments.drop import Criterion
+    from sim.experiments.k_max_simulated import simulated_k_max
+
+    scene = _scene(arguments, device)
+    found = simulated_k_max(lambda k: with_spring(derivative, k), scene, Criterion(ticks=arguments.horizon))
+    top = found.k_max_n_per_m
+    return KMax(top, found.h1_max_n_per_m, "simulation", ())
+
+
+def _figures(found: KMax) -> dict[str, Any]:
+    # JSON has no infinity: without a limit the figure is null, and the stable interval is open.
+    bounded = found.k_max_n_per_m is not None and math.isfinite(found.k_max_n_per_m)
+    return {
+        "k_max_n_per_m": found.k_max_n_per_m if bounded else None,
+        "h1_max_n_per_m": found.h1_max_n_per_m if bounded else None,
+        "method": found.method,
+    }
+
+
+def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
+    low, high = arguments.gain
+    if arguments.points < 2:
+        raise UsageError(f"--points {arguments.points}: a range needs at least 2")
+    gains = [low + (high - low) * i / (arguments.points - 1) for i in range(arguments.points)]
+    points = [{"gain": gain, **_figures(_k_max(arguments, gain, device))} for gain in gains]
+    stable = [point for point in points if point["k_max_n_per_m"] is not None]
+    if not stable:
+        answer(arguments.json, {"points": points, "plot": None}, "no stiffness is stable anywhere in this range")
+        return 1
+    best = max(stable, key=lambda point: float(point["h1_max_n_per_m"]))
+    plot = _draw(arguments, points)
+    loop = _loop(arguments, low, device, f"B {low:g} .. {high:g}")
+    lines = [loop, "      gain     K_max N/m   H(1)_max N/m"]
+    for point in points:
+        k, h1 = point["k_max_n_per_m"], point["h1_max_n_per_m"]
+        lines.append(
+            f"{point['gain']:10.4g}  {'-' if k is None else f'{k:.6g}':>12}  {'-' if h1 is None else f'{h1:.6g}':>12}"
+        )
+    lines.append(f"stiffest: gain {best['gain']:.4g}, H(1) {best['h1_max_n_per_m']:.6g} N/m\n{plot}")
+    figures = {**{key: best[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")}, "gain": best["gain"]}
+    answer(arguments.json, {"loop": loop, **figures, "points": points, "plot": str(plot)}, "\n".join(lines))
+    return 0
+
+
+@styled
+def _draw(arguments: argparse.Namespace, points: list[dict[str, Any]]) -> Path:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.add_subplot(xlabel="gain B  [N s/m]", ylabel="stiffness  [N/m]")
+    gains = [point["gain"] for point in points]
+    for key, label, style in (("k_max_n_per_m", "nominal K", "--"), ("h1_max_n_per_m", "felt, H(1)", "-")):
+        axes.plot(
+            gains, [float("nan") if point[key] is None else point[key] for point in points], ls=style, label=label
+        )
+    axes.set_title(
+        f"Stability boundary: {arguments.law}, m = {arguments.mass:g} kg, b = {arguments.damping:g} N s/m, "
+        f"d = {arguments.delay:g}, {arguments.rate:g} Hz",
+    )
+    label_ends(axes)
+    return save_figure(figure, arguments.out / "kmax.png", fresh)

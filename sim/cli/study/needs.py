@@ -1,0 +1,127 @@
+"""Switch every term of a scene's model off and on: what is superfluous, what is missing, what each costs per tick."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import UsageError
+from nodes.cli.main import answer
+from sim.cli.arguments import add_answer
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from sim.experiments.needs import Needs
+    from sim.scene.from_launch import LaunchedScene
+
+_ROUNDING = 1e-15
+"""Positions are a few centimetres in double precision [m]."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("scenario", help="name of a launch file, or the path of one")
+    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    parser.add_argument(
+        "--rounds", type=int, default=5, help="interleaved rounds of timing; 0 times nothing (default: %(default)s)"
+    )
+    add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Say whether a scene models enough and no more."""
+    if arguments.rounds < 0:
+        raise UsageError(f"--rounds {arguments.rounds}: at least 0")
+    from nodes.launcher import launch_file
+    from nodes.parameters.store import ParameterError
+    from sim.experiments.needs import needs
+    from sim.experiments.spatial_needs import spatial_needs
+    from sim.measure.stopwatch import Progress
+    from sim.scene.from_launch import from_launch
+
+    try:
+        launch = launch_file.read(arguments.scenario, launch_file.parse_assignments(arguments.assignments))
+        step = Progress(arguments.rounds).step
+        scene = from_launch(launch) if len(launch.run.axes) == 1 else None
+        found = (
+            spatial_needs(launch, arguments.rounds, step)
+            if scene is None
+            else needs(scene, launch.model, arguments.rounds, step)
+        )
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
+    figures: dict[str, Any] = {
+        "scenario": launch.scenario,
+        "outcome": asdict(found.outcome),
+        "tolerance": launch.model.tolerance,
+        "tick_us": found.tick_us,
+        "terms": [asdict(finding) for finding in found.findings],
+        "superfluous": list(found.superfluous),
+        "missing": list(found.missing),
+        "rest": None if scene is None else _rest(scene, arguments.out / "needs_rest.png"),
+    }
+    text = _text(launch.scenario, launch.model, found)
+    if (told := figures["rest"]) is not None:
+        text += (
+            f"\nrest: {1e6 * told['resolution_m']:.3g} µm of encoder and {told['friction_n']:.3g} N of friction"
+            f"{'' if told['declared'] else ' (a Touch X: the scene has none)'}; {told['text']}\n{told['map']['plot']}"
+        )
+    answer(arguments.json, figures, text)
+    return 1 if found.superfluous or found.missing else 0
+
+
+def _rest(scene: LaunchedScene, path: Path) -> dict[str, Any] | None:
+    """Tell what encoder and friction do to the scene's last law at rest; None without contact or for a law that has no taps."""
+    from nodes.stability.rest import rest
+    from sim.chart.rest_map import rest_map
+    from sim.experiments.terms import FRICTION, RESOLUTION
+
+    law, device = scene.last_law, scene.plant
+    if scene.scene.surface.kind == "free" or law.evaluate is not None:
+        return None
+    body = scene.scene.device
+    resolution, friction = body.resolution, body.friction
+    declared = bool(resolution and friction)
+    if not (resolution and friction):
+        resolution, friction = RESOLUTION, FRICTION
+    found = rest(law, device, resolution)
+    drawn = rest_map(law, law.h1, device, resolution, friction, path)
+    return {
+        "declared": declared,
+        "resolution_m": resolution,
+        "friction_n": friction,
+        **asdict(found),
+        "text": found.text(),
+        "map": drawn,
+    }
+
+
+def _micrometres(length: float) -> str:
+    """Give a length; what the arithmetic of a device at rest leaves is nought."""
+    return "0" if length < _ROUNDING else f"{1e6 * length:.3g}"
+
+
+def _text(name: str, model: Any, found: Needs) -> str:
+    now = found.outcome
+    stiffest = "" if now.h1_max_n_per_m is None else f", K_max (H(1)) {now.h1_max_n_per_m:.5g} N/m"
+    timed = "" if found.tick_us is None else f"; {found.tick_us:.3g} µs per tick in plain Python"
+    lines = [
+        f"{name}: for {', '.join(model.outcome)}; tolerance {100 * model.tolerance:g} %",
+        f"settles in {now.settling_s:.3g} s, peak {now.peak_force_n:.3g} N, at rest {now.rest_force_n:.3g} N, swing at rest "
+        f"{_micrometres(now.limit_cycle_m)} µm{stiffest}{timed}",
+        "",
+        f"{'term':24} {'switched':34} {'moves':>9}  {'of which most':14} {'costs µs':>14}  verdict",
+    ]
+    for f in found.findings:
+        moved = "∞" if f.moved == float("inf") else f"{100 * f.moved:.3g} %"
+        cost = "" if f.cost_us is None else f"{f.cost_us:+.2f} ± {f.cost_spread_us:.2f}"
+        lines.append(f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>14}  {f.verdict}")
+    lines += [
+        "",
+        f"superfluous: {', '.join(found.superfluous) or 'nothing'}",
+        f"missing: {', '.join(found.missing) or 'nothing'}",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,162 @@
+"""The price of not knowing: how stiff a law may be, against how well joint, hand and mass of the device are known."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from messages.errors import UsageError
+from nodes.cli.main import answer
+from nodes.cli.quantities import declare, not_negative, positive
+from nodes.recording.figure_style import save_figure, styled
+from sim.cli import arguments as shared
+from sim.cli.sweeps import add_sweep, swept
+from sim.results import fresh
+
+KNOWN = (0.0, 5.0, 20.0, 50.0)
+"""How far the frequency of the joint may be off in either direction [%]."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    shared.add_device(parser, delay=1.2, hand=500.0)
+    parser.add_argument(
+        "--share", type=positive, default=0.3, help="of the mass behind the joint (default: %(default)s)"
+    )
+    parser.add_argument("--frequency", type=positive, default=40.0, help="of the joint [Hz] (default: %(default)s)")
+    parser.add_argument("--loss", type=positive, default=0.03, help="damping ratio of the joint (default: %(default)s)")
+    parser.add_argument(
+        "--jitter", type=not_negative, default=0.2, help="of the delay, above it [ticks] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--known",
+        type=not_negative,
+        nargs="*",
+        default=KNOWN,
+        help="how far off the joint's frequency may be [%%] (default: 0 5 20 50)",
+    )
+    parser.add_argument(
+        "--land",
+        action=argparse.BooleanOptionalAction,
+        help="only laws that land, certified for every sequence of delays; or only by poles, in seconds (default: both)",
+    )
+    declare(parser, taps=2)
+    add_sweep(parser)
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Design for what is known, and try the law on the device that it is for.
+
+    By poles alone, or landing too and with a certificate for every sequence of the delays.
+    """
+    from nodes.stability.flexible import FlexiblePlant, flexible_radius
+    from sim.design.demand import CONVENTIONS, Demand
+    from sim.design.families import certificate, certified, designed
+    from sim.design.landing import drops
+
+    period, frequency, spread = 1.0 / job["rate"], job["frequency"], job["spread"]
+    known = () if spread is None else sorted({frequency / spread, frequency, frequency * spread})
+    asked = Demand(
+        mass=(job["mass"] / 1.1, job["mass"] * 1.1),
+        damping=job["damping"],
+        delay=(job["delay"], job["delay"] + job["jitter"]),
+        period=period,
+        radius=0.99,
+        nyquist=1e4,
+        stiffness=(0.0, job["hand"]),
+        beyond=tuple((0.0, job["share"], one, job["loss"]) for one in known),
+        lands=CONVENTIONS if job["lands"] else (),
+    )
+
+    def free(wanted: Demand) -> Any:
+        return designed(wanted, job["taps"])
+
+    found = (certified(free, asked) if job["lands"] else free(asked)).found
+    if found is None:
+        return {"h1_n_per_m": None, "radius": None, "drops_settled": None, "certified": None}
+    truth = (0.0, job["share"], frequency, job["loss"])
+    plant = FlexiblePlant(job["mass"], job["damping"], asked.delay[1], 0.0, *truth)
+    real = replace(asked, beyond=(truth,))
+    settled = drops(found.law, real)
+    return {
+        "h1_n_per_m": found.h1_n_per_m,
+        "radius": flexible_radius(found.law, period, plant),
+        "drops_settled": f"{sum(settled.values())} of {len(settled)}",
+        "certified": certificate(found.law, real) is True,
+    }
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Design for less and less that is known."""
+    if not 1 <= arguments.taps <= 12:
+        raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
+    if arguments.share >= 1.0:
+        raise UsageError(f"--share {arguments.share:g}: the joint bears a part of the mass, below 1")
+    given = ("mass", "damping", "delay", "jitter", "share", "frequency", "loss", "taps", "rate")
+    device = {name: getattr(arguments, name) for name in given}
+    jobs: list[dict[str, Any]] = [
+        {**device, "hand": hand, "spread": spread, "lands": lands}
+        for lands in ((False, True) if arguments.land is None else (arguments.land,))
+        for hand in sorted({0.0, arguments.hand})
+        for spread in (None, *(1.0 + off / 100.0 for off in sorted(set(arguments.known))))
+    ]
+    rows, ledger = swept(arguments, study_price, jobs, "price")
+    told = [{**job, **row} for job, row in zip(jobs, rows, strict=True)]
+    picture = arguments.out / "price.png"
+    draw(picture, told)
+    lines = [
+        f"{arguments.mass:g} kg, joint of {arguments.frequency:g} Hz with {100 * arguments.share:g} % of it, delay "
+        f"{arguments.delay:g} to {arguments.delay + arguments.jitter:g} ticks, {arguments.taps} taps, pole radius at most 0.99",
+        f"{'known':22} {'hand':24} {'asked':22} {'H(1) [N/m]':>10}  on the device",
+        *map(_line, told),
+    ]
+    answer(
+        arguments.json,
+        {"rows": told, "ledger": str(ledger), "plot": str(picture)},
+        "\n".join([*lines, str(ledger), str(picture)]),
+    )
+    return 0
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    known = "believed rigid" if row["spread"] is None else f"joint to {100 * (row['spread'] - 1):.0f} %"
+    asked = "lands, every sequence" if row["lands"] else "poles alone"
+    start = f"{known:22} {_held(row['hand']):24} {asked:22}"
+    if row["h1_n_per_m"] is None:
+        return f"{start} {'no law':>10}"
+    verdict = "stable" if row["radius"] < 1.0 else f"UNSTABLE, pole radius {row['radius']:.3f}"
+    proof = "" if row["certified"] else ", NOT certified for every sequence of delays"
+    return f"{start} {row['h1_n_per_m']:10.5g}  {verdict}, {row['drops_settled']} drops settle{proof}"
+
+
+def _held(hand: float) -> str:
+    return "no hand" if hand == 0.0 else f"hands of 0 to {hand:g} N/m"
+
+
+@styled
+def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw H(1) against what is known of the joint."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    kinds = sorted({(row["lands"], row["hand"]) for row in rows})
+    for lands, hand in kinds:
+        known = [row for row in rows if (row["lands"], row["hand"]) == (lands, hand) and row["spread"] is not None]
+        axes.plot(
+            [100.0 * (row["spread"] - 1.0) for row in known],
+            [row["h1_n_per_m"] if row["h1_n_per_m"] is not None else math.nan for row in known],
+            marker="o" if hand == 0.0 else "s",
+            ls="-" if lands else ":",
+            label=f"{_held(hand)}, {'lands, every sequence of delays' if lands else 'poles alone'}",
+        )
+    axes.set(xlabel="frequency of the joint known to ± [%]", ylabel="H(1) of the designed law [N/m]", ylim=(0.0, None))
+    axes.grid(alpha=0.3)
+    axes.legend()
+    save_figure(figure, path, fresh)

@@ -1,0 +1,65 @@
+"""Compare proxies on shapes with closed forms: error of the force, noise, drag on closed ways, a thin plate, µs a call."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+
+from messages.errors import UsageError
+from nodes.cli.main import add_json, answer
+from nodes.cli.quantities import declare, not_negative, positive
+
+_MOST = 7
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--finest", type=int, default=5, help="finest mesh: 20·4ⁿ triangles (default: 5, 20 480)")
+    parser.add_argument("--ticks", type=int, default=5000, help="length of each way (default: 5000)")
+    declare(parser, stiffness=500.0, rate=1000.0)
+    parser.add_argument("--depth", type=positive, default=0.004, help="below the surface [m] (default: 0.004)")
+    parser.add_argument("--speed", type=positive, default=0.2, help="along the surface [m/s] (default: 0.2)")
+    parser.add_argument("--tool", type=not_negative, default=0.0, help="radius of the tool [m] (default: 0)")
+    parser.add_argument(
+        "--steps", type=int, default=1_000_000, help="random steps through the plate (default: 1000000)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the random steps (default: 0)")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compare, and fail when a proxy changed sides."""
+    if not 2 <= arguments.finest <= _MOST:
+        raise UsageError(f"--finest {arguments.finest}: 2 to {_MOST}")
+    if arguments.ticks < 100 or arguments.steps < 1:
+        raise UsageError(f"--ticks {arguments.ticks}, --steps {arguments.steps}: at least 100 and 1")
+    if arguments.depth > 0.01:
+        raise UsageError(f"--depth {arguments.depth}: at most 0.01 m, in a sphere of 0.05 m")
+    from sim.experiments.proxies import PLATE, compare_proxies, wrong_sides
+
+    period = 1.0 / arguments.rate
+    found = compare_proxies(
+        arguments.finest, arguments.ticks, arguments.stiffness, arguments.depth, arguments.speed, period, arguments.tool
+    )
+    step = 2.0 * period
+    wrong, aside = wrong_sides(arguments.steps, step, arguments.seed, arguments.tool)
+    lines = [
+        f"{'':28}{'force error [mN]':>24}{'':>12}{'proxy':>10}{'drag':>10}{'µs a call':>18}",
+        f"{'':28}{'rms':>12}{'max':>12}{'noise':>12}{'[µm]':>10}{'':>10}{'median':>9}{'p99':>9}",
+    ]
+    lines += [
+        f"{row.name:28}{1e3 * row.rms_n:12.4g}{1e3 * row.max_n:12.4g}{1e3 * row.noise_n:12.4g}{row.proxy_um:10.4g}"
+        f"{row.drag:10.2g}{row.call_us:9.3g}{row.call_p99_us:9.3g}"
+        for row in found
+    ]
+    lines.append(
+        f"plate of {1e3 * PLATE[2]:g} mm, {arguments.steps} random steps of up to {1e3 * step:g} mm: {wrong} on the wrong "
+        f"side, at most {1e6 * aside:.3g} µm beside the device"
+    )
+    figures = {
+        "rows": [asdict(row) for row in found],
+        "plate": {"steps": arguments.steps, "step_m": step, "wrong_side": wrong, "aside_max_m": aside},
+    }
+    answer(arguments.json, figures, "\n".join(lines))
+    return 1 if wrong else 0

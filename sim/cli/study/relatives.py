@@ -1,0 +1,188 @@
+"""The nearest relatives of the designed laws at equal demand: fractional solids, passive taps and two rates beside PD."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from messages.errors import UsageError
+from nodes.cli.main import answer
+from nodes.cli.quantities import Interval, declare, positive
+from sim.cli import arguments as shared
+from sim.cli.sweeps import add_sweep, swept
+
+ORDERS = (0.3, 0.5, 0.7, 0.9, 1.0)
+RELAXATIONS = (0.5, 1.0, 2.0, 4.0)
+"""Relaxation times that are tried, in ticks."""
+SERVO = 4
+"""Ticks of the servo in one of the loop, where two rates apply."""
+FAMILIES = ("pd", "Kelvin-Voigt", "Maxwell", "standard linear solid", "passive FIR", "two rates", "designed")
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    declare(parser, mass=Interval(0.05, 0.2), taps=8)
+    shared.add_loop(parser, delay=1.0)
+    parser.add_argument(
+        "--from-run", type=Path, metavar="RECORDING", help="take rate and median delay from a recording instead"
+    )
+    parser.add_argument("--nyquist", type=positive, default=1e4, help="|H(-1)| allowed [N/m] (default: 10000)")
+    parser.add_argument("--families", nargs="+", choices=FAMILIES, default=FAMILIES, help="which (default: all)")
+    add_sweep(parser)
+    shared.add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Tune one family to the demand: its stiffest law, and the damping that it needs to be passive."""
+    from nodes.laws import CompiledLaw
+    from nodes.stability.effective_damping import damping_needed
+    from sim.design.demand import Demand
+    from sim.design.families import best_pd, designed
+    from sim.design.landing import drops
+    from sim.design.passive import stiffest_passive
+
+    period, delay = 1.0 / job["rate"], (job["delay"],) * 2
+    lightest, heaviest = job["mass"]
+    asked = Demand((lightest, heaviest), job["damping"], delay, period, 0.99, job["nyquist"])
+    family = job["family"]
+    if family == "two rates":
+        return _two_rates(job, period)
+    law: CompiledLaw | None = None
+    told: dict[str, Any] = {"family": family, "law": None}
+    if family == "passive FIR":
+        found = stiffest_passive(4, period, job["damping"], delay, job["nyquist"])
+        law, told["law"] = CompiledLaw(tuple(found.taps.tolist())), {"kind": "fir", "taps": found.taps.tolist()}
+    elif family in ("Kelvin-Voigt", "standard linear solid"):
+        tuned = _best_solid(asked, job["taps"], family)
+        law, told["law"] = (None, None) if tuned is None else tuned
+    elif family == "Maxwell":
+        # It bears nothing for ever: what its cut response leaks is no wall.
+        return told | {"h1_n_per_m": 0.0}
+    else:
+        one = best_pd(asked) if family == "pd" else designed(asked, 4)
+        law, told["law"] = (None if one.found is None else one.found.law), one.law
+    if law is None:
+        return told | {"h1_n_per_m": None}
+    settled = drops(law, asked)
+    needed = damping_needed(law, period, delay[0])
+    return told | {
+        "h1_n_per_m": law.h1,
+        "h_nyquist_n_per_m": law.h_nyquist,
+        "radius": _radius(law, asked),
+        "damping_needed_n_s_per_m": needed,
+        # The programme ends at the device's own damping, to its tolerance.
+        "passive": needed <= job["damping"] * (1.0 + 1e-6),
+        "at_nyquist_without_delay_n_s_per_m": 0.5 * period * law.h_nyquist,
+        "drops_settled": f"{sum(settled.values())} of {len(settled)}",
+    }
+
+
+def _radius(law: Any, asked: Any) -> float:
+    import numpy as np
+
+    from nodes.stability.closed_loop import pole_radius
+    from nodes.stability.plant import Plant
+
+    lightest, heaviest = asked.mass
+    masses = np.geomspace(lightest, heaviest, 11).tolist()
+    return max(pole_radius(law, Plant(asked.period, mass, asked.damping, asked.delay[0])) for mass in masses)
+
+
+def _best_solid(asked: Any, taps: int, family: str) -> tuple[Any, dict[str, Any]] | None:
+    """Tune K and B at every order and relaxation; a Kelvin and Voigt's solid has none."""
+    from nodes.laws.parse import parse_law
+    from sim.design.families import best_linear
+
+    best: tuple[float, Any, dict[str, Any]] | None = None
+    for order in ORDERS:
+        for ticks in (0.0,) if family == "Kelvin-Voigt" else RELAXATIONS:
+            shape: dict[str, Any] = {"kind": "pd_alpha", "order": order, "taps": max(taps, 2), "gains": "physical"}
+            if ticks:
+                shape = {"kind": "fractional_sls", "order": order, "taps": taps, "relaxation": ticks * asked.period}
+            tuned = best_linear(family, shape, asked)
+            if tuned.found is not None and tuned.law is not None and (best is None or tuned.found.h1_n_per_m > best[0]):
+                best = (tuned.found.h1_n_per_m, parse_law(tuned.law).compile(asked.period), tuned.law)
+    return None if best is None else best[1:]
+
+
+def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
+    """Tune a bare spring under a servo's damper: the stiffest that keeps the radius at every mass."""
+    import numpy as np
+
+    from nodes.laws import CompiledLaw
+    from nodes.stability.two_rate import TwoRate, two_rate_radius
+
+    lightest, heaviest = job["mass"]
+    masses = np.geomspace(lightest, heaviest, 11).tolist()
+    # The servo hands forces over at its own ticks.
+    late = round(job["delay"] * SERVO)
+
+    def keeps(stiffness: float, damper: float) -> bool:
+        law = CompiledLaw((stiffness,))
+        devices = (TwoRate(mass, job["damping"], damper, SERVO, late) for mass in masses)
+        return all(two_rate_radius(law, period, device) <= 0.99 for device in devices)
+
+    best = (0.0, 0.0)
+    top = 0.5 * job["mass"][0] * SERVO / period
+    # Too soft a spring creeps home, too stiff a one rings: in between it keeps the radius, or nowhere.
+    grid = np.geomspace(20.0, 4.0 * job["mass"][0] / period**2, 60)
+    for damper in np.geomspace(0.01 * top, top, 24).tolist():
+        kept = [i for i, stiffness in enumerate(grid.tolist()) if stiffness > best[0] and keeps(stiffness, damper)]
+        if not kept or kept[-1] + 1 == len(grid):
+            continue
+        low, high = float(grid[kept[-1]]), float(grid[kept[-1] + 1])
+        for _ in range(20):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if keeps(middle, damper) else (low, middle)
+        best = max(best, (low, damper))
+    return {
+        "family": "two rates",
+        "law": {"stiffness": best[0], "servo_damping": best[1], "ratio": SERVO},
+        "delay_ticks": late / SERVO,
+        "h1_n_per_m": best[0] or None,
+    }
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Tune every family, and compare."""
+    if not 2 <= arguments.taps <= 32:
+        raise UsageError(f"--taps {arguments.taps}: between 2 and 32")
+    if not (arguments.mass[0] > 0.0 and arguments.damping > 0.0):
+        raise UsageError("--mass and --damping must be positive: nothing is passive without damping")
+    if arguments.from_run is not None:
+        measured = shared.recorded(arguments.from_run)
+        arguments.rate, arguments.delay = 1.0 / measured.period, measured.median
+    given = {name: getattr(arguments, name) for name in ("damping", "delay", "rate", "taps", "nyquist")}
+    jobs = [given | {"mass": list(arguments.mass), "family": family} for family in arguments.families]
+    rows, ledger = swept(arguments, tune_family, jobs, "relatives")
+    low, high = arguments.mass
+    lines = [
+        f"m {low:g}..{high:g} kg, b {arguments.damping:g} N s/m, delay {arguments.delay:.4g} ticks at {arguments.rate:g} Hz, "
+        f"pole radius <= 0.99, |H(-1)| <= {arguments.nyquist:g} N/m",
+        f"{'family':22} {'H(1) [N/m]':>10} {'H(-1)':>9}  {'passive with b of':>18} {'by ω_N, d = 0':>14}  drops settled",
+        *map(_line, rows),
+        f"passive at this delay: those with a b of at most {arguments.damping:g} N s/m (THEORY.md §16)",
+    ]
+    answer(
+        arguments.json,
+        {"delay_ticks": arguments.delay, "rate_hz": arguments.rate, "rows": rows, "ledger": str(ledger)},
+        "\n".join([*lines, str(ledger)]),
+    )
+    return 0
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    if not row["h1_n_per_m"]:
+        why = "bears nothing for ever: H(1) = 0" if row["family"] == "Maxwell" else "no law keeps the demand"
+        return f"{row['family']:22} {why}"
+    if row["family"] == "two rates":
+        told = f"a servo's damper of {row['law']['servo_damping']:.3g} N s/m at {SERVO} times the rate"
+        late = f"{row['delay_ticks']:g} ticks late; haptic study two_rate for other rates"
+        return f"{row['family']:22} {row['h1_n_per_m']:10.1f} {'':9}  {told}, {late}"
+    return (
+        f"{row['family']:22} {row['h1_n_per_m']:10.1f} {row['h_nyquist_n_per_m']:9.0f}  "
+        f"{row['damping_needed_n_s_per_m']:18.3f} {row['at_nyquist_without_delay_n_s_per_m']:14.3f}  {row['drops_settled']}"
+    )

@@ -1,0 +1,120 @@
+"""Tune a law for the device at hand: identify it, design, predict, try it from far below up to its edge, and report."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from messages.errors import RefusedError, UsageError
+from nodes.cli.ask import add_run, chosen_run
+from nodes.cli.main import answer
+from nodes.cli.quantities import declare
+from sim.cli.device import add_push, excitation, identify_running
+from sim.identify.progress import say
+from sim.tune.session import STEPS, Options, Tuning
+
+if TYPE_CHECKING:
+    from sim.identify.identified import Identified
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("scenario", nargs="?", help="start this launch file for it; left out: the running launch")
+    parser.add_argument("assignments", nargs="*", metavar="name:=value", help="arguments of the launch file")
+    parser.add_argument(
+        "--steps",
+        nargs="+",
+        choices=STEPS,
+        default=list(STEPS),
+        help="only these; what comes before is read from --out",
+    )
+    declare(parser, taps=4)
+    parser.add_argument(
+        "--spread", type=float, default=1.25, help="factor the mass may be off by (default: %(default)s)"
+    )
+    parser.add_argument("--radius", type=float, default=0.99, help="pole radius allowed (default: %(default)s)")
+    parser.add_argument(
+        "--nyquist", type=float, help="|H(-1)| allowed [N/m] (default: what friction quiets, 2 f_c/Δ, 1000 to 10000)"
+    )
+    parser.add_argument(
+        "--land",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="demand that every drop on a floor settles too; without it a law is stiffer, and may not bear a landing",
+    )
+    parser.add_argument(
+        "--refuted", action="store_true", help="design even if the recording refutes the model of the device"
+    )
+    parser.add_argument(
+        "--rearm",
+        action="store_true",
+        help="you stand beside the device: after a trial that the driver stopped, it takes forces again (a virtual one always)",
+    )
+    add_push(parser)
+    add_run(parser)
+    parser.set_defaults(run=run, out=Path("tuning"))
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Go through the steps; whatever happens, leave the device safe and write what is known."""
+    if not (1 <= arguments.taps <= 12 and arguments.spread >= 1.0 and 0.0 < arguments.radius <= 1.0):
+        raise UsageError("--taps 1 to 12, --spread at least 1, --radius above 0 and at most 1")
+    excitation(arguments)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    from sim.identify.borrowed import PushedLaunch
+    from sim.identify.interrupts import interrupted_once, undisturbed
+    from sim.measure.launches import MeasurementError, launched
+
+    arguments.places = arguments.places or [0.0]
+
+    def identified() -> tuple[Path, str, Identified]:
+        ((pushed, found), *_) = identify_running(arguments, say)
+        return pushed.recording, pushed.reason, found
+
+    options = Options(
+        out=arguments.out,
+        taps=arguments.taps,
+        spread=arguments.spread,
+        radius=arguments.radius,
+        nyquist=arguments.nyquist,
+        land=arguments.land,
+        refuted=arguments.refuted,
+        amplitude=arguments.amplitude,
+        load=arguments.load,
+        rearm=arguments.rearm,
+        command=shlex.join(["haptic", *sys.argv[1:]]),
+    )
+    steps = [name for name in STEPS if name in arguments.steps]
+    tuning = Tuning(options, lambda: PushedLaunch(chosen_run(arguments)), identified, say, "identify" in steps)
+    live = {"identify", "apply", "verify"} & set(steps)
+    code, now = 0, ""
+    with interrupted_once() as signalled, contextlib.ExitStack() as held:
+        try:
+            if live and arguments.scenario:
+                say(f"starting {arguments.scenario} ...")
+                words = (*arguments.assignments, "duration:=0")
+                arguments.run_name = held.enter_context(launched(arguments.scenario, *words)).run
+            for now in steps:
+                say(f"{now} ...")
+                tuning.do(now)
+                tuning.write()
+            now = ""
+        except KeyboardInterrupt:
+            tuning.told["interrupted"] = now or "the start"
+            code = 128 + (signalled() or 2)
+        except (RefusedError, ValueError, MeasurementError) as error:
+            tuning.told["refused"] = str(error)
+            code = 1
+        finally:
+            with undisturbed():
+                tuning.write()
+                held.close()
+    from sim.tune.words import text
+
+    say("")
+    answer(arguments.json, tuning.told | {"files": tuning.files}, text(tuning.told, tuning.files))
+    return code or (0 if tuning.came_through else 1)

@@ -1,1 +1,0 @@
-"""Studies: the verb `haptic study`, one study a file."""
