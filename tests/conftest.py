@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Iterator
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,7 @@ import pytest
 from messages.transport import keys
 from messages.transport.keys import Identity
 from messages.transport.sockets import new_context
+from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.machine import machine
 
@@ -38,6 +41,17 @@ LONGEST = (
     "tests/nodes/compiled/test_second_launch.py",
 )
 """What takes minutes comes first: a long file that begins last is waited for by one processor alone."""
+
+
+def pytest_configure() -> None:
+    """Say at once that the installation is older than pyproject.toml: its entry points are other ones."""
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    for group, wanted in groups.items():
+        found = {point.name: point.value for point in entry_points(group=group)}
+        if not wanted.items() <= found.items():
+            raise pytest.UsageError(
+                f"pyproject.toml has other entry points than are installed ({group}): pip install -e ."
+            )
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -32,7 +32,7 @@ T = 0.002
 @pytest.fixture(autouse=True)
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do the jobs in this process: what a new one costs is not looked at (tests/sim/measure has the pools)."""
-    monkeypatch.setattr("sim.measure.sweep.executor", lambda _: ThreadPoolExecutor(1))
+    monkeypatch.setattr("sim.cli.sweeps.executor", lambda _: ThreadPoolExecutor(1))
 
 
 def study(capsys: pytest.CaptureFixture[str], folder: Path, *words: str, code: int = 0) -> dict[str, Any]:
