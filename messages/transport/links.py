@@ -17,10 +17,9 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import zmq
-from zmq.utils.monitor import parse_monitor_message
 
 from messages.transport.endpoints import MAX_MESSAGE, TCP_HANDSHAKE_MS, connect
-from messages.transport.gate import FAILURES, monitor
+from messages.transport.gate import FAILURES, monitor, monitored
 from messages.transport.keys import trusted
 
 if TYPE_CHECKING:
@@ -130,9 +129,9 @@ class Links:
         for events, links in self._monitors:
             with contextlib.suppress(zmq.Again):
                 while True:
-                    told = parse_monitor_message(events.recv_multipart(zmq.NOBLOCK))
-                    for link in _meant(links, told["endpoint"].decode("utf-8", "replace")):
-                        failure = link.take(int(told["event"]), now)
+                    event, place = monitored(events.recv_multipart(zmq.NOBLOCK))
+                    for link in _meant(links, place):
+                        failure = link.take(event, now)
                         if failure:
                             self._denied(f"{link.bare}: {failure}")
         self._drop_revoked(now)

@@ -27,13 +27,13 @@ from nodes.base.kept import keep
 from nodes.base.leases import Leases
 from nodes.base.report import tick_of
 from nodes.parameters.store import ParameterError
-from nodes.parameters.yaml_io import WatchedFile
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
     from messages.transport.gate import Gate
     from messages.transport.links import Links
     from nodes.base.node import Node
+    from nodes.parameters.yaml_io import WatchedFile
 
 STATUS_PERIOD = 0.5
 MOST_GROWTH = 256 << 20
@@ -46,6 +46,13 @@ END_TIMEOUT = 10.0
 """How long a request that is being served may take at the node's end [s]."""
 
 WATCH_PERIOD = 0.1
+
+
+def _watched(path: str) -> WatchedFile:
+    """Watch a file; few nodes do, and YAML is a tenth of what a node's modules take to load."""
+    from nodes.parameters.yaml_io import WatchedFile
+
+    return WatchedFile(path)
 
 
 class ControlServer(threading.Thread):
@@ -77,7 +84,7 @@ class ControlServer(threading.Thread):
         self._fetched = threading.Event()
         self._next_status = self._next_watch = 0.0
         self._links = links
-        self._watched = WatchedFile(node.setup.watch) if node.setup.watch else None
+        self._watched = _watched(node.setup.watch) if node.setup.watch else None
         self._operations: dict[str, Callable[..., Any]] = {
             "status": lambda: msgspec.to_builtins(node.status()),
             "info": self._info,
