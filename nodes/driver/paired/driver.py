@@ -3,12 +3,13 @@
 The position of the pair is that of the first device less that of the second; a force on the pair acts on the first, and its
 opposite on the second. So the deflection of the law is how far the hands are apart, and everything that holds for one device
 holds for the pair: history, swaps, limits, and energy, because F·(v₁ − v₂) is the power on both. Two equal devices of mass m
-and damping b are to the law one of m/2 and b/2, which is the `plant` of its stability figures.
+and damping b are to the law one of m/2 and b/2, which is the `plant` of its stability figures (`Plant.paired_with`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import ExitStack
 from typing import Any, ClassVar
 
@@ -20,7 +21,8 @@ from nodes.base.setup import Setup
 from nodes.driver.device import Device, DeviceLimits, Workspace
 from nodes.driver.node import Driver
 from nodes.driver.parameters import DriverParameters
-from nodes.parameters.store import ParameterError
+from nodes.parameters.store import ParameterError, convert
+from nodes.stability.plant import Plant
 
 
 class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -117,6 +119,26 @@ class PairedDriver(Driver):
     """A driver node with two devices."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = PairedDriverParameters
+
+    @classmethod
+    def stand_in(
+        cls, parameters: Mapping[str, Any], name: str, device: str
+    ) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Put a preset in the place of both devices, where they are virtual ones."""
+        changed, plants = dict(parameters), []
+        for which in ("first", "second"):
+            member: PairedMember = convert(parameters[which], PairedMember, f"{name}.{which}")
+            stood = load(node_kinds()[member.kind]).stand_in(member.parameters, f"{name}.{which}", device)
+            if stood is None:
+                return None
+            changed[which] = {"kind": member.kind, "parameters": stood[0]}
+            plants.append(stood[1])
+        first, second = (
+            Plant(1.0, one["mass"], one["damping"], one["device_delay"], one["stiffness"]) for one in plants
+        )
+        pair = first.paired_with(second)
+        told = {"mass": pair.mass, "damping": pair.damping, "stiffness": pair.stiffness, "device_delay": pair.delay}
+        return changed, {"heaviest": None, **told}
 
     def _member(self, name: str) -> Driver:
         parameters: PairedMember = getattr(self.store.current, name)

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import yaml
 
 from nodes.driver.device import DeviceLimits
 from nodes.driver.paired.driver import PairedDevice
+from nodes.laws.parse import parse_law
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant, held_plant
 from tests.nodes.driver.test_touch import needs_cc, scenario
 from tests.sim.test_stand_ins import SOFT, through
 from tests.support import ROOT
-from tests.support.devices import bench
+from tests.support.devices import Bench, bench
 from tests.support.launching import running, wait_for
 
 
-def test_the_pages_pair_is_coupled_and_judged(tmp_path: Path) -> None:
-    page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
-    (written,) = re.findall(r"```yaml\n(summary: .*?)```", page, re.DOTALL)
-    path = tmp_path / "pair.yaml"
-    path.write_text(written, encoding="utf-8")
-    with running(tmp_path, str(path), "duration:=0") as launch:
+def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) -> None:
+    with running(tmp_path, "hands_coupled", "duration:=0") as launch:
 
         def places() -> Any:
             return launch.call("driver", "places")
@@ -94,6 +97,140 @@ def test_a_pair_pushes_one_and_pulls_the_other() -> None:
     with pytest.raises(OSError, match="gone"):
         half.open()
     assert first.calls[-2:] == ["open", "close"]
+
+
+def written(start: str) -> Any:
+    """Find what the page writes, by its first line."""
+    page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
+    (text,) = (text for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL) if text.startswith(start))
+    return yaml.safe_load(text)
+
+
+def two(tmp_path: Path, stack: ExitStack, kinds: tuple[str, str]) -> list[Bench]:
+    """Set two stand-ins up, each in a folder of its own, as the page names them."""
+    found = []
+    for name, kind in zip(("a", "b"), kinds, strict=True):
+        (tmp_path / name).mkdir()
+        found.append(stack.enter_context(bench(kind, tmp_path / name)))
+    return found
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        ("touch_driver", "force_dimension_driver"),
+        ("force_dimension_driver", "force_dimension_driver"),
+        ("inverse3_driver", "touch_driver"),
+    ],
+    ids="+".join,
+)
+def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_path: Path) -> None:
+    content = written("summary: Two devices at two walls")
+    with ExitStack() as stack:
+        left, right = two(tmp_path, stack, kinds)
+        for name, stand in (("left", left), ("right", right)):
+            # As the page has it, on the stand-in.
+            content["nodes"][f"{name}/driver"] = {"kind": stand.kind, "parameters": stand.written()}
+        path = tmp_path / "two.yaml"
+        path.write_text(json.dumps(content), encoding="utf-8")
+        with running(tmp_path, str(path)) as launch:
+            # The wall stands at 20 mm: one device 1 mm, the other 2 mm behind it.
+            left.world.state.position[0], right.world.state.position[0] = 0.021, 0.022
+            left.world.state.buttons, right.world.state.buttons = 1, 0
+            wait_for(lambda: left.world.force()[0] == pytest.approx(-1.0, abs=1e-9), "its own force")
+            wait_for(lambda: right.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "its own force")
+            nodes = json.loads(launch.haptic("node", "list", "--json").stdout.splitlines()[-1])["nodes"]
+            assert {f"{name}/{node}" for name in ("left", "right") for node in ("driver", "coupling")} <= set(nodes)
+            assert len({node["pid"] for node in nodes.values()}) == len(nodes)
+            topics = set(json.loads(launch.haptic("topic", "list", "--json").stdout)["topics"])
+            assert {
+                "/left/device/state",
+                "/right/device/state",
+                "/left/device/handle",
+                "/right/device/handle",
+            } <= topics
+            for name, pressed in (("left", 1), ("right", 0)):
+                told = launch.haptic("topic", "echo", f"/{name}/device/handle", "--once", "--json").stdout
+                assert json.loads(told.splitlines()[-1])["buttons"] == pressed
+            # One is unplugged: each chain's driver ends forces by itself, and the launch ends both.
+            left.world.state.unplugged = 1
+            launch.finish(code=1)
+        assert "[left/driver] ended: " in launch.errors
+        assert not any(right.world.force())
+    assert len(list(tmp_path.rglob("*.mcap"))) == 2
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    "kinds", [("touch_driver", "force_dimension_driver"), ("inverse3_driver", "touch_driver")], ids="+".join
+)
+def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_path: Path) -> None:
+    content = yaml.safe_load((ROOT / "launch" / "hands_coupled.yaml").read_text(encoding="utf-8"))
+    with ExitStack() as stack:
+        stands = two(tmp_path, stack, kinds)
+        driver = written("driver:\n  kind: paired_driver")["driver"]
+        for which, stand in zip(("first", "second"), stands, strict=True):
+            driver["parameters"][which] = {"kind": stand.kind, "parameters": stand.written()}
+        content["nodes"]["driver"] = driver
+        # Each arm is of 0.1 kg and 1 N s/m.
+        pair = Plant(0.002, 0.1, 1.0).paired_with(Plant(0.002, 0.1, 1.0))
+        content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": pair.mass, "damping": pair.damping}
+        path = tmp_path / "pair.yaml"
+        path.write_text(json.dumps(content), encoding="utf-8")
+        first, second = stands
+        first.world.state.position[0] = second.world.state.position[0] = 0.05
+        with running(tmp_path, str(path), "duration:=0") as launch:
+            first.world.state.position[0] = 0.054
+            wait_for(lambda: first.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "4 mm of 500 N/m")
+            wait_for(lambda: second.world.force()[0] == pytest.approx(2.0, abs=1e-9), "the opposite")
+            refused = launch.haptic("param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
+            assert re.search(r"mass 0.05 kg, damping 0.5 N s/m at a delay of \d", refused.stderr)
+            # One has no position any more: neither is pushed.
+            second.world.state.nan = 1
+            for stand in stands:
+                wait_for(lambda stand=stand: not any(stand.world.force()), "no force")  # type: ignore[misc]
+            second.world.state.nan = 0
+            wait_for(lambda: second.world.force()[0] > 0.0, "the force comes back")
+            first.world.state.cause = 1 if kinds[0] == "inverse3_driver" else 0
+            first.world.state.unplugged = kinds[0] == "touch_driver"
+            if kinds[0] == "touch_driver":
+                launch.finish(code=1)
+                assert "ended: " in launch.errors
+            else:
+
+                def told() -> bool:
+                    info = json.loads(launch.haptic("node", "info", "driver", "--json").stdout.splitlines()[-1])
+                    return "first: the emergency brake of the Inverse3 is on" in info["force"]["why"]
+
+                wait_for(told, "whose brake it is")
+
+
+def test_a_pair_is_to_its_law_one_device() -> None:
+    """Equal ones exactly; others by how both answer a push, which the exact loop of both is compared with."""
+    equal = Plant(0.002, 0.1, 1.0, 0.7, 200.0)
+    # A product, a quotient and a square of numbers near 1: a few roundings.
+    halves = dataclasses.astuple(Plant(0.002, 0.05, 0.5, 0.7, 100.0))
+    assert dataclasses.astuple(equal.paired_with(equal)) == pytest.approx(halves, rel=1e-15)
+    light, heavy = Plant(0.002, 0.05, 0.5, 0.7, 150.0), Plant(0.002, 0.2, 3.0, 0.7, 100.0)
+    pair = light.paired_with(heavy)
+    assert dataclasses.astuple(pair) == pytest.approx(dataclasses.astuple(heavy.paired_with(light)), rel=1e-15)
+    law = parse_law({"kind": "pd", "stiffness": 1.0, "damping": 1.0}, "pd")
+    edge = k_max(without_spring(law, 0.002), pair).k_max_n_per_m
+    assert edge is not None
+    # The exact loop of both is stable 8 % below that edge, and unstable 8 % above it.
+    assert _exact(0.92 * edge, 1.0, light, heavy) < 1.0 < _exact(1.08 * edge, 1.0, light, heavy)
+
+
+def _exact(stiffness: float, damping: float, first: Plant, second: Plant) -> float:
+    """Largest pole of PD between two devices, neither simplified."""
+    one, other = held_plant(first), held_plant(second)
+    numerator = np.polyadd(np.polymul(one.numerator, other.denominator), np.polymul(other.numerator, one.denominator))
+    late = np.polymul(np.polymul(one.denominator, other.denominator), [1.0, *[0.0] * (one.whole + 1)])
+    per_tick = damping / first.period
+    law = [stiffness + per_tick, -per_tick]
+    poles = np.roots(np.polyadd(np.polymul(late, [1.0, 0.0]), np.polymul(numerator, law)))
+    return float(np.abs(poles).max())
 
 
 @needs_cc

@@ -47,7 +47,7 @@ def kinds(name: str) -> list[str]:
     return [spec.kind for spec in LAUNCHES[name].nodes.values()]
 
 
-CHAINS = [name for name in LAUNCHES if kinds(name).count("coupling") == 1]
+CHAINS = [name for name in LAUNCHES if kinds(name).count("coupling") == kinds(name).count("sim_driver") == 1]
 PLAYED = [name for name in CHAINS if len(LAUNCHES[name].run.axes) == 1]
 SPATIAL = [name for name in CHAINS if len(LAUNCHES[name].run.axes) > 1]
 
