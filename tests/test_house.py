@@ -118,6 +118,19 @@ def test_one_word_is_one_class() -> None:
     assert {name: places for name, places in found.items() if len(places) > 1} == {}
 
 
+PARTS = {"__init__", "node", "driver", "state", "parameters", "kernel", "compiled_tick"}
+"""The same part of several rooms: a node, a device's driver, state and parameters, and what compiles them."""
+
+
+def test_one_word_is_one_module() -> None:
+    """No two modules have one name, but for parts that several rooms have, and verbs, which are called as they are typed."""
+    found: dict[str, list[str]] = {}
+    for module, path in MODULES.items():
+        if path.stem not in PARTS and room(module) not in ("nodes.cli", "sim.cli"):
+            found.setdefault(path.stem, []).append(module)
+    assert {name: places for name, places in found.items() if len(places) > 1} == {}
+
+
 def test_the_tables_of_rooms_name_every_room() -> None:
     for floor in ("nodes", "sim"):
         page = (ROOT / floor / "README.md").read_text(encoding="utf-8")

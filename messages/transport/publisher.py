@@ -108,7 +108,7 @@ class Publisher:
             raise
         return socket
 
-    def lend(self) -> tuple[int, int, int]:
+    def native_handles(self) -> tuple[int, int, int]:
         """Let compiled code of the same thread do what `send` does.
 
         Returns

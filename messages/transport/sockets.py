@@ -100,7 +100,7 @@ class Subscription:
         for topic in topics:
             self._socket.subscribe(topic)
 
-    def lend(self) -> int:
+    def native_handle(self) -> int:
         """Let compiled code of this thread receive; what is not for it is put back.
 
         Returns

@@ -23,9 +23,9 @@ from messages.transport.endpoints import EndpointRefusedError, bind, remove_ipc,
 from messages.transport.gate import Reopening
 from messages.transport.requests import Desk, Reply, Request, decode_request
 from nodes.base import descriptors, realtime
-from nodes.base.kept import keep
 from nodes.base.leases import Leases
-from nodes.base.report import tick_of
+from nodes.base.saved_parameters import keep
+from nodes.base.status_report import tick_of
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:

@@ -96,7 +96,7 @@ class Events:
         self._counts: dict[str, int] = {}
 
     def log(self, text: str) -> None:
-        """Write one line to standard error, named; in a node's process it only joins a queue (nodes/base/words.py)."""
+        """Write one line to standard error, named; in a node's process it only joins a queue (nodes/base/stderr_queue.py)."""
         # On a terminal the launcher's status line stands where this goes.
         clear = "\r\x1b[K" if sys.stderr.isatty() and os.environ.get("TERM") != "dumb" else ""
         sys.stderr.write(f"{clear}[{self._name}] {text}\n")

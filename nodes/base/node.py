@@ -20,8 +20,8 @@ from messages.types import Message, NodeStatus
 from nodes.base.events import Clock, Events
 from nodes.base.handover import Changes
 from nodes.base.intake import Intake
-from nodes.base.report import status_of
 from nodes.base.setup import Axis, Setup
+from nodes.base.status_report import status_of
 from nodes.compiled.layout import Counted, Counters
 from nodes.parameters.store import ParameterError, ParameterStore
 
@@ -167,7 +167,7 @@ class Node:
         return ()
 
     @classmethod
-    def stand_in(
+    def substitute_device(
         cls, parameters: Mapping[str, Any], name: str, device: str
     ) -> tuple[dict[str, Any], dict[str, Any]] | None:
         """Put a real `device` (``device:=NAME``) in the place of a virtual one, in the node `name` with these `parameters`.
@@ -320,8 +320,8 @@ class Node:
     def load_kernel(self) -> None:
         """Load the compiled ticks, where the launch asks for them; without them the plain ones do."""
         if self.setup.tick == "compiled" and self.kernel_module:
-            from nodes.compiled.fields import NotCompilableError
             from nodes.compiled.library import obtain
+            from nodes.compiled.message_fields import NotCompilableError
 
             try:
                 self.kernel = obtain(self.kernel_of(self.setup.parameters))

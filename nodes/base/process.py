@@ -22,12 +22,12 @@ from messages.transport.sockets import Publisher, Subscription, move_aside, new_
 from messages.transport.waker import Waker
 from nodes.base import descriptors, realtime
 from nodes.base.control_thread import ControlServer
-from nodes.base.kept import resume
-from nodes.base.kinds import load
 from nodes.base.node import Node
-from nodes.base.report import write_report
+from nodes.base.node_kinds import load
+from nodes.base.saved_parameters import resume
 from nodes.base.setup import Setup
-from nodes.base.words import instead_of_stderr
+from nodes.base.status_report import write_report
+from nodes.base.stderr_queue import instead_of_stderr
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:

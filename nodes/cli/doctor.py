@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from nodes.base import realtime
-from nodes.base.kinds import load, node_kinds
+from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Scheduling
 from nodes.cli.main import add_json, answer
 from nodes.compiled.build import find

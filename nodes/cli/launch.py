@@ -20,14 +20,14 @@ from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
 from nodes.base import realtime
 from nodes.base.setup import Setup
-from nodes.base.words import instead_of_stderr, last_words
+from nodes.base.stderr_queue import instead_of_stderr, last_words
 from nodes.cli.colour import coloured
 from nodes.cli.debugging import Debugging
 from nodes.cli.main import add_json, answer
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.places import refuse_unwritable
 from nodes.cli.status_line import StatusLine
-from nodes.compiled.choose import compile_later
+from nodes.compiled.choose_tick import compile_later
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor

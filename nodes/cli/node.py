@@ -109,7 +109,7 @@ def _info(arguments: argparse.Namespace) -> int:
 
 def _rearm(arguments: argparse.Namespace) -> int:
     from messages.topics import DEVICE_STATE
-    from nodes.base.kinds import load
+    from nodes.base.node_kinds import load
 
     run = chosen_run(arguments)
     drivers = [name for name, setup in run.nodes.items() if DEVICE_STATE in load(setup.factory).publishes]

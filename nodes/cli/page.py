@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING
 
 import msgspec
 
-from nodes.base.words import Words
+from nodes.base.stderr_queue import StderrQueue
 from nodes.launcher.launch_spec import Launch, NodeSpec
 from nodes.launcher.wiring import chains_of
 
@@ -42,7 +42,7 @@ def _free(launch: Launch, name: str) -> str:
     return next(free for free in (name, *(f"{name}_{i}" for i in range(2, 100))) if free not in launch.nodes)
 
 
-def announce(url: str, as_json: bool, out: IO[str] | Words | None = None) -> None:
+def announce(url: str, as_json: bool, out: IO[str] | StderrQueue | None = None) -> None:
     """Print where the page is, and open it where somebody sits at a screen."""
     print(json.dumps({"url": url}) if as_json else f"page  {url}", file=out or sys.stdout, flush=True)
     screen = "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
@@ -78,7 +78,7 @@ class PageAnnouncer:
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
         self._told: set[str] = set()
-        self._words: Words | None = None
+        self._words: StderrQueue | None = None
 
     def drain(self) -> None:
         """Give a reader the time that it may take, before anything else is printed."""
@@ -93,5 +93,5 @@ class PageAnnouncer:
                 path = Path(supervisor.run_dir) / f"{name}.page.json"
                 if path.exists():
                     self._told.add(name)
-                    self._words = self._words or Words(sys.stdout.fileno())
+                    self._words = self._words or StderrQueue(sys.stdout.fileno())
                     announce(msgspec.json.decode(path.read_bytes())["url"], self._as_json, self._words)

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from messages.errors import RefusedError, UsageError
-from nodes.base.kinds import load
+from nodes.base.node_kinds import load
 from nodes.cli.ask import add_run, chosen_run
 from nodes.cli.main import answer
 from nodes.client.launches import ask, node_name

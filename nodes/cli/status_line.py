@@ -15,7 +15,7 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.transport.requests import ControlError, call
 from messages.types import ZERO, Vector
-from nodes.base.kinds import load
+from nodes.base.node_kinds import load
 from nodes.cli.colour import coloured, is_smart
 from nodes.environment.surfaces import Meeting, parse_surface
 from nodes.launcher.launch_spec import Launch

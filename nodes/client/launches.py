@@ -146,7 +146,7 @@ def roles(run: RunInfo) -> dict[str, str]:
     RunError
         When the launch has several chains.
     """
-    from nodes.base.kinds import load
+    from nodes.base.node_kinds import load
 
     run.only_chain()
     published = {name: load(setup.factory).publishes for name, setup in run.nodes.items()}

@@ -19,9 +19,9 @@ import msgspec
 from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
 from messages.transport.sockets import Publisher, Subscription
-from nodes.compiled.fields import key_blocks
 from nodes.compiled.layout import LONGEST_IN, LONGEST_MAIL, LONGEST_OUT, LONGEST_TEXT, LONGEST_TOPIC, NEVER
 from nodes.compiled.library import Kernel, functions
+from nodes.compiled.message_fields import key_blocks
 
 M = TypeVar("M")
 
@@ -76,8 +76,8 @@ class CompiledTicks:
         self._most = NEVER if realtime else LOCKSTEP_TICKS
         for name, address in functions().items():
             setattr(state, name, address)
-        state.inbox = node.inbox.lend()
-        state.hop, state.aside, state.batch = node.publisher.lend()
+        state.inbox = node.inbox.native_handle()
+        state.hop, state.aside, state.batch = node.publisher.native_handles()
         state.realtime, state.period, state.until = int(realtime), node.setup.period, NEVER
         self._kept: list[Any] = []
         keys = key_blocks(LOOP[topic])

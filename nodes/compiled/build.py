@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from nodes.compiled import cache
-from nodes.compiled.fields import NotCompilableError
+from nodes.compiled.message_fields import NotCompilableError
 
 ENTRY: Final = "haptic_tick"
 """Name of a kernel in its file."""

@@ -15,7 +15,7 @@ import zmq
 
 from nodes.compiled import cache
 from nodes.compiled.build import ENTRY, find, reason
-from nodes.compiled.fields import NotCompilableError
+from nodes.compiled.message_fields import NotCompilableError
 
 _ZMQ: Final = ("zmq_recv", "zmq_send", "zmq_getsockopt")
 _LIBC: Final = ("clock_gettime", "clock_nanosleep", "ppoll", "sched_yield")

@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import Force, Proxy
-from nodes.compiled.fields import fields_of, slot
+from nodes.arithmetic import SMOOTHING, cross_fade, deflection, fir, one_sided, push, sections
 from nodes.compiled.kernels.encode import make_encode
-from nodes.compiled.kernels.follow import count_gap, in_order, overtaken
+from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.compiled.message_fields import fields_of, slot
 from nodes.coupling.render import LawPort, evaluate, make_render
 from nodes.coupling.state import SLOTS, CouplingState
-from nodes.kernels import SMOOTHING, cross_fade, deflection, fir, one_sided, push, sections
 
 for _function in (cross_fade, deflection, fir, one_sided, push, sections, evaluate):
     kernel(_function)

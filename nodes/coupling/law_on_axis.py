@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, TypeAlias, cast
 
+from nodes.arithmetic import push, sections, warm_up
 from nodes.coupling.state import LEAVING, CouplingState
-from nodes.kernels import push, sections, warm_up
 from nodes.laws import CompiledLaw
 
 UNROLLED_TAPS = 30
@@ -21,7 +21,7 @@ UNROLLED_TAPS = 30
 
 
 class History:
-    """The newest deflections of one axis, each written twice so that they are contiguous (see kernels.push).
+    """The newest deflections of one axis, each written twice so that they are contiguous (see arithmetic.push).
 
     Parameters
     ----------
@@ -99,12 +99,12 @@ def _written_out(taps: int) -> Callable[..., Callable[[int], float]]:
 
 
 def unrolled(taps: tuple[float, ...], values: Sequence[float]) -> Callable[[int], float]:
-    """Write out the sum of `kernels.fir`, term by term: the same additions in the same order, without a loop."""
+    """Write out the sum of `arithmetic.fir`, term by term: the same additions in the same order, without a loop."""
     return _written_out(len(taps))(values, *taps)
 
 
 def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], float]:
-    """Choose the fastest way to add the taps that gives the bits of `kernels.fir`."""
+    """Choose the fastest way to add the taps that gives the bits of `arithmetic.fir`."""
     values = history.values
     if len(taps) <= UNROLLED_TAPS:
         return unrolled(taps, values)
@@ -139,7 +139,7 @@ class LawOnAxis:
     taps : tuple of float, shape (n + 1,)
         Its taps [N/m].
     numbers, coefficients : array of float, shapes (n + 1,) and (4 * s,)
-        The taps once more, and the coefficients of its sections (see `nodes.kernels.sections`), as compiled ticks take them.
+        The taps once more, and the coefficients of its sections (see `nodes.arithmetic.sections`), as compiled ticks take them.
     state : array of float, shape (2 * s,)
         State of the sections [N].
     plain : bool

@@ -16,6 +16,7 @@ import msgspec
 from messages import topics
 from messages.codec import encode
 from messages.types import Force, Proxy, Receipt, Vector
+from nodes.arithmetic import SMOOTHING
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
@@ -28,7 +29,6 @@ from nodes.coupling.render import begin_turning
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.coupling.state import CouplingState
 from nodes.coupling.time_budget import Budget
-from nodes.kernels import SMOOTHING
 from nodes.parameters.store import ParameterError, convert
 
 if TYPE_CHECKING:

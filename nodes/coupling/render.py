@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any, Final, NamedTuple, TypeVar
 
+from nodes.arithmetic import cross_fade, deflection, fir, one_sided, push, sections
 from nodes.coupling.state import SLOTS
-from nodes.kernels import cross_fade, deflection, fir, one_sided, push, sections
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

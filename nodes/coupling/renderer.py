@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from messages.types import Proxy, Vector
+from nodes.arithmetic import deflection
 from nodes.coupling.law_on_axis import History, LawOnAxis, Share, shares_of
 from nodes.coupling.render import LawPort, make_render
 from nodes.coupling.state import SLOTS, CouplingState
-from nodes.kernels import deflection
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError
 

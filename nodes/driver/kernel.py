@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import DeviceState, Force
-from nodes import kernels
-from nodes.compiled.fields import fields_of, slot
+from nodes import arithmetic
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.hop import (
     CLOCK_MONOTONIC,
@@ -14,7 +13,6 @@ from nodes.compiled.kernels.hop import (
     called,
     flush,
     has_message,
-    hold,
     monotonic,
     out_at,
     receive,
@@ -33,12 +31,13 @@ from nodes.compiled.kernels.machine import (
 )
 from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import kernel, record_of
+from nodes.compiled.message_fields import fields_of, slot
 from nodes.driver import motion, motor_heat, passivity, response_times, safety, state, tick
 from nodes.driver.state import BETWEEN, DriverState
 from nodes.driver.tick import GOT, NONE, UNREAD, Port, make_ticks
 
 for _function in (
-    *(state.note, state.seldom, kernels.limit),
+    *(state.note, state.seldom, arithmetic.limit),
     *(passivity.observe, passivity.through, passivity.backlog, passivity.forget, passivity.control),
     *(passivity.count_step, passivity.guarded),
     *(motion.sample, motion.act, motion.split, motion.find_velocity),
@@ -154,7 +153,7 @@ def _receive(s: Any, until: float) -> int:
 
 @compilable
 def _aside(s: Any) -> None:
-    if hold(s, s.sent_size):
+    if keep(s, s.sent_size):
         flush(s)
 
 

@@ -18,9 +18,9 @@ import msgspec
 from messages import topics
 from messages.types import ZERO, Vector
 from nodes.base import realtime
+from nodes.base.hang_watchdog import LastResort
 from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
-from nodes.base.standstill import LastResort
 from nodes.compiled.layout import NEVER, Counted
 from nodes.driver.calls import numbers_of
 from nodes.driver.device import Device
@@ -31,7 +31,7 @@ from nodes.driver.no_force import why_no_force
 from nodes.driver.parameters import DriverParameters, check
 from nodes.driver.passivity import set_guard
 from nodes.driver.plain_tick import PlainTicks
-from nodes.driver.report import DriverReport
+from nodes.driver.run_report import DriverReport
 from nodes.driver.safety import rearm, set_safety, soft_stop
 from nodes.driver.state import BETWEEN, DriverState
 from nodes.driver.tick import BROKEN, SILENT, UNREAD, take_sample
@@ -155,7 +155,7 @@ class Driver(Node):
         s.next_tick = self.setup.apply == "next_tick"
         s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
         # The device lets go by itself so many ticks after the last force that was written.
-        s.bears = limits.hold / period
+        s.device_hold_ticks = limits.hold / period
         held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
         if s.realtime == 0:
             # Only the tick's own answer counts.

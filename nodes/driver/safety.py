@@ -25,6 +25,7 @@ import math
 from typing import Any, Final
 
 from messages.types import ZERO, Vector
+from nodes.arithmetic import limit
 from nodes.driver.limits import STOP_TIME, Limits, SafetyParameters
 from nodes.driver.motion import find_velocity
 from nodes.driver.motor_heat import close_tick, lower_heat, note_heat, set_heat
@@ -55,7 +56,6 @@ from nodes.driver.telling import (
     STILL_SILENT,
     SWINGS,
 )
-from nodes.kernels import limit
 
 REACH: Final = 1e6
 """Farther than this no device is: a position beyond is a fault of whoever measured it [m]."""

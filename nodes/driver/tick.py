@@ -53,7 +53,7 @@ def lost(s: Any, seq: int, late: float) -> None:
     ticks = min(int(late / s.period), s.until - seq)
     s.overruns += ticks
     s.lateness = late
-    acted = min(max(s.bears - (seq - s.written), 0.0), float(ticks))
+    acted = min(max(s.device_hold_ticks - (seq - s.written), 0.0), float(ticks))
     for i in range(3):
         s.mean[i] = acted / ticks * s.handed[i]
     act(s, ticks)
@@ -61,7 +61,7 @@ def lost(s: Any, seq: int, late: float) -> None:
     s.seq = seq + ticks
     if acted < ticks and held:
         s.has_following = 0
-        let_go(s, s.seq, s.written + s.bears)
+        let_go(s, s.seq, s.written + s.device_hold_ticks)
         note(s, HELD_UP, s.seq, -1, float(s.written))
     elif s.has_following != 0 and s.seq - s.force_seq > s.max_age:
         # What was still to be handed over is too old by now.
@@ -180,8 +180,8 @@ def make_ticks(
                 s.mean[i] = s.handed[i] if s.next_tick != 0 else 0.0
         while s.answered == 0:
             got = GOT
-            if s.belated != 0:
-                s.belated, s.arrival = 0, s.belated_at
+            if s.late_answer != 0:
+                s.late_answer, s.arrival = 0, s.late_answer_at
             else:
                 got = s.given - 1 if s.given != 0 else receive(s, following)
                 s.given = 0
@@ -192,7 +192,7 @@ def make_ticks(
                     return UNREAD
                 if got == GOT and s.arrival >= following:
                     # Nor must whoever floods the topic keep the driver from its next tick.
-                    s.belated, s.belated_at = 1, s.arrival
+                    s.late_answer, s.late_answer_at = 1, s.arrival
                     break
             if got == REFUSED or not admit(s, seq):
                 s.skipped += 1
@@ -225,8 +225,8 @@ def make_ticks(
             if missed(s, seq):
                 s.has_following = 0
                 hand_over(s, s.force, seq + 1, 0.0)
-            elif s.has_following == 0 and seq + 1 - s.written >= s.bears:
-                let_go(s, seq, s.written + s.bears)
+            elif s.has_following == 0 and seq + 1 - s.written >= s.device_hold_ticks:
+                let_go(s, seq, s.written + s.device_hold_ticks)
         close(s)
         return GO_ON
 

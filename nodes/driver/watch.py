@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from nodes.base.standstill import LastResort, Standstill, give_up
+from nodes.base.hang_watchdog import HangWatchdog, LastResort, give_up
 from nodes.driver.device import DeviceLimits
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ class Watch:
 
     def __init__(self, node: Node, limits: DeviceLimits, last_resort: LastResort | None) -> None:
         self._node, self._limits, self._last_resort = node, limits, last_resort
-        self._standstill = Standstill()
+        self._watchdog = HangWatchdog()
         self._doing = ("", math.inf)
 
     def begin(self, what: str, limit: float = math.inf) -> None:
@@ -45,7 +45,7 @@ class Watch:
         """End the process when there is no progress for too long (control thread)."""
         what, limit = self._doing
         self._wind(limit)
-        if self._standstill.look((what, *progress)) >= limit:
+        if self._watchdog.look((what, *progress)) >= limit:
             hold = self._limits.hold
             lets_go = f"it lets go by itself after {hold:g} s" if math.isfinite(hold) else "it may hold its last force"
             give_up(self._node, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")

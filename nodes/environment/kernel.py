@@ -6,17 +6,17 @@ from collections.abc import Callable
 from typing import Any
 
 from messages.types import DeviceState, Proxy
-from nodes.compiled.fields import fields_of, slot
+from nodes.arithmetic import plane_distance
 from nodes.compiled.kernels.encode import make_encode
-from nodes.compiled.kernels.follow import count_gap, in_order, overtaken
+from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
 from nodes.compiled.kernels.scan import make_match, make_scan
 from nodes.compiled.kernels.sources import kernel, record_of
 from nodes.compiled.layout import TEXTS
+from nodes.compiled.message_fields import fields_of, slot
 from nodes.environment.meet import meet_flat, meet_plane
 from nodes.environment.state import EnvironmentState
-from nodes.kernels import plane_distance
 
 kernel(plane_distance)
 kernel(meet_plane)

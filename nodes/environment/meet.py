@@ -10,10 +10,10 @@ from collections.abc import Callable, MutableSequence, Sequence
 from typing import NamedTuple
 
 from messages.types import Vector
+from nodes.arithmetic import plane_distance
 from nodes.environment.shapes import proxy
 from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY
 from nodes.environment.state import ANCHOR, MET, PLANE, SHAPES
-from nodes.kernels import plane_distance
 
 
 class Numbers(NamedTuple):

@@ -16,9 +16,9 @@ import zmq
 
 from messages.topics import DEVICE_STATE
 from messages.transport.requests import ControlError, call
-from nodes.base.kinds import load
+from nodes.base.hang_watchdog import held_in
+from nodes.base.node_kinds import load
 from nodes.base.setup import Setup
-from nodes.base.standstill import held_in
 
 PYTHON = (sys.executable, "-P")
 """The interpreter that our processes run in: without the working directory on its path, where a ``sim.py`` may be anybody's."""

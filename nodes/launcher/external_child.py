@@ -23,7 +23,7 @@ import zmq
 
 from messages.transport.endpoints import split
 from messages.transport.requests import Connection, ControlError
-from nodes.base.kinds import load
+from nodes.base.node_kinds import load
 from nodes.base.setup import Setup
 from nodes.launcher.child import Child
 from nodes.launcher.clock_offset import ClockOffset

@@ -27,7 +27,7 @@ from messages.transport.keys import identity
 from messages.transport.requests import Desk, Reply, decode_request
 from messages.transport.sockets import new_context
 from nodes.base import realtime
-from nodes.base.kinds import load, node_kinds
+from nodes.base.node_kinds import load, node_kinds
 from nodes.base.process import live
 from nodes.base.setup import Scheduling, Setup
 from nodes.launcher import runs

@@ -19,9 +19,9 @@ from typing import Any
 import msgspec
 
 from messages.topics import within
-from nodes.base.kinds import load, node_kinds
+from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Axis
-from nodes.launcher import stand_in
+from nodes.launcher import substitute_device
 from nodes.launcher.launch_spec import Argument, Include, Including, Launch, LaunchText, NodeSpec, RunSpec
 from nodes.launcher.origins import Origins
 from nodes.parameters.refusals import choices
@@ -116,14 +116,14 @@ def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
 
 def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Argument]:
     """Arguments that a launch file has without naming them: those of its nodes, and of the nodes that it includes."""
-    offered = stand_in.offered(file.nodes)
+    offered = substitute_device.offered(file.nodes)
     # What cannot be included is refused when the launch is read.
     with contextlib.suppress(ParameterError):
         including = including.another(path, path.name)
         for entry in () if offered else file.include:
             inner = find(_beside(path, str(entry.get("launch"))))
             if offered := _offered(inner, convert(read_yaml(inner), LaunchText, inner.name), including):
-                return {stand_in.DEVICE: stand_in.ARGUMENT}
+                return {substitute_device.DEVICE: substitute_device.ARGUMENT}
     return offered
 
 
@@ -224,7 +224,7 @@ def read(
         Scenario or path.
     given : mapping of str to object
         Arguments that differ from their defaults; every launch file has ``tick`` and ``run.NAME`` (see `RunSpec`), and each
-        with a virtual device ``device`` (`nodes.launcher.stand_in`).
+        with a virtual device ``device`` (`nodes.launcher.substitute_device`).
     laid_over : sequence of Path
         YAML files, each a mapping from node to parameters, whole or in part, as ``haptic param dump`` and
         ``haptic study design`` write them; a later one goes before an earlier one.
@@ -258,7 +258,7 @@ def _read(
     # Besides ``run.NAME``: every launch file has ``tick``.
     over = {name for name in given if name.startswith(_RUN) or (name == "tick" and name not in file.arguments)}
     over_run = {name.removeprefix(_RUN): given[name] for name in over}
-    declared = {**(_offered(path, file, Including()) if stand_in.DEVICE in given else {}), **file.arguments}
+    declared = {**(_offered(path, file, Including()) if substitute_device.DEVICE in given else {}), **file.arguments}
     values = _fill_in(path, declared, {name: value for name, value in given.items() if name not in over})
     included = [
         _include(entry, values, f"{path.name}.include[{i}]", origins, including) for i, entry in enumerate(file.include)
@@ -274,9 +274,9 @@ def _read(
         if spec.watch:
             watched = _watched(node, spec, f"{path.name}.nodes.{node}")
             nodes[node] = msgspec.structs.replace(spec, parameters=watched)
-    device = "none" if stand_in.DEVICE in file.arguments else values.get(stand_in.DEVICE, "none")
-    if device not in stand_in.NONE:
-        nodes = stand_in.stand_in(nodes, device, path.name)
+    device = "none" if substitute_device.DEVICE in file.arguments else values.get(substitute_device.DEVICE, "none")
+    if device not in substitute_device.NONE:
+        nodes = substitute_device.substituted(nodes, device, path.name)
     written_run = {**_substitute(file.run, values, f"{path.name}.run", origins), **over_run}
     run = convert({**_common_run(included, written_run, path.name), **written_run}, RunSpec, f"{path.name}.run")
     run, axes = _axes(run, nodes, included, path.name)

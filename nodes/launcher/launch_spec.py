@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from nodes.base.setup import Apply, Axis, Pace
-from nodes.compiled.choose import Wanted
+from nodes.compiled.choose_tick import Wanted
 from nodes.parameters.store import ParameterError
 
 MAX_FILES = 256

@@ -77,7 +77,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
 
     def chains(self) -> list[str]:
         """List the namespaces of the chains: of the nodes that publish a device's state."""
-        from nodes.base.kinds import load
+        from nodes.base.node_kinds import load
 
         drives = [name for name, setup in self.nodes.items() if topics.DEVICE_STATE in load(setup.factory).publishes]
         return list(dict.fromkeys(name.rpartition("/")[0] for name in drives))
@@ -115,7 +115,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
 
     def endpoints(self) -> dict[str, str]:
         """List who publishes what."""
-        from nodes.base.kinds import load
+        from nodes.base.node_kinds import load
 
         found = {}
         for name, setup in self.nodes.items():

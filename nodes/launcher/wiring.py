@@ -12,10 +12,10 @@ from messages import topics
 from messages.transport.endpoints import is_remote
 from messages.transport.keys import KeyRefusedError, identity, key_of
 from nodes.base import realtime
-from nodes.base.kinds import load, node_kinds
 from nodes.base.node import Node
+from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Scheduling, Setup
-from nodes.compiled.choose import SCARCE, choose
+from nodes.compiled.choose_tick import SCARCE, choose
 from nodes.launcher.external_child import LEASE, PATIENCE
 from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
 from nodes.parameters.refusals import choices

@@ -10,7 +10,7 @@ import msgspec
 from messages.codec import Decoder, MessageRefusedError
 from messages.topics import message_type, split
 from messages.types import DeviceState, Event, Message, NodeStatus, Receipt
-from nodes.base.kinds import load
+from nodes.base.node_kinds import load
 from nodes.base.setup import AXIS_INDEX
 from nodes.launcher.runs import RunInfo, ended_why
 from nodes.parameters.store import convert
@@ -18,7 +18,7 @@ from nodes.recording.summary import quantile
 from nodes.view.board import Board
 from nodes.view.feed import BINS_PER_SECOND, Feed
 from nodes.view.ringing import Ringing
-from nodes.view.words import explain, told_stop
+from nodes.view.why_force import explain, told_stop
 
 STATUS_PERIOD = 0.2
 """How often pages get the status [s]."""

@@ -9,7 +9,7 @@ from sim.api.values import plain
 
 
 class _Asked(Protocol):
-    """What a launch offers to those that change it (`sim.api.runs.Run`)."""
+    """What a launch offers to those that change it (`sim.api.python_runs.Run`)."""
 
     @property
     def nodes(self) -> Sequence[str]:
@@ -27,7 +27,7 @@ class Parameters:
 
     Parameters
     ----------
-    run : sim.api.runs.Run
+    run : sim.api.python_runs.Run
         The launch.
     """
 
@@ -90,7 +90,7 @@ class Laws:
 
     Parameters
     ----------
-    run : sim.api.runs.Run
+    run : sim.api.python_runs.Run
         The launch.
     """
 

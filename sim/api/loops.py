@@ -12,7 +12,7 @@ from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
 from sim.api.laws import LawLike, compiled
 from sim.api.laws import law as made
-from sim.api.results import Array, Result, new_figure
+from sim.api.notebook_results import Array, Result, new_figure
 from sim.api.values import plain
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import IO, Any
 
 from nodes.base.realtime import die_with_parent
+from sim.api.notebook_results import Result
 from sim.api.progress import progress
-from sim.api.results import Result
-from sim.api.runs import ENDS_WITHIN, HAPTIC, LaunchError
+from sim.api.python_runs import ENDS_WITHIN, HAPTIC, LaunchError
 from sim.api.values import plain
 
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from nodes.arithmetic import push
 from nodes.coupling.law_on_axis import History, LawOnAxis
 from nodes.coupling.render import evaluate
-from nodes.kernels import push
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import derivative_kinds, realise
 from nodes.laws.pd_alpha import combine

@@ -28,7 +28,7 @@ from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.chart.points import Detail, Group, Point
 from sim.device.model import DeviceModel
-from sim.measure import launches
+from sim.measure import measured_launch
 from sim.scene.loop import Scene, SceneSurface, run
 
 RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
@@ -86,7 +86,7 @@ def launch(rate: float, apply: str, stiffness: float, pace: str = "realtime", ti
     with tempfile.TemporaryDirectory(prefix="haptic-chart-") as folder:
         scenario = Path(folder) / "floor_drop.yaml"
         scenario.write_text(yaml.safe_dump(_with_one_law(), sort_keys=False))
-        figures = launches.launch(
+        figures = measured_launch.launch(
             str(scenario), *(f"{name}:={value}" for name, value in values.items()), folder=Path(folder)
         )
         states = Recording(Path(folder) / figures["recording"]).arrays("/device/state")

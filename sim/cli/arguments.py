@@ -14,7 +14,7 @@ from nodes.laws.parse import law_to_dict, parse_law
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.stability.plant import Plant
-from sim.device.presets import HANDS
+from sim.device.real_devices import HANDS
 
 if TYPE_CHECKING:
     from sim.design.recorded_loop import Measured

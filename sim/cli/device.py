@@ -11,7 +11,7 @@ from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import add_run
 from nodes.cli.main import add_json, answer
 from nodes.cli.quantities import declare
-from sim.identify.progress import say
+from sim.identify.progress_line import say
 
 if TYPE_CHECKING:
     from sim.identify.borrowed import PushedLaunch
@@ -135,7 +135,7 @@ def _recentre(arguments: argparse.Namespace) -> int:
 
 
 def _presets(arguments: argparse.Namespace) -> int:
-    from sim.device.presets import figures, text
+    from sim.device.real_devices import figures, text
 
     answer(arguments.json, {"presets": figures()}, text())
     return 0
@@ -143,8 +143,8 @@ def _presets(arguments: argparse.Namespace) -> int:
 
 def _identify(arguments: argparse.Namespace) -> int:
     from nodes.launcher.runs import runs
+    from sim.identify.identified_text import figures, text
     from sim.identify.interrupts import interrupted_once
-    from sim.identify.report import figures, text
 
     if ":=" in (arguments.scenario or ""):
         arguments.assignments.insert(0, arguments.scenario)
@@ -251,7 +251,7 @@ def identify_scenario(
     from sim.identify.experiment import read
     from sim.identify.identify import identify
     from sim.identify.push import Pushed
-    from sim.measure.launches import beside, end
+    from sim.measure.measured_launch import beside, end
 
     try:
         launch = launch_file.read(scenario, launch_file.parse_assignments(assignments))

@@ -14,7 +14,7 @@ from nodes.cli.ask import add_run, chosen_run
 from nodes.cli.main import answer
 from nodes.cli.quantities import declare
 from sim.cli.device import add_push, excitation, identify_running
-from sim.identify.progress import say
+from sim.identify.progress_line import say
 from sim.tune.session import STEPS, Options, Tuning
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     from sim.identify.borrowed import PushedLaunch
     from sim.identify.interrupts import interrupted_once, undisturbed
-    from sim.measure.launches import MeasurementError, launched
+    from sim.measure.measured_launch import MeasurementError, launched
 
     arguments.places = arguments.places or [0.0]
 
@@ -113,7 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
             with undisturbed():
                 tuning.write()
                 held.close()
-    from sim.tune.words import text
+    from sim.tune.tuning_text import text
 
     say("")
     answer(arguments.json, tuning.told | {"files": tuning.files}, text(tuning.told, tuning.files))

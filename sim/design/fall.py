@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nodes.arithmetic import fir, one_sided, push, sections
 from nodes.compiled.kernels.sources import kernel
-from nodes.kernels import fir, one_sided, push, sections
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant
 from sim.design.demand import RIGID, Demand

@@ -11,7 +11,7 @@ import msgspec
 
 from messages.types import Vector
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
-from nodes.compiled.fields import NotCompilableError
+from nodes.compiled.message_fields import NotCompilableError
 from nodes.driver.calls import Calls
 from nodes.driver.device import Device, DeviceLimits
 from nodes.driver.motion import set_latency
@@ -20,7 +20,7 @@ from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
 from nodes.view.pointer import PointerParameters, PointerReader, pointer_file
 from sim.device.model import DeviceModel
-from sim.device.presets import preset, provenance
+from sim.device.real_devices import preset, provenance
 from sim.device.state import PENDING, VirtualDevice, read_axis, write_axis
 
 NO_END: Final = DeviceLimits().workspace
@@ -208,7 +208,7 @@ class SimDriver(Driver):
     movable: ClassVar[str] = "device.delay and passivity"
 
     @classmethod
-    def stand_in(
+    def substitute_device(
         cls, parameters: Mapping[str, Any], name: str, device: str
     ) -> tuple[dict[str, Any], dict[str, Any]] | None:
         """Put a preset in the place of the device that is described."""

@@ -5,7 +5,7 @@ stiffness of a hand, 0 without one), and that map is known exactly. So nothing i
 multiplications, whatever its length, and carries no discretisation error that could be mistaken for (in)stability
 of the coupling: semi-implicit Euler would overstate K_max by 1/(1 − 1/n_sub).
 
-The kernels are plain functions on floats, as those of `nodes.kernels`: the driver node calls them as they stand, the
+The kernels are plain functions on floats, as those of `nodes.arithmetic`: the driver node calls them as they stand, the
 one-process simulator compiles the same functions. They use only `math`, and what a scene lacks is passed as None.
 """
 

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from messages.types import DeviceState
 from sim.drill.drill import LIMIT, RATE, Fault, FaultSkippedError, another
-from sim.measure.launches import MeasurementError, wait_for, within
+from sim.measure.measured_launch import MeasurementError, wait_for, within
 from sim.measure.rig import Rig
 from sim.stand_ins import inverse_service
 from sim.stand_ins.world import World, library

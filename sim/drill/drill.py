@@ -18,7 +18,7 @@ import msgspec
 
 from messages.transport.requests import ControlError
 from messages.types import ZERO, DeviceState
-from sim.measure.launches import MeasurementError, within
+from sim.measure.measured_launch import MeasurementError, within
 from sim.measure.rig import Rig
 
 RATE = 500.0

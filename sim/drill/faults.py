@@ -19,7 +19,7 @@ from typing import Any
 
 from sim.drill import devices, intruders, last_line, people
 from sim.drill.drill import Fault, FaultSkippedError, kill
-from sim.measure.launches import within
+from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 
 STOPPED = 0.3

@@ -21,7 +21,7 @@ from messages.transport import keys
 from messages.transport.endpoints import MAX_MESSAGE
 from sim.drill import unruly
 from sim.drill.drill import Fault
-from sim.measure.launches import MeasurementError, within
+from sim.measure.measured_launch import MeasurementError, within
 from sim.measure.rig import Rig
 
 HELD = 1.0

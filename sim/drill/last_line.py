@@ -12,7 +12,7 @@ from typing import Any
 
 from sim.drill.drill import Fault, another, kill
 from sim.drill.faulty_device import EXIT, HANG
-from sim.measure.launches import processes_of, within
+from sim.measure.measured_launch import processes_of, within
 from sim.measure.rig import Rig
 
 ORDER = "order"

@@ -14,9 +14,9 @@ from messages.types import DeviceState
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
 from sim.drill.drill import RATE, Fault, kill
-from sim.measure.launches import MeasurementError, wait_for
+from sim.measure.measured_launch import MeasurementError, wait_for
 from sim.measure.rig import Rig
-from sim.tune.live import TRIAL
+from sim.tune.live_trial import TRIAL
 
 PEAK = 40.0
 """Largest force that a hand which has sunk in may meet [N]."""

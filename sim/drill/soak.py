@@ -21,7 +21,7 @@ from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from sim.drill.drill import RATE, in_order, scene
 from sim.drill.witness import UNEXPLAINED, Witness
-from sim.measure.launches import within
+from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 
 GROWTH = 4e6

@@ -30,7 +30,7 @@ from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.experiments.proxies import icosphere
-from sim.measure.launches import launch as run_launch
+from sim.measure.measured_launch import launch as run_launch
 from sim.scene.spatial import play
 from sim.scene.touch import touch
 

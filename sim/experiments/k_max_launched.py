@@ -23,8 +23,8 @@ from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import law_to_dict
 from nodes.recording.reader import Recording
 from sim.experiments.drop import Criterion, settled, settles
-from sim.measure import launches
-from sim.measure.launches import MeasurementError
+from sim.measure import measured_launch
+from sim.measure.measured_launch import MeasurementError
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import Array, Scene
 
@@ -166,7 +166,7 @@ def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Arra
         if replace(read_back.scene, safety=scene.safety) != scene or read_back.ticks != ticks:
             raise ValueError(f"{SCENARIO} plays {read_back.scene} for {read_back.ticks} ticks, wanted was {scene}")
         words = [f"{name}:={value}" for name, value in _assignments(scene, ticks).items()]
-        figures = launches.launch(
+        figures = measured_launch.launch(
             SCENARIO, *words, "--params", str(path), folder=Path(folder), timeout=60.0 + 0.1 * ticks
         )
         states = Recording(Path(folder) / figures["recording"]).messages(DEVICE_STATE)

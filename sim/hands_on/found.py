@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from messages.errors import UsageError
-from nodes.base.kinds import NODES
+from nodes.base.node_kinds import NODES
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.mailbox import MailboxDevice
 from nodes.launcher.launch_file import parse_assignments

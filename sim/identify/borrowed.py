@@ -17,7 +17,7 @@ from typing import Any
 from messages import topics
 from messages.errors import RefusedError, UsageError
 from messages.types import DeviceState
-from nodes.base.kinds import load
+from nodes.base.node_kinds import load
 from nodes.client.launches import ask
 from nodes.client.listen import listen
 from nodes.launcher.runs import RunInfo

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.identify.choose import Choice
+from sim.identify.choose_model import Choice
 from sim.identify.encoder import Encoder, encoder
 from sim.identify.experiment import Experiment
 from sim.identify.identified import Estimate, HeldOut, Identified
-from sim.identify.motion import (
+from sim.identify.identified_motion import (
     DAMPING,
     DELAY,
     FREQUENCY,

@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.identify.choose import Windows, choose
+from sim.identify.choose_model import Windows, choose
 from sim.identify.conclude import conclude, covariance_of, nothing
 from sim.identify.encoder import encoder
 from sim.identify.experiment import Experiment
 from sim.identify.first_guess import first_guess
 from sim.identify.identified import Identified
-from sim.identify.motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
+from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
 from sim.identify.output_error import Fit, fit, windows
 
 Array = NDArray[np.float64]

@@ -1,7 +1,7 @@
 """Output error: the device whose exact motion under the recorded forces comes closest to the recorded positions.
 
 The run is cut into windows, each with an initial state of its own, so that nothing has to be known before a window and no
-error grows from one into the next. The unknowns are taken where the motion (`sim.identify.motion`) is nearly
+error grows from one into the next. The unknowns are taken where the motion (`sim.identify.identified_motion`) is nearly
 linear in them, per unit of mass. Gauss–Newton steps with Levenberg's damping find them all; the initial states are eliminated
 window by window. THEORY.md §12.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.identify.experiment import Experiment
-from sim.identify.motion import SHARE, STATES, normal, slopes
+from sim.identify.identified_motion import SHARE, STATES, normal, slopes
 
 Array = NDArray[np.float64]
 

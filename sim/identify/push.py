@@ -17,7 +17,7 @@ from messages import topics
 from messages.errors import RefusedError
 from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carried
 from sim.identify.interrupts import undisturbed
-from sim.measure.launches import beside, within
+from sim.measure.measured_launch import beside, within
 
 LAW = "identify"
 """Name that the excitation gets in the coupling; it stays defined afterwards, inactive."""

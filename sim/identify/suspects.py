@@ -1,7 +1,7 @@
 """What a device may have beyond the model: for each such term, what it would move the recorded positions by.
 
 A term that acts as a force moves the device as any force does; one that the encoder adds is seen as it stands. The shape
-of each is known up to a factor (how strong it is) and a size or two, which are tried on a grid. `sim.identify.judge` compares
+of each is known up to a factor (how strong it is) and a size or two, which are tried on a grid. `judge_fit` compares
 the shapes with what a fit leaves.
 """
 
@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from nodes.stability.plant import Plant, held_plant
 from sim.identify.experiment import Experiment
-from sim.identify.motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
+from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
 from sim.identify.output_error import Fit
 
 Array = NDArray[np.float64]

@@ -13,10 +13,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from nodes.compiled.fields import NotCompilableError
 from nodes.compiled.library import library_of_pyzmq
+from nodes.compiled.message_fields import NotCompilableError
 from nodes.launcher.child import PYTHON
-from sim.measure.launches import MeasurementError
+from sim.measure.measured_launch import MeasurementError
 
 BARE = (*PYTHON, "-m", "sim.measure.bare_loop")
 """The yardstick: bare pyzmq and msgpack."""

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sim.measure.launches import Running, wait_for
+from sim.measure.measured_launch import Running, wait_for
 from sim.results import fresh
 
 TURN = """part => { const dial = document.getElementById("dial");

@@ -20,7 +20,7 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.topics import DEVICE_STATE
 from messages.transport.sockets import Subscription
 from messages.types import DeviceState
-from sim.measure.launches import HAPTIC, Running, left_behind, wait_for, within
+from sim.measure.measured_launch import HAPTIC, Running, left_behind, wait_for, within
 
 START = 30.0
 """Longest time from the first tick to the first messages [s]."""

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from nodes.arithmetic import fir
 from nodes.coupling.law_on_axis import UNROLLED_TAPS, History, LawOnAxis, unrolled
-from nodes.kernels import fir
 from nodes.launcher.child import PYTHON
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.derivatives import realise

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sim.identify.identified import Identified
+from sim.identify.identified_text import ROWS
 from sim.identify.identify import identify
-from sim.identify.report import ROWS
 from sim.population.outside import KINDS, draw_outside, excite_outside
 from sim.scene.richer import RicherModel
 

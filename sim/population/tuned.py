@@ -17,7 +17,7 @@ from sim.population.outside import KINDS, draw_outside, excite_outside
 from sim.population.virtual import draw, excite
 from sim.scene.richer import RicherModel
 from sim.tune.design import Wanted, design
-from sim.tune.knock import KnockVerdict, climb, knocked, scaled
+from sim.tune.knocking import KnockVerdict, climb, knocked, scaled
 from sim.tune.outcome import verified
 from sim.tune.predict import predict
 

@@ -1,6 +1,6 @@
 """Compiling the very functions that the nodes call.
 
-The kernels of `nodes.kernels` and `sim.device.model` are registered with numba as they are, without copies and without
+The kernels of `nodes.arithmetic` and `sim.device.model` are registered with numba as they are, without copies and without
 fastmath, so compiled and interpreted runs give the same bits. Compiled code is kept between processes in the cache of compiled
 code (nodes/compiled/cache.py), each version of a function with the digests of all sources that it was made of.
 """
@@ -19,8 +19,8 @@ from numba.core import serialize
 from numba.core.compiler import CompileResult
 from numba.extending import overload
 
+import nodes.arithmetic
 import nodes.driver.passivity
-import nodes.kernels
 import nodes.laws.pd_windowed
 import sim.device.friction
 import sim.device.model
@@ -32,15 +32,15 @@ from nodes.laws.pd_windowed import WindowedDamper
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 KERNELS: tuple[Callable[..., Any], ...] = (
-    nodes.kernels.plane_distance,
-    nodes.kernels.deflection,
-    nodes.kernels.push,
-    nodes.kernels.fir,
-    nodes.kernels.one_sided,
-    nodes.kernels.limit,
-    nodes.kernels.sections,
-    nodes.kernels.warm_up,
-    nodes.kernels.cross_fade,
+    nodes.arithmetic.plane_distance,
+    nodes.arithmetic.deflection,
+    nodes.arithmetic.push,
+    nodes.arithmetic.fir,
+    nodes.arithmetic.one_sided,
+    nodes.arithmetic.limit,
+    nodes.arithmetic.sections,
+    nodes.arithmetic.warm_up,
+    nodes.arithmetic.cross_fade,
     nodes.laws.pd_windowed.windowed_slope,
     nodes.driver.passivity.observe,
     nodes.driver.passivity.forget,

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
+from nodes.arithmetic import cross_fade, deflection, limit, one_sided, push, warm_up
 from nodes.compiled.kernels.sources import kernel
 from nodes.coupling.render import evaluate
 from nodes.driver.passivity import backlog, control, forget, observe, through
 from nodes.environment.meet import meet_plane
 from nodes.environment.state import ANCHOR, PLANE
-from nodes.kernels import cross_fade, deflection, limit, one_sided, push, warm_up
 from sim.device.friction import move
 from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate
 from sim.scene.compiled import compiled, own_force

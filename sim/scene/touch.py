@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Registers the geometry with numba.
-import nodes.environment.shapes.compiled as _registered
+import nodes.environment.shapes.compiled_geometry as _registered
 from nodes.environment.shapes import proxy
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY, ROUNDS

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from sim.tune.knock import STEP, KnockedEdge
+from sim.tune.knocking import STEP, KnockedEdge
 
 AGREES = 0.1
 """An edge so far from the predicted one is another device's: then the model tells nothing of this one's poles either."""

@@ -15,7 +15,7 @@ from sim.design.families import certificate, latest_delay
 from sim.design.landing import drops
 from sim.identify.identified import Identified
 from sim.tune.design import model
-from sim.tune.knock import KnockedEdge, Plan, knocked, planned, scaled
+from sim.tune.knocking import KnockedEdge, Plan, knocked, planned, scaled
 
 
 def plant_of(found: Identified) -> Plant:

@@ -147,7 +147,7 @@ class Tuning:
         getattr(self, f"_{step}")()
 
     def _identify(self) -> None:
-        from sim.identify.report import figures
+        from sim.identify.identified_text import figures
 
         recording, ended, found = self._identified()
         self.told["identified"] = {"recording": str(recording), "stopped": ended, **figures(found)}
@@ -159,7 +159,7 @@ class Tuning:
     def _design(self) -> None:
         from sim.design.landing import drops
         from sim.identify.identified import refusal
-        from sim.identify.report import from_figures
+        from sim.identify.identified_text import from_figures
         from sim.tune.design import Wanted, design, to_record
 
         chosen = self._options
@@ -212,7 +212,7 @@ class Tuning:
 
     def _predict(self) -> None:
         from nodes.laws import CompiledLaw
-        from sim.identify.report import from_figures
+        from sim.identify.identified_text import from_figures
         from sim.tune.design import from_record
         from sim.tune.outcome import compared
         from sim.tune.predict import predict
@@ -233,8 +233,8 @@ class Tuning:
 
     def _verify(self) -> None:
         from sim.identify.borrowed import borrowed, carried
-        from sim.tune.knock import KnockedEdge, Plan
-        from sim.tune.live import Trials
+        from sim.tune.knocking import KnockedEdge, Plan
+        from sim.tune.live_trial import Trials
         from sim.tune.outcome import verified
 
         loop = self._running()
@@ -282,7 +282,7 @@ class Tuning:
     def write(self) -> None:
         """Write what is known."""
         from sim.tune.outcome import headline
-        from sim.tune.page import page
+        from sim.tune.tuning_page import page
 
         self.files = {name: file for name, file in self.files.items() if name in ("html", "json")}
         for path in (self._tuned, self._designed):

@@ -8,8 +8,8 @@ from array import array
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from nodes.arithmetic import fir, push, sections
 from nodes.coupling.law_on_axis import History, LawOnAxis
-from nodes.kernels import fir, push, sections
 from nodes.laws.derivatives import realise
 from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from nodes.kernels import deflection, fir, limit, one_sided, plane_distance, push, sections
+from nodes.arithmetic import deflection, fir, limit, one_sided, plane_distance, push, sections
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel, Hand

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from nodes.cli.main import main
 from sim import results
 from sim.axes import legend_below, name_points, plain_log
-from sim.chart.page import draw
+from sim.chart.chart_page import draw
 from sim.chart.points import Group, Point, with_front
 from sim.cli.drill import table
 from sim.drill.drill import DrillOutcome

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from nodes.base.kinds import NODES
+from nodes.base.node_kinds import NODES
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.mailbox import MailboxDevice
 from sim.stand_ins import inverse_service

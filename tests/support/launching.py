@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sim.measure.launches import DEADLINE, HAPTIC, Running, haptic, left_behind, processes_of, wait_for
+from sim.measure.measured_launch import DEADLINE, HAPTIC, Running, haptic, left_behind, processes_of, wait_for
 
 __all__ = [
     "DEADLINE",

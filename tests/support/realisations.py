@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from nodes.kernels import fir, push, sections
+from nodes.arithmetic import fir, push, sections
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import derivative_kinds
 from sim.chart.derivative_errors import response

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT, status
 from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Receipt
-from nodes.kernels import deflection, one_sided, plane_distance
+from nodes.arithmetic import deflection, one_sided, plane_distance
 from sim.device.model import advance, coefficients
 
 PERIOD = 0.002

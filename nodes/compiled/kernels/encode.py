@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from messages.types import Message
-from nodes.compiled.fields import FLAG, REAL, VECTOR, WHOLE, fields_of
 from nodes.compiled.kernels.machine import compilable, copy16, put_be16, put_be32, put_be64, put_byte, put_real
+from nodes.compiled.message_fields import FLAG, REAL, VECTOR, WHOLE, fields_of
 
 
 @compilable

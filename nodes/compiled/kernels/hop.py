@@ -92,7 +92,7 @@ def flush(s: Any) -> None:
 
 
 @compilable
-def hold(s: Any, size: int) -> bool:
+def keep(s: Any, size: int) -> bool:
     """Keep the message written at `out_at` for the listeners; whether so many are kept that they should be sent."""
     if s.aside == 0:
         return False
@@ -105,7 +105,7 @@ def hold(s: Any, size: int) -> bool:
 def answer(s: Any, at: int, size: int) -> None:
     """Send a message to the next hop, then to the listeners."""
     send_hop(s, at, size)
-    if hold(s, size):
+    if keep(s, size):
         # Under FIFO the I/O thread, no more urgent than this one, still has the message for the hop.
         call_yield(s.sched_yield, (0,))
         flush(s)

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from messages.types import Message
-from nodes.compiled.fields import FLAG, REAL, TEXT, VECTOR, WHOLE, Field, fields_of
 from nodes.compiled.kernels.machine import be16, be32, be64, byte, compilable, real32, real64
 from nodes.compiled.layout import TEXTS
+from nodes.compiled.message_fields import FLAG, REAL, TEXT, VECTOR, WHOLE, Field, fields_of
 
 MOST_SKIPPED = 32
 """Arrays and maps under unknown keys that are skipped; deeper ones may be refused for their depth."""

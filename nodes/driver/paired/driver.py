@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import msgspec
 
 from messages.types import Vector
-from nodes.base.kinds import load, node_kinds
+from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Setup
 from nodes.driver.device import Device, DeviceLimits, Workspace
 from nodes.driver.node import Driver

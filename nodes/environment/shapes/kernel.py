@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 # Registers the geometry with numba.
-import nodes.environment.shapes.compiled as _registered
+import nodes.environment.shapes.compiled_geometry as _registered
 from nodes.compiled.kernels.sources import kernel
 from nodes.environment.kernel import make_ticks
 from nodes.environment.meet import meet

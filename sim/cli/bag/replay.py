@@ -138,8 +138,8 @@ def _modelled(found: Any, recording: Path) -> DeviceModel:
 
     from sim.device.model import DeviceModel
     from sim.identify.experiment import read
+    from sim.identify.identified_text import device_parameters
     from sim.identify.identify import initial_state
-    from sim.identify.report import device_parameters
 
     position, velocity = initial_state(read(recording, found.axis), found)
     load = 0.0 if found.load.value is None or found.held else found.load.value

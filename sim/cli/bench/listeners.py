@@ -14,7 +14,7 @@ from nodes.cli.main import add_json, answer
 from nodes.cli.quantities import declare
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
-from sim.measure.launches import HAPTIC, Running, machine, wait_for
+from sim.measure.measured_launch import HAPTIC, Running, machine, wait_for
 from sim.measure.stopwatch import Progress
 
 LISTENERS = 4

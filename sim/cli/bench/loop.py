@@ -12,10 +12,10 @@ from typing import Any
 from nodes.base.realtime import awake, quietest_processor
 from nodes.base.setup import Tick
 from nodes.cli.main import add_json, answer
-from nodes.compiled.choose import choose
+from nodes.compiled.choose_tick import choose
 from nodes.launcher.launch_spec import AWAKE_RATE
 from sim.measure.bare import BARE, bare_loop, c_loop
-from sim.measure.launches import fifo_granted, launch, machine
+from sim.measure.measured_launch import fifo_granted, launch, machine
 from sim.measure.stopwatch import Progress
 
 RATES = (500, 4000, 8000)

@@ -7,7 +7,7 @@ import statistics
 from typing import Any
 
 from nodes.cli.main import add_json, answer
-from sim.measure.launches import launch, machine
+from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress
 
 WITH, WITHOUT = "with", "without"

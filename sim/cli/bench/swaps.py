@@ -21,7 +21,7 @@ from nodes.cli.main import add_json, answer
 from nodes.cli.quantities import declare
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
-from sim.measure.launches import Running, machine
+from sim.measure.measured_launch import Running, machine
 
 LAWS = ("pd", "pd_alpha", "multi_term")
 SETTLED = 2500

@@ -24,7 +24,7 @@ from nodes.cli.main import add_json, answer
 from nodes.cli.quantities import declare
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
-from sim.measure.launches import HAPTIC, Running, machine
+from sim.measure.measured_launch import HAPTIC, Running, machine
 from sim.measure.page_pictures import take
 from sim.measure.stopwatch import Progress
 

@@ -37,15 +37,15 @@ def run(arguments: argparse.Namespace) -> int:
     for part in parts:
         if part not in PARTS:
             raise UsageError(f"--parts {part}: there is none of that name; choose from {', '.join(PARTS)}")
+    from sim.chart.chart_page import conclusions, draw, page
     from sim.chart.derivatives import derivative_groups, derivative_steps
     from sim.chart.equal_demand import demand_groups, demand_steps
     from sim.chart.integrators import integrator_groups, integrator_steps
-    from sim.chart.k_max import kmax_groups, kmax_steps
-    from sim.chart.page import conclusions, draw, page
+    from sim.chart.k_max_ways import kmax_groups, kmax_steps
     from sim.chart.points import Group, as_json, keep, kept, save, with_front
-    from sim.chart.proxies import proxy_groups, proxy_steps
+    from sim.chart.proxies_panel import proxy_groups, proxy_steps
     from sim.chart.rates import rate_groups, rate_steps
-    from sim.measure.launches import MeasurementError
+    from sim.measure.measured_launch import MeasurementError
     from sim.measure.stopwatch import Progress, machine
 
     makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {

@@ -35,7 +35,7 @@ from sim.design.families import (
 from sim.design.landing import best_pd_windowed, drops
 from sim.design.passive import Passive, stiffest_passive
 from sim.design.recorded_loop import Measured
-from sim.design.replay import replayed_radius
+from sim.design.replay_delays import replayed_radius
 from sim.experiments.terms import RESOLUTION
 from sim.results import fresh
 

@@ -88,7 +88,7 @@ def _of_shapes(
     from nodes.environment.surfaces import parse_surface
     from nodes.recording.reader import Recording
     from sim.experiments.detail import detail
-    from sim.measure.launches import launch as run_launch
+    from sim.measure.measured_launch import launch as run_launch
     from sim.measure.stopwatch import Progress
 
     name, given = next((name, one.parameters) for name, one in launch.nodes.items() if one.kind == "environment")

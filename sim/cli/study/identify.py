@@ -25,8 +25,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Identify."""
     from sim.identify.experiment import read
+    from sim.identify.identified_text import figures, text
     from sim.identify.identify import identify
-    from sim.identify.report import figures, text
 
     if not 20 <= arguments.window <= 5000:
         raise UsageError(f"--window {arguments.window}: between 20 and 5000 ticks")

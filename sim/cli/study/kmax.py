@@ -107,7 +107,7 @@ def _lockstep(arguments: argparse.Namespace, gain: float | None, device: Plant) 
 
     from sim.experiments.drop import Criterion
     from sim.experiments.k_max_launched import same_k_max
-    from sim.measure.launches import MeasurementError
+    from sim.measure.measured_launch import MeasurementError
     from sim.measure.stopwatch import Progress
 
     if arguments.grid < 2:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from sim.api.catalogue import laws, scenarios
     from sim.api.laws import law
     from sim.api.loops import drop, k_max, play, poles
+    from sim.api.python_runs import LaunchError, Run, connect, launch
     from sim.api.recordings import plot, read
-    from sim.api.runs import LaunchError, Run, connect, launch
     from sim.api.verbs import design, identify, tune
 
 __all__ = [
@@ -44,16 +44,16 @@ __all__ = [
 
 _HOME = {
     "HapticError": "messages.errors",
-    "LaunchError": "sim.api.runs",
+    "LaunchError": "sim.api.python_runs",
     "LawRefusedError": "nodes.laws.parse",
     "Plant": "nodes.stability.plant",
-    "Run": "sim.api.runs",
-    "connect": "sim.api.runs",
+    "Run": "sim.api.python_runs",
+    "connect": "sim.api.python_runs",
     "design": "sim.api.verbs",
     "drop": "sim.api.loops",
     "identify": "sim.api.verbs",
     "k_max": "sim.api.loops",
-    "launch": "sim.api.runs",
+    "launch": "sim.api.python_runs",
     "law": "sim.api.laws",
     "laws": "sim.api.catalogue",
     "play": "sim.api.loops",

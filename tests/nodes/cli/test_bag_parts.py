@@ -12,7 +12,7 @@ import pytest
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli.main import main
 from nodes.recording.reader import Recording
-from sim.measure.launches import beside
+from sim.measure.measured_launch import beside
 from tests.support.launching import Running, launch_json, running, wait_for
 
 

@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 
 from nodes.compiled import build, cache
-from nodes.compiled.choose import choose
-from nodes.compiled.fields import NotCompilableError
+from nodes.compiled.choose_tick import choose
 from nodes.compiled.library import obtain
+from nodes.compiled.message_fields import NotCompilableError
 
 TINY = "tests.support.tiny_kernel"
-SOURCES = {"nodes/kernels.py": cache.digest_of(cache.ROOT / "nodes" / "kernels.py")}
+SOURCES = {"nodes/arithmetic.py": cache.digest_of(cache.ROOT / "nodes" / "kernels.py")}
 ENTRY = cache.CacheEntry(kind="o", content=b"machine code")
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file to another user")
 
@@ -147,7 +147,7 @@ def test_what_runs_is_what_was_checked(kept: Path) -> None:
 def test_other_sources_make_other_code(place: Path, tmp_path: Path) -> None:
     cache.write("kernel.tick", ENTRY, SOURCES)
     assert cache.read("kernel.tick") == ENTRY
-    cache.write("kernel.tick", ENTRY, {"nodes/kernels.py": "0" * 64})
+    cache.write("kernel.tick", ENTRY, {"nodes/arithmetic.py": "0" * 64})
     assert cache.read("kernel.tick") is None
     cache.write("kernel.tick", ENTRY, {"nodes/gone.py": "0" * 64})
     assert cache.read("kernel.tick") is None
@@ -157,7 +157,7 @@ def test_other_sources_make_other_code(place: Path, tmp_path: Path) -> None:
     ("module", "needs"),
     [
         ("sim.population.virtual", "nodes/laws/excitation.py"),
-        ("sim.scene.tick_loop", "nodes/kernels.py"),
+        ("sim.scene.tick_loop", "nodes/arithmetic.py"),
         ("sim.experiments.drop", "sim/scene/tick_loop.py"),
         ("nodes.coupling.kernel", "messages/types.py"),
         (TINY, "tests/support/tiny_kernel.py"),
@@ -187,7 +187,7 @@ class Evil:
 SCENE = """
 import numba
 from sim.scene.compiled import compiled
-from nodes.kernels import fir
+from nodes.arithmetic import fir
 print(compiled()(fir)((2.0, 1.0), (1.0, 3.0), 0))
 """
 
@@ -200,7 +200,7 @@ def scene(folder: Path) -> subprocess.CompletedProcess[str]:
 def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: Path) -> None:
     first = scene(tmp_path)
     assert first.stdout == "5.0\n", first.stderr
-    (entry,) = place.glob("nodes.kernels.*.numba")
+    (entry,) = place.glob("nodes.arithmetic.*.numba")
     # Somebody who cannot know what to write before it, and somebody else's file that is as it should be.
     entry.write_bytes(pickle.dumps(Evil()))
     assert scene(tmp_path).stdout == "5.0\n"
@@ -280,7 +280,7 @@ def test_in_a_folder_that_cannot_be_written_to_one_line_says_so(tmp_path: Path) 
         if setpriv is None:
             pytest.skip("root writes anywhere, and there is no setpriv")
         without = [setpriv, "--bounding-set=-dac_override,-dac_read_search"]
-    program = f"from nodes.compiled.choose import choose; print(choose('compiled', ['{TINY}'], print))"
+    program = f"from nodes.compiled.choose_tick import choose; print(choose('compiled', ['{TINY}'], print))"
     done = subprocess.run(
         [*without, sys.executable, "-c", program],
         cwd=cache.ROOT,

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from nodes.compiled.build import find
-from nodes.compiled.choose import choose, compile_later
-from nodes.compiled.fields import NotCompilableError
+from nodes.compiled.choose_tick import choose, compile_later
 from nodes.compiled.library import functions, library_of_pyzmq, obtain
+from nodes.compiled.message_fields import NotCompilableError
 from tests.support.launching import running, wait_for
 
 TINY = "tests.support.tiny_kernel"

@@ -15,9 +15,9 @@ from messages import topics
 from messages.codec import MAX_PAYLOAD, Decoder, encode
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import Force, Proxy
-from nodes.compiled.choose import choose
+from nodes.compiled.choose_tick import choose
 from nodes.coupling.node import Coupling
-from sim.measure.launches import wait_for
+from sim.measure.measured_launch import wait_for
 from tests.support.setups import setup_of
 
 # One of taps alone, one with a recursive section, which sees what is bridged too.

@@ -14,14 +14,14 @@ from messages.codec import Decoder, encode
 from messages.transport.sockets import Publisher, Subscription, new_context
 from messages.types import MAX_COUNT, DeviceState, Message, NodeStatus, Proxy, Vector
 from nodes.base.node import Node
-from nodes.compiled.choose import choose
+from nodes.compiled.choose_tick import choose
 from nodes.coupling.node import Coupling
 from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
 from nodes.environment.node import Environment
 from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.surfaces import Meeting, Plane
-from sim.measure.launches import wait_for
+from sim.measure.measured_launch import wait_for
 from tests.support import ROOT
 from tests.support.scripted import Arrival, HandInC, Script, ScriptedSimulation, assert_alike, at
 from tests.support.scripted import played as scripted

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from messages.codec import MAX_PAYLOAD, encode
 from messages.types import MAX_COUNT, Force, Message
-from nodes.compiled.choose import choose
+from nodes.compiled.choose_tick import choose
 from nodes.coupling.node import Coupling
 from nodes.driver.node import Driver
 from nodes.environment.node import Environment

@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 
 from messages.codec import Decoder, MessageRefusedError, encode
 from messages.types import MAX_COUNT, DeviceState, Force, Message, Proxy
-from nodes.compiled.fields import FLAG, TEXT, VECTOR, WHOLE, NotCompilableError, fields_of, key_blocks
 from nodes.compiled.kernels.encode import make_encode
 from nodes.compiled.kernels.scan import make_scan
+from nodes.compiled.message_fields import FLAG, TEXT, VECTOR, WHOLE, NotCompilableError, fields_of, key_blocks
 
 TYPES = (DeviceState, Proxy, Force)
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from messages import topics
 from messages.codec import Decoder, encode
 from messages.types import MAX_COUNT, DeviceState, Force
-from nodes.compiled.choose import choose
+from nodes.compiled.choose_tick import choose
 from nodes.coupling.node import Coupling
 from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages.types import Proxy
-from nodes import kernels
+from nodes import arithmetic
 from nodes.coupling.law_on_axis import UNROLLED_TAPS, History, LawOnAxis, shares_of, sum_of_taps, weighted_taps
 from nodes.coupling.node import Coupling
 from nodes.coupling.renderer import ActiveLaw, Renderer
@@ -55,7 +55,7 @@ def test_taps_written_out_and_added_by_numpy_have_the_bits_of_the_kernel(
 ) -> None:
     history = filled(values, 80)
     found = sum_of_taps(tuple(taps), history)(history.head)
-    expected = kernels.fir(taps, history.values, history.head)
+    expected = arithmetic.fir(taps, history.values, history.head)
     assert found.hex() == expected.hex()
 
 
@@ -69,7 +69,7 @@ def test_long_laws_have_the_bits_of_the_kernel_and_no_minus_zero(count: int) -> 
     assert render(history.head).hex() == (0.0).hex()
     for value in deflections(2100, 3):
         history.push(value)
-    assert render(history.head).hex() == kernels.fir(taps, history.values, history.head).hex()
+    assert render(history.head).hex() == arithmetic.fir(taps, history.values, history.head).hex()
 
 
 def test_a_law_longer_than_the_history_is_refused_at_the_edge() -> None:
@@ -217,7 +217,7 @@ def test_a_fade_is_the_kernels_and_ends_after_its_ramp() -> None:
     assert step == pytest.approx(2.0, rel=1e-15)
     forces = [renderer.render(proxy_at(depth))[2] for _ in range(6)]
     old, new = 1000.0 * 0.001, 3000.0 * 0.001
-    assert forces[:4] == [kernels.cross_fade(old, new, done, 4) for done in range(4)]
+    assert forces[:4] == [arithmetic.cross_fade(old, new, done, 4) for done in range(4)]
     assert forces[3:] == [new] * 3
 
 
@@ -249,8 +249,8 @@ def test_laws_of_taps_are_joined_exactly(counts: tuple[int, ...]) -> None:
         (tuple(deflections(count, 7 + count)), weight) for count, weight in zip(counts, (0.5, 0.2, 0.3), strict=True)
     ]
     history = filled(deflections(100), 80)
-    joined = kernels.fir(weighted_taps(laws), history.values, history.head)
-    apart = sum(weight * kernels.fir(taps, history.values, history.head) for taps, weight in laws)
+    joined = arithmetic.fir(weighted_taps(laws), history.values, history.head)
+    apart = sum(weight * arithmetic.fir(taps, history.values, history.head) for taps, weight in laws)
     # Sums of 100 products of size 1e-6 in another order.
     assert joined == pytest.approx(apart, abs=100 * 1e-6 * 2**-52)
 

@@ -14,7 +14,7 @@ import msgspec
 import pytest
 
 from messages.types import Vector
-from nodes.base.kinds import NODES
+from nodes.base.node_kinds import NODES
 from nodes.driver.device import Device
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.node import Driver

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from messages.transport.requests import ControlError
-from nodes.compiled.choose import choose
+from nodes.compiled.choose_tick import choose
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
 from nodes.recording.reader import Recording

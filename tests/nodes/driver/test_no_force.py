@@ -10,7 +10,7 @@ import pytest
 from messages.types import DeviceState
 from nodes.driver.no_force import why_no_force
 from nodes.driver.state import ACTIVE, FAULT, IDLE, STOPPED, DriverState
-from nodes.view.words import explain
+from nodes.view.why_force import explain
 from tests.nodes.driver.test_touch import needs_cc
 from tests.sim.test_stand_ins import SOFT, through
 from tests.support.devices import bench

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal, special
 
-from nodes import kernels
+from nodes import arithmetic
 from nodes.laws import CompiledLaw, Law, law_kinds
 from nodes.laws.fields import MAX_TAPS
 from nodes.laws.parse import LawRefusedError, compile_law, law_to_dict, parse_law
@@ -55,10 +55,10 @@ def forces(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.flo
     flat = [c for section in law.sections for c in section]
     out, previous = [], 0.0
     for x in deflections.tolist():
-        head = kernels.push(history, head, length, x)
-        force = kernels.fir(law.taps, history, head)
+        head = arithmetic.push(history, head, length, x)
+        force = arithmetic.fir(law.taps, history, head)
         if state:
-            force += kernels.sections(flat, state, x, previous)
+            force += arithmetic.sections(flat, state, x, previous)
         out.append(force)
         previous = x
     return np.array(out)
@@ -154,7 +154,7 @@ def test_swap_at_rest_between_equal_h1_steps_by_rounding_only(case: dict[str, An
     spring = compile_law(parse_law({"kind": "fir", "taps": [law.h1]}), T)
     length = max(len(law.taps), 1)
     history, head = [1e-3] * (2 * length), 0
-    step = kernels.fir(law.taps, history, head) - kernels.fir(spring.taps, history, head)
+    step = arithmetic.fir(law.taps, history, head) - arithmetic.fir(spring.taps, history, head)
     assert abs(step) <= 64 * 2.0**-52 * 1e-3 * size(law)
 
 
@@ -343,9 +343,9 @@ def test_a_swap_over_the_shared_history_has_no_start_up(first: dict[str, Any], s
     length = max(len(a.taps), len(b.taps))
     history, head = [0.0] * (2 * length), 0
     for k, value in enumerate(x.tolist()):
-        head = kernels.push(history, head, length, value)
+        head = arithmetic.push(history, head, length, value)
         if k >= at:
             fresh, start = [0.0] * (2 * length), 0
             for older in x[: k + 1].tolist():
-                start = kernels.push(fresh, start, length, older)
-            assert kernels.fir(b.taps, history, head) == kernels.fir(b.taps, fresh, start)
+                start = arithmetic.push(fresh, start, length, older)
+            assert arithmetic.fir(b.taps, history, head) == arithmetic.fir(b.taps, fresh, start)

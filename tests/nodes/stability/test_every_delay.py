@@ -15,7 +15,7 @@ from nodes.stability.every_delay import _Ticks, every_delay
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from sim.design.replay import replayed_radius
+from sim.design.replay_delays import replayed_radius
 
 T, M, B = 0.002, 0.1, 1.0
 

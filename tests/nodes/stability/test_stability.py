@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
 
-from nodes import kernels
+from nodes import arithmetic
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import realise
 from nodes.laws.parse import parse_law
@@ -40,9 +40,9 @@ def one_tick_map(
         x, v = basis[0], basis[1]
         history, head = [0.0] * (2 * n), 0
         for older in basis[2 : 1 + n][::-1]:
-            head = kernels.push(history, head, n, float(older))
-        head = kernels.push(history, head, n, -x)
-        forces = [kernels.fir(law.taps, history, head), *basis[1 + n :]]
+            head = arithmetic.push(history, head, n, float(older))
+        head = arithmetic.push(history, head, n, -x)
+        forces = [arithmetic.fir(law.taps, history, head), *basis[1 + n :]]
         kept = [history[head + m] for m in range(n - 1)]
         for force, duration in ((forces[whole + 1], fraction * period), (forces[whole], (1.0 - fraction) * period)):
             if duration > 0.0:

@@ -10,7 +10,7 @@ import pytest
 
 from messages.types import DeviceState, Force, Proxy
 from nodes.view.ringing import Ringing
-from nodes.view.words import explain, told_stop
+from nodes.view.why_force import explain, told_stop
 
 STATE = DeviceState(seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8)
 PROXY = Proxy(

@@ -24,7 +24,7 @@ from sim.chart.derivative_errors import analyse
 from sim.chart.derivatives import largest_stable, with_stiffness
 from sim.chart.equal_demand import NYQUIST, RADII, keeps, laws, tuned
 from sim.chart.integrators import DAMPING, MASS, PERIOD, drop, integrators, reference, spring_limit
-from sim.chart.k_max import light, poles, simulated
+from sim.chart.k_max_ways import light, poles, simulated
 from sim.chart.points import Group, Point, on_front, save, with_front
 from sim.chart.rates import GAIN, calms_down, continuous, force_error, launch
 from sim.design.demand import Demand
@@ -360,7 +360,7 @@ def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("sim.chart.integrators.integrator_groups", integrator_groups)
-    monkeypatch.setattr("sim.chart.k_max.kmax_groups", stopped)
+    monkeypatch.setattr("sim.chart.k_max_ways.kmax_groups", stopped)
     words = ["study", "chart", "--parts", "integrators,kmax", "--quick", "--out", str(tmp_path), "--json"]
     assert main(words) == 1
     told = json.loads(capsys.readouterr().out.splitlines()[-1])

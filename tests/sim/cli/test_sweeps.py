@@ -24,7 +24,7 @@ from sim.population.outside_study import summary_outside
 from sim.population.tuned import summary, true_edge, true_radius
 from sim.population.virtual import draw
 from sim.scene.richer import RicherModel
-from sim.tune.knock import scaled
+from sim.tune.knocking import scaled
 
 T = 0.002
 

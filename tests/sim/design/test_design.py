@@ -41,7 +41,7 @@ from sim.design.families import (
 from sim.design.landing import MARGIN, drops, landings
 from sim.design.passive import certain_damping, stiffest_passive
 from sim.design.recorded_loop import measure
-from sim.design.replay import replayed_radius
+from sim.design.replay_delays import replayed_radius
 from sim.design.robust import stiffest
 from sim.experiments.drop import Criterion, settles
 

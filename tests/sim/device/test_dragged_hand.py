@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from messages.topics import DEVICE_STATE
-from nodes.compiled.choose import Wanted, choose
+from nodes.compiled.choose_tick import Wanted, choose
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.view.pointer import PointerParameters, PointerReader, PointerWriter, pointer_file

@@ -24,7 +24,7 @@ from sim.drill import devices, drill, people
 from sim.drill.faults import faults
 from sim.drill.soak import soak
 from sim.drill.witness import UNEXPLAINED, largest
-from sim.measure.launches import within
+from sim.measure.measured_launch import within
 from sim.measure.rig import Rig
 from tests.support.devices import real_devices
 from tests.support.launching import HAPTIC, haptic, wait_for

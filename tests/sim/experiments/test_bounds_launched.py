@@ -23,7 +23,7 @@ from sim.chart.derivatives import with_stiffness as with_gain
 from sim.chart.equal_demand import tuned
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped
-from sim.design.replay import replayed_radius
+from sim.design.replay_delays import replayed_radius
 from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
 from sim.experiments.k_max_launched import NO_LIMITS, launched, settles_launched

@@ -17,8 +17,8 @@ from sim.device.state import VirtualDevice
 from sim.identify.encoder import encoder
 from sim.identify.experiment import Experiment, lockstep
 from sim.identify.identified import Estimate
+from sim.identify.identified_motion import window
 from sim.identify.identify import identify
-from sim.identify.motion import window
 from sim.population.virtual import draw, excite
 from tests.support.launching import haptic, launch_json
 

@@ -12,8 +12,8 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import flexible_radius
 from sim.device.model import DeviceModel
 from sim.identify.identified import Estimate, Identified, refusal
+from sim.identify.identified_text import figures, from_figures, text
 from sim.identify.identify import identify
-from sim.identify.report import figures, from_figures, text
 from sim.population.outside import excite_outside
 from sim.scene.richer import RicherModel
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
-from nodes.compiled.choose import choose
+from nodes.compiled.choose_tick import choose
 from nodes.launcher import launch_file
 from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording

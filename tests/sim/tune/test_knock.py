@@ -15,7 +15,7 @@ from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
-from sim.tune.knock import (
+from sim.tune.knocking import (
     BEYOND,
     DEEPEST,
     DYING,

@@ -17,8 +17,8 @@ from nodes.driver.limits import SafetyParameters
 from nodes.recording.reader import Recording
 from sim.drill.faults import SteppedClock
 from sim.drill.faulty_device import LATE, SCALE
-from sim.tune.knock import STRIDE, factor_of
-from sim.tune.live import STOPPED
+from sim.tune.knocking import STRIDE, factor_of
+from sim.tune.live_trial import STOPPED
 from tests.support.launching import running, wait_for
 
 T = 0.002

@@ -17,11 +17,11 @@ from nodes.parameters.yaml_io import read_yaml
 from sim.design.demand import CONVENTIONS
 from sim.design.landing import drops
 from sim.device.model import DeviceModel
+from sim.identify.identified_text import figures, from_figures
 from sim.identify.identify import identify
-from sim.identify.report import figures, from_figures
 from sim.population.virtual import excite
 from sim.tune.design import Wanted, demand, design, from_record, model, to_record
-from sim.tune.knock import STEP
+from sim.tune.knocking import STEP
 from sim.tune.outcome import AGREES
 from tests.support.launching import (
     HAPTIC,

@@ -6,19 +6,19 @@ from types import SimpleNamespace
 
 import pytest
 
-from nodes.base import standstill
+from nodes.base import hang_watchdog
 
 
 def test_what_begins_has_not_stood_however_long_the_wait_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """A driver that waited long for its start was once taken to hang in its first ticks."""
     clock = [0.0]
-    monkeypatch.setattr(standstill, "time", SimpleNamespace(monotonic=lambda: clock[0]))
-    watched = standstill.Standstill()
+    monkeypatch.setattr(hang_watchdog, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    watched = hang_watchdog.HangWatchdog()
     for clock[0] in (0.5, 1.0, 1.5, 20.0):
         stood = watched.look("waits for the start")
     # A look after 18.5 s counts as two at most: the thread that looks was held up itself.
-    assert stood == pytest.approx(0.5 + 0.5 + 2.0 * standstill.LOOK)
-    clock[0] += 0.5 * standstill.LOOK
+    assert stood == pytest.approx(0.5 + 0.5 + 2.0 * hang_watchdog.LOOK)
+    clock[0] += 0.5 * hang_watchdog.LOOK
     assert watched.look("a tick") == 0.0
     clock[0] += 0.5
     assert watched.look("a tick") == pytest.approx(0.5)

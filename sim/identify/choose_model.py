@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.identify.experiment import Experiment
-from sim.identify.judge import IMPROBABLE, SURE, Evidence, left, scan, unsteady, whiteness
-from sim.identify.motion import FREQUENCY, LAG, LOSS, QUADRATIC, SHARE
+from sim.identify.identified_motion import FREQUENCY, LAG, LOSS, QUADRATIC, SHARE
+from sim.identify.judge_fit import IMPROBABLE, SURE, Evidence, left, scan, unsteady, whiteness
 from sim.identify.output_error import Fit, fit
 from sim.identify.suspects import describe
 

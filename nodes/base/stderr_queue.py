@@ -1,4 +1,4 @@
-"""Words to standard error that nobody waits for.
+"""A queue to standard error that nobody waits for.
 
 A reader may pause (a pager, Ctrl-S, a stalled ssh) or go away, and then a write to standard error blocks or fails. Neither may
 reach a loop that holds a force, nor the launcher that ends it. So lines go into a bounded queue, and a thread of its own writes
@@ -31,7 +31,7 @@ PATIENCE = 0.5
 STDERR = 2
 
 
-class Words(io.TextIOBase):
+class StderrQueue(io.TextIOBase):
     """A text stream that never blocks and never fails; it may stand in for ``sys.stderr``.
 
     Parameters
@@ -117,9 +117,9 @@ class Words(io.TextIOBase):
                 return
 
 
-def instead_of_stderr(aside: Callable[[], None] = lambda: None, stdout_too: bool = False) -> Words:
+def instead_of_stderr(aside: Callable[[], None] = lambda: None, stdout_too: bool = False) -> StderrQueue:
     """Let everything that this process prints to standard error go through a queue, tracebacks and warnings included."""
-    words = Words(aside=aside)
+    words = StderrQueue(aside=aside)
     sys.stderr = words
     # A traceback comes after everything else that an end could wait for.
     atexit.register(words.drain)
@@ -130,5 +130,5 @@ def instead_of_stderr(aside: Callable[[], None] = lambda: None, stdout_too: bool
 
 def last_words(patience: float = PATIENCE) -> None:
     """Wait for what was printed, at the end of a process, but not for a reader that does not read."""
-    if isinstance(sys.stderr, Words):
+    if isinstance(sys.stderr, StderrQueue):
         sys.stderr.drain(patience)

@@ -26,7 +26,7 @@ from messages import topics
 from messages.errors import HapticError
 from messages.transport.requests import ControlError, call
 from messages.transport.sockets import new_context
-from nodes.base.kinds import load
+from nodes.base.node_kinds import load
 from nodes.base.realtime import die_with_parent
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs

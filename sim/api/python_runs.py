@@ -26,9 +26,9 @@ from nodes.client import launches
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive, runs
 from sim.api.controls import Laws, Parameters
+from sim.api.notebook_results import Result
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, read
-from sim.api.results import Result
 from sim.api.values import plain
 
 HAPTIC = (*PYTHON, "-m", "nodes.cli.main")

@@ -8,9 +8,9 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sim.identify.report import ROWS
-from sim.tune.knock import LEFT
-from sim.tune.words import SECTIONS, Row, number
+from sim.identify.identified_text import ROWS
+from sim.tune.knocking import LEFT
+from sim.tune.tuning_text import SECTIONS, Row, number
 
 STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem;color-scheme:light dark}"

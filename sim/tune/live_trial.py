@@ -18,7 +18,7 @@ from messages.errors import RefusedError
 from nodes.client.launches import ask
 from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, Borrowed, PushedLaunch
 from sim.identify.interrupts import undisturbed
-from sim.tune.knock import LONGEST, WINDOW, Array, KnockedEdge, KnockVerdict, Plan, climb, factor_of, judge, law_of
+from sim.tune.knocking import LONGEST, WINDOW, Array, KnockedEdge, KnockVerdict, Plan, climb, factor_of, judge, law_of
 
 AGAIN = 10
 """How often one stiffness is tried when the machine stalls."""
@@ -83,7 +83,7 @@ class Trials:
         loop = self._loop
         self._near = plan.near
         try:
-            self.hold()
+            self.hold_softly()
             found = climb(plan, self._verdict, steps)
             if not math.isfinite(self._stirs):
                 raise RefusedError(f"{loop.driver}: {UNMOVED}")
@@ -99,7 +99,7 @@ class Trials:
         except RefusedError as error:
             self._held.not_put_back = str(error)
 
-    def hold(self) -> None:
+    def hold_softly(self) -> None:
         """Hold the device softly where it is."""
         loop = self._loop
         loop.soften(self._load)
@@ -164,7 +164,7 @@ class Trials:
         """Let the driver take forces again, when the soft spring holds the device where it came to lie."""
         loop = self._loop
         self._say(why)
-        self.hold()
+        self.hold_softly()
         try:
             loop.rearm(self._rearm)
         except RefusedError as error:

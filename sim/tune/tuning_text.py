@@ -86,8 +86,8 @@ def text(told: Mapping[str, Any], files: Mapping[str, str]) -> str:
     """Tell the outcome on a terminal."""
     lines = [told["headline"]]
     if "identified" in told:
-        from sim.identify.report import from_figures
-        from sim.identify.report import text as device
+        from sim.identify.identified_text import from_figures
+        from sim.identify.identified_text import text as device
 
         lines += [device(from_figures(told["identified"])), f"  the push ended: {told['identified']['stopped']}"]
     for title, key, rows in SECTIONS:

@@ -8,7 +8,7 @@ from typing import Final, Literal, TypeAlias
 
 from nodes.compiled.build import build, build_in_background, find, reason
 from nodes.compiled.cache import CacheRefusedError
-from nodes.compiled.fields import NotCompilableError
+from nodes.compiled.message_fields import NotCompilableError
 
 Wanted: TypeAlias = Literal["auto", "compiled", "plain"]
 

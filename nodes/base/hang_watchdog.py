@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from messages import topics
-from nodes.base.report import write_report
-from nodes.base.words import last_words
+from nodes.base.status_report import write_report
+from nodes.base.stderr_queue import last_words
 
 if TYPE_CHECKING:
     from nodes.base.node import Node
@@ -80,7 +80,7 @@ def held_in(setup: Setup) -> str:
     return f"{3600 * int(hours) + 60 * int(minutes) + float(seconds):g} s: {places[0].strip()}"
 
 
-class Standstill:
+class HangWatchdog:
     """How long nothing has changed."""
 
     def __init__(self) -> None:

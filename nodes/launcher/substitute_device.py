@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from nodes.base.kinds import load, node_kinds
 from nodes.base.node import Node
+from nodes.base.node_kinds import load, node_kinds
 from nodes.launcher.launch_spec import Argument, NodeSpec
 from nodes.parameters.store import ParameterError, merge
 
@@ -26,17 +26,17 @@ def offered(nodes: Mapping[str, Any]) -> dict[str, Argument]:
     for node in nodes.values():
         # A kind that is not installed, or does not import, is refused when the launch is read.
         with contextlib.suppress(ParameterError, AttributeError, KeyError):
-            if load(kinds[node["kind"]]).stand_in.__func__ is not Node.stand_in.__func__:  # type: ignore[attr-defined]
+            if load(kinds[node["kind"]]).substitute_device.__func__ is not Node.substitute_device.__func__:  # type: ignore[attr-defined]
                 return {DEVICE: ARGUMENT}
     return {}
 
 
-def stand_in(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict[str, NodeSpec]:
+def substituted(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict[str, NodeSpec]:
     """Put a real device in the place of every virtual one, and of the plant that a coupling judges its laws by."""
     kinds, found = node_kinds(), dict(nodes)
     plants: dict[str, dict[str, Any]] = {}
     for name, spec in nodes.items():
-        stood = load(kinds[spec.kind]).stand_in(spec.parameters, name, device)
+        stood = load(kinds[spec.kind]).substitute_device(spec.parameters, name, device)
         if stood is not None:
             parameters, plants[name.rpartition("/")[0]] = stood
             found[name] = msgspec.structs.replace(spec, parameters=parameters)
