@@ -13,6 +13,7 @@ from nodes.compiled.kernels.hop import (
     called,
     flush,
     has_message,
+    keep,
     monotonic,
     out_at,
     receive,
