@@ -182,3 +182,64 @@ def test_a_quantity_is_declared_once() -> None:
         if isinstance(argument, ast.Constant) and (option := str(argument.value)).removeprefix("--") in QUANTITIES
     }
     assert found == OTHER_QUANTITIES
+
+
+TICK = "the tick of one player, compiled as one function: calls across it would cost what it saves"
+LONG = {
+    "nodes.compiled.kernels.scan.make_scan": TICK,
+    "nodes.compiled.kernels.scan.scan": TICK,
+    "nodes.coupling.render.make_render": TICK,
+    "nodes.driver.tick.make_ticks": TICK,
+    "nodes.driver.tick.realtime_tick": TICK,
+    "nodes.environment.shapes.proxy._descend": TICK,
+    "nodes.launcher.wiring.wire": "one pass over the nodes that fills every field of a setup, most of them a line each",
+    "sim.design.evolution._evolve": TICK,
+    "sim.drill.soak.soak": "one story in time, from the launch to its verdict",
+    "sim.scene.loop._played": "what a scene is made of, laid out as the arrays of one compiled call",
+    "sim.scene.richer._push": TICK,
+    "sim.scene.tick_loop.play": TICK,
+}
+"""Functions of more than 60 lines of code, and why."""
+
+WIDE = {
+    "nodes.base.node.Node": "the parts that every node is made of, one attribute each",
+    "nodes.base.setup.Setup": "what a node is told: one field a fact",
+    "nodes.ros2.node.Ros2": "a node, and one publisher or subscription a topic of the graph",
+    "nodes.view.feed.Feed": "one binning a curve of the page",
+    "nodes.view.live.LiveRun": "what a page sees of a run, one attribute each",
+    "sim.identify.identified.Identified": "what is known of a device: one field a figure",
+}
+"""Classes of more than 20 attributes, and why."""
+
+
+def code_lines(function: ast.FunctionDef, lines: list[str]) -> int:
+    """Count the lines of a function without its docstring, comments and empty lines."""
+    first = function.body[0]
+    text = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str)
+    left_out = range(first.lineno, (first.end_lineno or 0) + 1) if text else range(0)
+    body = range(function.lineno, (function.end_lineno or 0) + 1)
+    return sum(n not in left_out and lines[n - 1].strip()[:1] not in ("", "#") for n in body)
+
+
+def attributes(kind: ast.ClassDef) -> set[str]:
+    """Name what a class assigns to itself, and the fields that it declares."""
+    names = {
+        node.target.id for node in kind.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+    }
+    for node in ast.walk(kind):
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and isinstance(node.value, ast.Name):
+            names |= {node.attr} if node.value.id == "self" else set()
+    return names
+
+
+def test_long_functions_and_wide_classes_say_why() -> None:
+    long, wide = set(), set()
+    for module, path in MODULES.items():
+        source = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.FunctionDef) and code_lines(node, source.splitlines()) > 60:
+                long.add(f"{module}.{node.name}")
+            if isinstance(node, ast.ClassDef) and len(attributes(node)) > 20:
+                wide.add(f"{module}.{node.name}")
+    assert long == set(LONG)
+    assert wide == set(WIDE)

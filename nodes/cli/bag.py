@@ -41,39 +41,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         return own
 
     record = declare("record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C.")
-    record.add_argument("topics", nargs="*", metavar="TOPIC", help="whole names of topics; all when left out")
-    _add_patterns(record)
-    record.add_argument("--all", "-a", action="store_true", help="record all topics, as without any")
-    record.add_argument("--out", "-o", type=Path, metavar="FILE", help="file to write (default: OUT_DIR/RUN-PID.mcap)")
-    record.add_argument(
-        "--out-dir", type=Path, default=Path("recordings"), metavar="DIR", help="its directory (default: %(default)s)"
-    )
-    record.add_argument("--force", action="store_true", help="replace a file that is there already")
-    add_run_name(record)
-    record.add_argument("--duration", type=_positive, default=0.0, metavar="S", help="stop after so many seconds")
+    _add_record(record)
 
     info = declare("info", _info, "Tell what a recording holds: topics, messages, gaps in seq, sent against recorded.")
     info.add_argument("file", type=Path)
 
     play = declare("play", _play, "Publish a recording at its original pace, for PlotJuggler or a node to listen to.")
-    play.add_argument("file", type=Path)
-    play.add_argument(
-        "--endpoint",
-        default="tcp://127.0.0.1:9872",
-        help="where to publish (default: %(default)s, where PlotJuggler looks)",
-    )
-    play.add_argument(
-        "--rate", "-r", type=_positive, default=1.0, help="speed, 1 is the original pace, inf does not wait"
-    )
-    play.add_argument("--loop", "-l", action="store_true", help="begin again at the end, until Ctrl-C")
-    play.add_argument("--topics", nargs="+", metavar="TOPIC", help="topics to publish; all when left out")
-    play.add_argument(
-        "--start-offset", type=not_negative, default=0.0, metavar="S", help="begin so many seconds into it"
-    )
-    play.add_argument(
-        "--remap", "-m", nargs="+", default=[], metavar="OLD:=NEW", help="publish a topic under another name"
-    )
-    play.add_argument("--wait", action="store_true", help="wait for a listener before the first message")
+    _add_play(play)
 
     cut = declare("cut", _extract, "Copy a while of a recording into one of its own.")
     cut.set_defaults(topics=[])
@@ -127,6 +101,40 @@ def add(parser: argparse.ArgumentParser) -> None:
             "--out", "-o", type=Path, metavar="PATH", help=f"what to write (default: {default}, beside it)"
         )
         own.add_argument("--force", action="store_true", help="replace what is there already")
+
+
+def _add_record(own: argparse.ArgumentParser) -> None:
+    own.add_argument("topics", nargs="*", metavar="TOPIC", help="whole names of topics; all when left out")
+    _add_patterns(own)
+    own.add_argument("--all", "-a", action="store_true", help="record all topics, as without any")
+    own.add_argument("--out", "-o", type=Path, metavar="FILE", help="file to write (default: OUT_DIR/RUN-PID.mcap)")
+    own.add_argument(
+        "--out-dir", type=Path, default=Path("recordings"), metavar="DIR", help="its directory (default: %(default)s)"
+    )
+    own.add_argument("--force", action="store_true", help="replace a file that is there already")
+    add_run_name(own)
+    own.add_argument("--duration", type=_positive, default=0.0, metavar="S", help="stop after so many seconds")
+
+
+def _add_play(own: argparse.ArgumentParser) -> None:
+    own.add_argument("file", type=Path)
+    own.add_argument(
+        "--endpoint",
+        default="tcp://127.0.0.1:9872",
+        help="where to publish (default: %(default)s, where PlotJuggler looks)",
+    )
+    own.add_argument(
+        "--rate", "-r", type=_positive, default=1.0, help="speed, 1 is the original pace, inf does not wait"
+    )
+    own.add_argument("--loop", "-l", action="store_true", help="begin again at the end, until Ctrl-C")
+    own.add_argument("--topics", nargs="+", metavar="TOPIC", help="topics to publish; all when left out")
+    own.add_argument(
+        "--start-offset", type=not_negative, default=0.0, metavar="S", help="begin so many seconds into it"
+    )
+    own.add_argument(
+        "--remap", "-m", nargs="+", default=[], metavar="OLD:=NEW", help="publish a topic under another name"
+    )
+    own.add_argument("--wait", action="store_true", help="wait for a listener before the first message")
 
 
 def _add_patterns(own: argparse.ArgumentParser) -> None:

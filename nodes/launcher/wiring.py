@@ -223,6 +223,13 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             return reached.setdefault((source, local is listen), places.reach(source, int(local is listen)))
         return local[source]
 
+    def taken(listener: str, topic: str) -> str:
+        return _source(listener, _takes(launch, listener, topic), publisher, relays)
+
+    def takes(listener: str, source: str) -> bool:
+        topics = (topic for topic in classes[listener].listens_to if topic != "*")
+        return source in heard[listener] or any(taken(listener, topic) == source for topic in topics)
+
     setups = {}
     cores = _cores(launch)
     parameters = {name: convert(launch.nodes[name].parameters, kind.Parameters, name) for name, kind in classes.items()}
@@ -242,23 +249,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
         if everything:
             sources = {other: endpoint(other, listen, name) for other in launch.nodes if other in heard[name]}
         else:
-            sources = {
-                topic: endpoint(_source(name, _takes(launch, name, topic), publisher, relays), publish, name)
-                for topic in kind.listens_to
-            }
-        listeners = sum(
-            subscribed[other]
-            for other in launch.nodes
-            if other != name
-            and (
-                name in heard[other]
-                or any(
-                    _source(other, _takes(launch, other, topic), publisher, relays) == name
-                    for topic in classes[other].listens_to
-                    if topic != "*"
-                )
-            )
-        )
+            sources = {topic: endpoint(taken(name, topic), publish, name) for topic in kind.listens_to}
         setups[name] = Setup(
             run=run,
             run_dir=str(run_dir),
@@ -279,7 +270,7 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             patience=PATIENCE if by_hand else 10.0,
             sources=sources,
             remap=spec.remap,
-            listeners=listeners,
+            listeners=sum(subscribed[other] for other in launch.nodes if other != name and takes(other, name)),
             scheduling=_scheduling(launch, kind, name.rpartition("/")[0], cores),
             parameters=spec.parameters,
             watch=os.path.abspath(spec.watch) if spec.watch else "",

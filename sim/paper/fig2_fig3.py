@@ -320,7 +320,6 @@ def claims_3(taps: int, period: float) -> list[Claim]:
     ratio = gains[1] / gains[0] * seconds
     band = np.flatnonzero(np.abs(figure["optimum"] + 1.0) < 0.15)
     end = float(theta[band[-1]] / math.pi) if len(band) else 0.0
-    pd_end = float(math.acos(0.85) / math.pi)
     fine = np.pi * (np.arange(20000) + 0.5) / 20000
     mean = float(damping_curve(fine, gains, orders, taps).mean())
     leak = float(sum(g * _leak(o, taps) for g, o in zip(gains.tolist(), orders.tolist(), strict=True)))
@@ -343,7 +342,7 @@ def claims_3(taps: int, period: float) -> list[Claim]:
             "the optimum is near f = −1 at low and middle frequencies",
             verdict(ripple(taps, 0.5) < 0.02, ripple(taps, 0.5) < 0.2),
             f"only if 'about' will do: |f + 1| ≤ {ripple(taps, 0.5):.3f} up to 0.5 ω_N, ≤ 0.15 up to {end:.2f} ω_N "
-            f"(PD: up to {pd_end:.2f})",
+            f"(PD: up to {math.acos(0.85) / math.pi:.2f})",
         ),
         Claim(
             "THEORY.md §2",

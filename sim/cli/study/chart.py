@@ -6,6 +6,7 @@ import argparse
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from messages.errors import UsageError
@@ -14,6 +15,7 @@ from sim.cli.arguments import add_answer
 from sim.results import fresh
 
 if TYPE_CHECKING:
+    from sim.chart.points import Group
     from sim.measure.stopwatch import Progress
 
 PARTS = ("derivatives", "demand", "integrators", "kmax", "rates", "proxies")
@@ -38,50 +40,13 @@ def run(arguments: argparse.Namespace) -> int:
         if part not in PARTS:
             raise UsageError(f"--parts {part}: there is none of that name; choose from {', '.join(PARTS)}")
     from sim.chart.chart_page import conclusions, draw, page
-    from sim.chart.derivatives import derivative_groups, derivative_steps
-    from sim.chart.equal_demand import demand_groups, demand_steps
-    from sim.chart.integrators import integrator_groups, integrator_steps
-    from sim.chart.k_max_ways import kmax_groups, kmax_steps
-    from sim.chart.points import Group, as_json, keep, kept, save, with_front
-    from sim.chart.proxies_panel import proxy_groups, proxy_steps
-    from sim.chart.rates import rate_groups, rate_steps
-    from sim.measure.measured_launch import MeasurementError
-    from sim.measure.stopwatch import Progress, machine
+    from sim.chart.points import as_json, save
+    from sim.measure.stopwatch import machine
 
-    makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {
-        # The weight is about how many tenths of a second one step takes, so that the bar moves evenly.
-        "derivatives": (derivative_groups, derivative_steps, 1),
-        "demand": (demand_groups, demand_steps, 1),
-        "integrators": (integrator_groups, integrator_steps, 1),
-        "kmax": (kmax_groups, kmax_steps, 1),
-        "rates": (rate_groups, rate_steps, 30),
-        "proxies": (proxy_groups, proxy_steps, 20),
-    }
     start = time.monotonic()
-    progress = Progress(sum(makers[part][1](arguments.quick) * makers[part][2] for part in parts))
-    groups: list[Group] = []
-    failures: list[str] = []
     # What is done of a run that is stopped; figures of time are of one machine, so a finished run leaves none.
     diary = arguments.out / ("chart.quick.part" if arguments.quick else "chart.part")
-    for part in parts:
-        make, steps, weight = makers[part]
-        step = partial(_advance, progress, weight)
-        try:
-            found = kept(diary, part)
-            if found is None:
-                found = [with_front(group) for group in make(step, arguments.quick)]
-                keep(diary, part, found)
-            else:
-                progress.step(f"{part}: done before", steps(arguments.quick) * weight)
-            groups += found
-        except MeasurementError as error:
-            # The other parts are worth keeping; the exit code tells that one is missing.
-            failures.append(f"{part}: {error}")
-        except KeyboardInterrupt:
-            failures.append(f"{part}: interrupted; the same command goes on here")
-            break
-    else:
-        diary.unlink(missing_ok=True)
+    groups, failures = _measured(parts, arguments.quick, diary)
     seconds, where = time.monotonic() - start, machine()
     files = save(groups, where, seconds, arguments.out)
     for group in groups:
@@ -97,6 +62,52 @@ def run(arguments: argparse.Namespace) -> int:
     }
     answer(arguments.json, figures, "\n".join([*lines, *failures, f"{read} ({seconds:.0f} s)"]))
     return 1 if failures else 0
+
+
+def _measured(parts: list[str], quick: bool, diary: Path) -> tuple[list[Group], list[str]]:
+    """Measure each part, or take it from the diary of a run that was stopped; and say which parts are missing."""
+    from sim.chart.derivatives import derivative_groups, derivative_steps
+    from sim.chart.equal_demand import demand_groups, demand_steps
+    from sim.chart.integrators import integrator_groups, integrator_steps
+    from sim.chart.k_max_ways import kmax_groups, kmax_steps
+    from sim.chart.points import keep, kept, with_front
+    from sim.chart.proxies_panel import proxy_groups, proxy_steps
+    from sim.chart.rates import rate_groups, rate_steps
+    from sim.measure.measured_launch import MeasurementError
+    from sim.measure.stopwatch import Progress
+
+    makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {
+        # The weight is about how many tenths of a second one step takes, so that the bar moves evenly.
+        "derivatives": (derivative_groups, derivative_steps, 1),
+        "demand": (demand_groups, demand_steps, 1),
+        "integrators": (integrator_groups, integrator_steps, 1),
+        "kmax": (kmax_groups, kmax_steps, 1),
+        "rates": (rate_groups, rate_steps, 30),
+        "proxies": (proxy_groups, proxy_steps, 20),
+    }
+    progress = Progress(sum(makers[part][1](quick) * makers[part][2] for part in parts))
+    groups: list[Group] = []
+    failures: list[str] = []
+    for part in parts:
+        make, steps, weight = makers[part]
+        step = partial(_advance, progress, weight)
+        try:
+            found = kept(diary, part)
+            if found is None:
+                found = [with_front(group) for group in make(step, quick)]
+                keep(diary, part, found)
+            else:
+                progress.step(f"{part}: done before", steps(quick) * weight)
+            groups += found
+        except MeasurementError as error:
+            # The other parts are worth keeping; the exit code tells that one is missing.
+            failures.append(f"{part}: {error}")
+        except KeyboardInterrupt:
+            failures.append(f"{part}: interrupted; the same command goes on here")
+            break
+    else:
+        diary.unlink(missing_ok=True)
+    return groups, failures
 
 
 def _advance(progress: Progress, weight: int, what: str) -> None:
