@@ -121,14 +121,14 @@ class PairedDriver(Driver):
     Parameters: ClassVar[type[msgspec.Struct]] = PairedDriverParameters
 
     @classmethod
-    def stand_in(
+    def substitute_device(
         cls, parameters: Mapping[str, Any], name: str, device: str
     ) -> tuple[dict[str, Any], dict[str, Any]] | None:
         """Put a preset in the place of both devices, where they are virtual ones."""
         changed, plants = dict(parameters), []
         for which in ("first", "second"):
             member: PairedMember = convert(parameters[which], PairedMember, f"{name}.{which}")
-            stood = load(node_kinds()[member.kind]).stand_in(member.parameters, f"{name}.{which}", device)
+            stood = load(node_kinds()[member.kind]).substitute_device(member.parameters, f"{name}.{which}", device)
             if stood is None:
                 return None
             changed[which] = {"kind": member.kind, "parameters": stood[0]}
