@@ -20,11 +20,6 @@ if TYPE_CHECKING:
     from messages.transport.endpoints import Context, Socket
     from messages.transport.gate import Gate
 
-__all__ = [
-    "SEND_QUEUE",
-    "Publisher",
-]
-
 SEND_QUEUE = 4096
 """Messages queued for one stalled listener before its newest ones are dropped: 8 s at 500 Hz, about 1 MB."""
 

@@ -9,13 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-__all__ = [
-    "HeldPlant",
-    "Plant",
-    "held_plant",
-    "held_step",
-]
-
 
 @dataclass(frozen=True)
 class Plant:

@@ -14,15 +14,6 @@ from collections.abc import Callable
 from nodes.laws import CompiledLaw
 from nodes.parameters.registry import NotInstalledError, Registry
 
-__all__ = [
-    "DERIVATIVES",
-    "MAX_ORDER",
-    "MAX_TAPS",
-    "Realise",
-    "derivative_kinds",
-    "realise",
-]
-
 DERIVATIVES = Registry("haptic.derivatives", "realisation of D^α")
 MAX_ORDER = 4.0
 MAX_TAPS = 1_000_000
