@@ -198,7 +198,7 @@ class Gate(threading.Thread):
         if gone:
             self._entered -= gone
             self._denied(
-                f"the key {', '.join(sorted(gone))} is not allowed any more; all connections over tcp are ended, and who is "
+                f"the key {', '.join(sorted(gone))} is not allowed any more; all connections over tcp end, and whoever is "
                 "still allowed connects again"
             )
             self._evict()

@@ -96,7 +96,7 @@ class OpenPort:
         self._usual = self._usual or memory
         if memory - self._usual > MOST_GROWTH:
             self._denied(
-                f"{self._endpoint}: memory grew by {(memory - self._usual) >> 20} MiB; all listeners there are put out"
+                f"{self._endpoint}: memory grew by {(memory - self._usual) >> 20} MiB; all listeners there are disconnected"
             )
             self._usual = memory
             self._renew()

@@ -179,7 +179,7 @@ def _preemption() -> Diagnosis:
     return Diagnosis(
         "kernel",
         "ok",
-        f"{platform.release()}, preemption model not told by its version; the wake-ups below show what it is worth",
+        f"{platform.release()}, preemption model not named in its version; the wake-ups below show what it is worth",
     )
 
 

@@ -51,13 +51,15 @@ def _new(arguments: argparse.Namespace) -> int:
 def _allow(arguments: argparse.Namespace) -> int:
     path = keys.allow(arguments.name, arguments.key, arguments.replace)
     figures = {"name": arguments.name, "public_key": keys.key_of(arguments.name), "file": str(path)}
-    answer(arguments.json, figures, f"{arguments.name} is let in ({path})")
+    answer(arguments.json, figures, f"{arguments.name} is allowed ({path})")
     return 0
 
 
 def _revoke(arguments: argparse.Namespace) -> int:
     path = keys.revoke(arguments.name)
-    text = f"{arguments.name} is let in no more ({path} removed); what runs here ends its connections within a second"
+    text = (
+        f"{arguments.name} is no longer allowed ({path} removed); what runs here ends its connections within a second"
+    )
     answer(arguments.json, {"name": arguments.name, "file": str(path)}, text)
     return 0
 

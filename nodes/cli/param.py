@@ -22,7 +22,7 @@ from nodes.parameters.describe import described
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
 
-FORCE = "take the change even if the loop becomes unstable with it: for those who study that"
+FORCE = "take the change even if the loop becomes unstable: for studies of that"
 
 MOST = 8
 """Changes that are printed one by one."""

@@ -256,7 +256,7 @@ def read_run(run_dir: str, given_up: Callable[[], bool], patience: float = 10.0)
     deadline = time.monotonic() + patience
     while not path.exists():
         if time.monotonic() > deadline or given_up():
-            raise OSError(f"{path}: the launcher has not told what the run consists of within {patience:g} s")
+            raise OSError(f"{path}: the launcher has not listed the run's nodes within {patience:g} s")
         time.sleep(0.005)
     return msgspec.json.decode(path.read_bytes(), type=RunInfo)
 

@@ -44,7 +44,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--land",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="demand that every drop on a floor settles too; without it a law is stiffer, and may not bear a landing",
+        help="demand that every drop on a floor settles too; without it a law is stiffer, and may not survive a landing",
     )
     parser.add_argument(
         "--refuted", action="store_true", help="design even if the recording refutes the model of the device"

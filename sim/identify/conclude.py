@@ -234,9 +234,11 @@ def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate
 
 
 def _bounded(value: float, width: float, too_wide: float) -> Estimate:
-    """Estimate what cannot be negative; None when its error is as large as what it is told from."""
+    """Estimate what cannot be negative; None when its error is as large as what it is estimated from."""
     if width > too_wide:
-        return Estimate(None, why=f"its error would be {width:.2g}, as large as what it is told from ({too_wide:.2g})")
+        return Estimate(
+            None, why=f"its error would be {width:.2g}, as large as what it is estimated from ({too_wide:.2g})"
+        )
     return Estimate(value, max(value - width, 0.0), value + width)
 
 

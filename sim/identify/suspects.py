@@ -64,7 +64,10 @@ SIZES: dict[str, tuple[str, float]] = {
     "cogging": ("a force that repeats every {:.2g} mm", 1e3),
     "encoder ripple": ("an encoder error that repeats every {:.2g} mm", 1e3),
     "drift": ("friction or damping that changes during the run", 1.0),
-    "deadband": ("a force that the motor does not give as told: a dead band, or a gain that depends on the force", 1.0),
+    "deadband": (
+        "a force that the motor does not give as commanded: a dead band, or a gain that depends on the force",
+        1.0,
+    ),
 }
 """Words for each term, and the factor of its size."""
 

@@ -28,7 +28,7 @@ def law_rows(told: Mapping[str, Any]) -> list[Row]:
     return [
         ("stiffness that is felt, H(1)", number(told["h1_n_per_m"], "N/m")),
         ("beside PD of the same demand", compared),
-        ("settles after every drop on a floor", "yes" if told["lands"] else "NO: it does not bear a landing"),
+        ("settles after every drop on a floor", "yes" if told["lands"] else "NO: it does not survive a landing"),
         ("taps", ", ".join(number(tap) for tap in told["taps_n_per_m"]) + " N/m"),
         ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg"),
         ("for delays", f"{number(asked['delay'][0])} to {number(asked['delay'][1])} ticks"),

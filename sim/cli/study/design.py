@@ -65,7 +65,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         default=True,
         help="demand that every drop settles too, from 5 to 20 mm and 3 %% beyond the masses, under all contact conventions; "
-        "without it a law is stiffer, and may not bear a landing",
+        "without it a law is stiffer, and may not survive a landing",
     )
     parser.add_argument(
         "--every-delay",

@@ -149,7 +149,7 @@ def test_a_listener_that_fills_the_memory_of_an_open_port_is_put_out(
             return bool(told)
 
         wait_for(is_put_out, "its end")
-    assert "all listeners there are put out" in told[0]
+    assert "all listeners there are disconnected" in told[0]
 
     def is_heard() -> bool:
         port.send(b"/t", b"x")
