@@ -85,6 +85,8 @@ def _info(arguments: argparse.Namespace) -> int:
     }
     force = ask(run, name, "force") if "force" in info["operations"] else None
     figures |= {} if force is None else {"force": force}
+    inertia = ask(run, name, "inertia") if "inertia" in info["operations"] else None
+    figures |= {} if inertia is None else {"inertia": inertia}
     counters = ("ticks", "sent", "received", "refused", "skipped", "gaps", "denied")
     offset, error = status["clock_offset"], status["clock_error"]
     known = f"{-offset:+.6f} s from the launcher's, known to ±{error * 1e6:.0f} µs" if error else "the launcher's own"
@@ -96,6 +98,7 @@ def _info(arguments: argparse.Namespace) -> int:
         f"  memory {status['memory'] / 1e6:.1f} MB, processor time {status['cpu']:.2f} s",
         f"  clock {known}",
         *([] if force is None else [f"  force: {force['why']}"]),
+        *([] if inertia is None else [f"  mass: {_mass(inertia)}"]),
         "  publishes:",
         *(f"    {topic}" for topic in info["publishes"]),
         "  listens to:",
@@ -105,6 +108,12 @@ def _info(arguments: argparse.Namespace) -> int:
     ]
     answer(arguments.json, figures, "\n".join(lines))
     return 0
+
+
+def _mass(told: dict[str, Any]) -> str:
+    here = ", ".join(f"{value:.4g}" for value in told["here_kg"])
+    seen = f"{told['least_kg']:.4g} to {told['greatest_kg']:.4g}"
+    return f"{here} kg along x, y, z where it stands; {seen} kg in all poses so far"
 
 
 def _rearm(arguments: argparse.Namespace) -> int:

@@ -28,10 +28,10 @@ PATIENCE = 0.2
 SLOW = 3
 """Law and surface are asked for every so many times only: each question costs a node's loop some microseconds."""
 
-KEEP = ("safety", "penetration", "force", "law", "missed", "tick", "scenario", "response", "rate")
+KEEP = ("safety", "device", "penetration", "force", "law", "missed", "tick", "scenario", "response", "rate")
 """Parts of the line; the first ones are kept longest on a narrow terminal."""
 
-ORDER = ("scenario", "tick", "rate", "law", "penetration", "force", "missed", "response", "safety")
+ORDER = ("scenario", "tick", "rate", "law", "penetration", "force", "missed", "response", "safety", "device")
 """Parts as they stand from left to right."""
 
 
@@ -135,9 +135,13 @@ class StatusLine:
             "missed": f"missed {now['missed']}",
             "response": f"p50 {p50:.0f} p99 {p99:.0f} µs",
             "safety": now["safety"],
+            # Why a real device gives no force, or another one.
+            "device": now.get("condition", ""),
         }
 
     def _painted(self, name: str, text: str) -> str:
+        if name == "device":
+            return coloured(text, "red", sys.stderr)
         if name == "safety":
             color = {"active": "green", "waiting": "dim", "ramp": "yellow"}.get(text, "red")
             return coloured(text, color, sys.stderr)

@@ -296,7 +296,7 @@ class Driver(Node):
         limits = self._device.limits
         times = {"opening_s": limits.opening, "closing_s": limits.closing}
         return {
-            "progress": lambda: self._report.progress(self.setup.ticks),
+            "progress": lambda: {**self._report.progress(self.setup.ticks), "condition": self.condition()},
             "device": lambda: times,
             "rearm": self._rearm,
             "force": lambda: {"why": why_no_force(self.driving, self.condition())},

@@ -103,6 +103,7 @@ class Commander:
         self.beyond = bool(self.driver) and _may_go_beyond(run.nodes[self.driver])
         self.again = again and self.beyond
         self.delays = bool(self.driver and self.coupling) and _has_delay(run.nodes[self.driver])
+        self._tells_inertia = bool(self.driver) and hasattr(load(run.nodes[self.driver].factory), "hardware")
 
     def _endpoint(self, node: str) -> str:
         if node not in self._run.nodes:
@@ -184,6 +185,17 @@ class Commander:
                 "only where its launch file says pointer: {beyond: true}"
             )
         return {"force": True} if beyond else {}
+
+    def inertia(self) -> dict[str, Any] | None:
+        """Ask the masses of a device that knows them, over the poses that it was in; None for any other."""
+        if not self._tells_inertia:
+            return None
+        try:
+            found: dict[str, Any] | None = self.ask(self.driver, "inertia")
+        except CommandError:
+            # A driver that is being started again: the map is drawn again soon.
+            return None
+        return found
 
     def device_delay(self) -> float | None:
         """Ask how late the device answers [ticks]; None for one that nobody can tell."""

@@ -318,6 +318,7 @@ class RunPages:
         driver = dict(self._run.nodes[self._commander.driver].parameters)
         if self._laws["device_delay"] is not None:
             driver["device"] = {**driver["device"], "delay": self._laws["device_delay"]}
-        draw = partial(drawn_map, described, self._period, self._laws.get("plant"), driver, delay)
+        inertia = await asyncio.get_running_loop().run_in_executor(self._asking, self._commander.inertia)
+        draw = partial(drawn_map, described, self._period, self._laws.get("plant"), driver, delay, inertia)
         found = await asyncio.get_running_loop().run_in_executor(self._mapping, draw)
         self.live.board.put("map", {"law": self._laws["active"], **found})

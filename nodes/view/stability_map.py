@@ -115,18 +115,41 @@ def _over_delay(law: Law, device: Plant, margin: float | None) -> list[list[floa
     return found
 
 
+def _badness(law: Law, device: Plant) -> tuple[bool, float]:
+    """How bad a device is to a law, to find the worse of two: unstable before stable, then by its edge."""
+    edge = _edge(law, device).k_max_n_per_m
+    return pole_radius(law.compile(device.period), device) >= 1.0, -math.inf if edge is None else -edge
+
+
+def with_inertia(declared: PlantParameters | None, seen: Mapping[str, Any] | None) -> PlantParameters | None:
+    """Put the masses that a device itself tells, over the poses it was in, into its plant; a hand's is not among them."""
+    if seen is None:
+        return declared
+    least, greatest = float(seen["least_kg"]), float(seen["greatest_kg"])
+    if declared is None:
+        return PlantParameters(mass=least, heaviest=greatest)
+    return msgspec.structs.replace(
+        declared,
+        mass=min(declared.mass, least),
+        heaviest=max(declared.heaviest or declared.mass, greatest),
+    )
+
+
 def stability_map(law: Law, period: float, plant: PlantParameters, delay: float) -> dict[str, Any]:
     """Draw the (B, K) plane of a law's kind."""
-    device = plant.at(period, delay)
     compiled = law.compile(period)
     if compiled.evaluate is not None:
         raise ValueError("the law has code of its own beside its taps, and so no poles.")
+    device, heaviest = plant.at(period, delay), plant.heaviest_at(period, delay)
+    if heaviest is not None:
+        device = max(device, heaviest, key=lambda one: _badness(law, one))
     radius = pole_radius(compiled, device)
     edge = _edge(law, device)
     k = float(getattr(law, "stiffness", compiled.h1))
     found: dict[str, Any] = {
         "delay_ticks": device.delay,
         "plant": msgspec.to_builtins(plant),
+        "mass_kg": device.mass,
         "pole_radius": radius,
         "stable": radius < 1.0,
         "k_n_per_m": k,
@@ -149,10 +172,15 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
 
 
 def drawn_map(
-    described: Mapping[str, Any], period: float, declared: Any, driver: Mapping[str, Any], delay: float
+    described: Mapping[str, Any],
+    period: float,
+    declared: Any,
+    driver: Mapping[str, Any],
+    delay: float,
+    inertia: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Draw the map for a page, or say why there is none."""
-    plant = plant_of(declared, driver)
+    """Draw the map for a page, or say why there is none; `inertia` is what a device tells of its own masses."""
+    plant = with_inertia(plant_of(declared, driver), inertia)
     if plant is None:
         return {
             "why": "No map: the device is not declared. Give the coupling its plant in the launch file, for example "

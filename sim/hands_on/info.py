@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from messages.errors import RefusedError
+from nodes.driver.hardware.inertia import masses_along
 from nodes.driver.hardware.mailbox import MailboxDevice
 from nodes.laws.parse import parse_law
 from nodes.stability.k_max import k_max, without_spring
@@ -58,11 +59,15 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
     if inertia is not None:
         law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": damping}, "pd"), 1.0 / rate)
         edges = []
-        for i in range(3):
-            mass = inertia[i][i]
+        try:
+            masses, (least, greatest) = masses_along(inertia)
+        except ValueError as error:
+            raise RefusedError(f"{device.TITLE}: {error}") from error
+        for mass in masses:
             plant = Plant(period=1.0 / rate, mass=mass, damping=0.0, delay=delay)
             edges.append({"mass_kg": mass, "k_max_n_per_m": k_max(law, plant).k_max_n_per_m})
         told["edge"] = {"rate_hz": rate, "delay_ticks": delay, "damping_n_s_per_m": damping, "axes": edges}
+        told["edge"] |= {"least_kg": least, "greatest_kg": greatest}
     return told
 
 
@@ -86,6 +91,9 @@ def text(told: dict[str, Any]) -> str:
             + ("no stable one" if one["k_max_n_per_m"] is None else f"{one['k_max_n_per_m']:.4g} N/m")
             for axis, one in zip("xyz", edge["axes"], strict=True)
         ]
-        least = min(edge["axes"], key=lambda one: float(one["mass_kg"]))
-        lines.append(f"  for a launch file: plant: {{mass: {least['mass_kg']:.4g}, damping: 0.0}}")
+        lines.append(
+            f"    any direction: {edge['least_kg']:.4g} to {edge['greatest_kg']:.4g} kg here; other poses have others"
+        )
+        heaviest = f", heaviest: {edge['greatest_kg']:.4g}" if edge["greatest_kg"] > edge["least_kg"] else ""
+        lines.append(f"  for a launch file: plant: {{mass: {edge['least_kg']:.4g}{heaviest}, damping: 0.0}}")
     return "\n".join(lines)

@@ -85,6 +85,19 @@ class PushedLaunch:
         if not (self.driver and self.environment and self.coupling):
             raise UsageError(f"{self.run.run}: has no driver, environment and coupling that could push a device")
 
+    def poses(self) -> tuple[float, float] | None:
+        """Ask a device that knows its inertia by how much it is lighter and heavier elsewhere than here, along its first axis.
+
+        In kilograms; None for any other device.
+        """
+        if not hasattr(load(self.run.nodes[self.driver].factory), "hardware"):
+            return None
+        told = ask(self.run, self.driver, "inertia")
+        if told is None:
+            return None
+        here = told["here_kg"][self.axes[0]]
+        return max(0.0, here - told["least_kg"]), max(0.0, told["greatest_kg"] - here)
+
     def read_limits(self) -> None:
         """Ask the driver for its limits."""
         safety = ask(self.run, self.driver, "param.get", name="safety")

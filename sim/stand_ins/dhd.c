@@ -184,16 +184,17 @@ int dhdSetForce(double x, double y, double z, char id) {
 
 int dhdGetJointAngles(double joints[8], char id) {
     if (wrong("dhdGetJointAngles", id)) return FAILED;
-    for (int i = 0; i < 8; i++) joints[i] = 0.0;
+    /* As if the joints were the place itself. */
+    for (int i = 0; i < 8; i++) joints[i] = i < 3 ? here()->position[i] : 0.0;
     return remark();
 }
 
 int dhdJointAnglesToInertiaMatrix(double joints[8], double inertia[6][6], char id) {
-    (void) joints;
     if (wrong("dhdJointAnglesToInertiaMatrix", id)) return FAILED;
     memset(inertia, 0, 36 * sizeof(double));
-    /* Half as heavy again towards the operator, as a delta is. */
-    inertia[0][0] = 1.5 * here()->mass;
-    inertia[1][1] = inertia[2][2] = here()->mass;
+    /* Half as heavy again towards the operator, as a delta is; and 100 % heavier for each 0.1 m to the left. */
+    double here_mass = here()->mass * (1.0 + 10.0 * joints[1]);
+    inertia[0][0] = 1.5 * here_mass;
+    inertia[1][1] = inertia[2][2] = here_mass;
     return remark();
 }

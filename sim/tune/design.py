@@ -35,6 +35,8 @@ class Wanted:
         Whether every drop must settle too.
     effort : int
         Multiplies the search.
+    poses : tuple of float, shape (2,)
+        By how much the device is lighter and heavier in other poses than in the one that it was identified in [kg].
     """
 
     taps: int = 4
@@ -43,6 +45,7 @@ class Wanted:
     nyquist: float = 1e4
     land: bool = True
     effort: int = 1
+    poses: tuple[float, float] = (0.0, 0.0)
 
 
 def demand(found: Identified, wanted: Wanted) -> Demand:
@@ -69,6 +72,9 @@ def demand(found: Identified, wanted: Wanted) -> Demand:
     _, damping, _ = found.damping.known()
     found.delay.known()
     _, softest, stiffest = found.stiffness.known()
+    lighter, heavier = wanted.poses
+    # What is left of a hand's and a device's mass is a tenth at least.
+    lightest, heaviest = max(lightest - lighter, 0.1 * lightest), heaviest + heavier
     return Demand(
         mass=(lightest / wanted.spread, heaviest * wanted.spread),
         damping=damping,

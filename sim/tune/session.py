@@ -153,6 +153,8 @@ class Tuning:
         self.told["identified"] = {"recording": str(recording), "stopped": ended, **figures(found)}
         loop = self._running()
         self.told["limits"] = {"peak_n": loop.peak, "slew_n": loop.slew}
+        if (poses := loop.poses()) is not None:
+            self.told["identified"]["poses_kg"] = list(poses)
         if ended == "Ctrl-C":
             raise KeyboardInterrupt
 
@@ -163,7 +165,9 @@ class Tuning:
         from sim.tune.design import Wanted, design, to_record
 
         chosen = self._options
-        found = from_figures(self._need("identified"))
+        identified = self._need("identified")
+        found = from_figures(identified)
+        poses = identified.get("poses_kg") or (0.0, 0.0)
         refused = refusal(found)
         if refused and not chosen.refuted:
             raise RefusedError(
@@ -171,7 +175,9 @@ class Tuning:
             )
         found = found.anyway()
         self._say(f"designing {chosen.taps} taps{' that land' if chosen.land else ''}, and PD to compare")
-        wanted = Wanted(chosen.taps, chosen.spread, chosen.radius, self._nyquist(found), chosen.land)
+        wanted = Wanted(
+            chosen.taps, chosen.spread, chosen.radius, self._nyquist(found), chosen.land, poses=(poses[0], poses[1])
+        )
         law, pd, asked = design(found, wanted)
         if law.found is None or law.law is None:
             raise RefusedError("no law keeps the demand: allow a larger --radius, less --spread or more --taps")
@@ -188,6 +194,8 @@ class Tuning:
             "best_pd_h1_n_per_m": known,
             "gain_over_pd": None if known is None else law.found.h1_n_per_m / known,
             "model_refuted": refused,
+            "poses_kg": list(poses),
+            "worst": list(law.found.worst[:2]),
             "demand": to_record(asked),
         }
         self._write_law(self._designed, "NOT tried on the device: haptic tune --steps predict verify")

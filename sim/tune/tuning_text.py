@@ -20,6 +20,12 @@ def number(value: Any, unit: str = "") -> str:
     return f"{shown} {unit}".rstrip()
 
 
+def _poses(told: Mapping[str, Any]) -> str:
+    """Tell what of a range of masses is that of other poses."""
+    lighter, heavier = told.get("poses_kg") or (0.0, 0.0)
+    return f", with {number(lighter)} less and {number(heavier)} more in other poses" if lighter or heavier else ""
+
+
 def law_rows(told: Mapping[str, Any]) -> list[Row]:
     """Tell the designed law."""
     asked = told["demand"]
@@ -30,9 +36,14 @@ def law_rows(told: Mapping[str, Any]) -> list[Row]:
         ("beside PD of the same demand", compared),
         ("settles after every drop on a floor", "yes" if told["lands"] else "NO: it does not survive a landing"),
         ("taps", ", ".join(number(tap) for tap in told["taps_n_per_m"]) + " N/m"),
-        ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg"),
+        ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg{_poses(told)}"),
         ("for delays", f"{number(asked['delay'][0])} to {number(asked['delay'][1])} ticks"),
         ("pole radius at most", number(asked["radius"])),
+        *(
+            [("the worst case", f"{number(told['worst'][0])} kg, {number(told['worst'][1])} ticks")]
+            if "worst" in told
+            else []
+        ),
         *([("the model is refuted", told["model_refuted"])] if told.get("model_refuted") else []),
     ]
 

@@ -94,11 +94,13 @@ class DhdServo(ctypes.Structure):
             (name, c_void_p)
             for name in (
                 *("get_position", "get_velocity", "get_orientation", "get_gripper", "get_buttons", "get_status"),
-                *("set_force", "last_error"),
+                *("set_force", "last_error", "get_joints"),
             )
         ),
         ("period", c_double),
         *((name, c_int) for name in ("device", "running", "saturated")),
+        ("poses", c_uint),
+        ("joints", c_double * 8),
         ("thread", ctypes.c_ulong),
     ]
 

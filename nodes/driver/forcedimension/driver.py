@@ -220,6 +220,7 @@ class ForceDimensionDevice(MailboxDevice):
             ("get_status", "dhdGetStatus", True),
             ("set_force", "dhdSetForce", True),
             ("last_error", "dhdErrorGetLast", True),
+            ("get_joints", "dhdGetJointAngles", True),
         ):
             if there:
                 setattr(servo, field, ctypes.cast(getattr(dhd, name), ctypes.c_void_p).value)
@@ -229,6 +230,8 @@ class ForceDimensionDevice(MailboxDevice):
         self.await_samples()
         self.write_force((0.0, 0.0, 0.0), 0, 0.0)
         self._call("dhdEnableForce", 1)
+        # The status of before said that they were off.
+        self._box.condition = 0
 
     def _await_ready(self) -> None:
         until = time.monotonic() + self._wants.ready_time
@@ -277,10 +280,12 @@ class ForceDimensionDevice(MailboxDevice):
         if self._id is None:
             return None
         joints, matrix = (ctypes.c_double * 8)(), (ctypes.c_double * 36)()
-        if (
-            self._dhd.dhdGetJointAngles(joints, self._id) < 0
-            or self._dhd.dhdJointAnglesToInertiaMatrix(joints, matrix, self._id) < 0
-        ):
+        # While the servo loop runs it alone reads the device; what follows is computed.
+        if self._shared.running:
+            known = bool(self._code.servo_joints(ctypes.byref(self._shared), joints))
+        else:
+            known = self._dhd.dhdGetJointAngles(joints, self._id) >= 0
+        if not known or self._dhd.dhdJointAnglesToInertiaMatrix(joints, matrix, self._id) < 0:
             return None
         return inertia_in_scene([list(matrix[6 * i : 6 * i + 3]) for i in range(3)], self._turn)
 

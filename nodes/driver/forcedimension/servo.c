@@ -11,6 +11,7 @@
 #define STATUS 17
 #define FORCE_OFF_CAUSE 14
 #define STATUS_EVERY 20
+#define JOINTS 8
 
 typedef struct {
     mailbox box;
@@ -23,10 +24,13 @@ typedef struct {
     int (*get_status)(int *, char);
     int (*set_force)(double, double, double, char);
     int (*last_error)(void);
+    int (*get_joints)(double[8], char);
     double period;
     int device;
     int running;
     int saturated;
+    unsigned int poses;
+    double joints[JOINTS];
     pthread_t thread;
 } servo;
 
@@ -51,6 +55,10 @@ static void tick(servo *s, unsigned int n) {
     if (s->get_buttons) sample[BUTTONS] = s->get_buttons(id);
     if (n % STATUS_EVERY == 0 && s->get_status(status, id) >= 0) {
         __atomic_store_n(&s->box.condition, status[FORCE_OFF_CAUSE], __ATOMIC_RELAXED);
+    }
+    double joints[JOINTS] = {0.0};
+    if (n % STATUS_EVERY == 0 && s->get_joints && s->get_joints(joints, id) >= 0) {
+        mailbox_put(&s->poses, s->joints, joints, JOINTS);
     }
     /* Without a position nothing is known of where a force acts. */
     mailbox_force(&s->box, force);
@@ -79,6 +87,14 @@ static void *run(void *data) {
         clock_gettime(CLOCK_MONOTONIC, &now);
         if (now.tv_sec > next.tv_sec || (now.tv_sec == next.tv_sec && now.tv_nsec > next.tv_nsec)) next = now;
         else clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &next, 0);
+    }
+    return 0;
+}
+
+/* Take the joints' newest angles; whether there are any. */
+int servo_joints(servo *s, double *joints) {
+    for (int attempt = 0; attempt < 1000; attempt++) {
+        if (mailbox_take(&s->poses, s->joints, joints, JOINTS)) return 1;
     }
     return 0;
 }

@@ -11,6 +11,7 @@ import msgspec
 from messages import topics
 from messages.types import Handle
 from nodes.driver.device import Device
+from nodes.driver.hardware.inertia import SeenMasses
 from nodes.driver.hardware.libraries import Found
 from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice
 from nodes.driver.node import Driver
@@ -57,6 +58,7 @@ class HardwareDriver(Driver):
     def make_device(self) -> Device:
         """Take hold of the device, forces off."""
         self.held = self.hardware(self.store.current)
+        self._masses = SeenMasses()
         self.held.say = lambda text: self.events.emit_each("device_waits", text)
         self.held.connect()
         return self.held
@@ -92,6 +94,9 @@ class HardwareDriver(Driver):
     def look_after(self) -> None:
         """Look whether the loop goes on, and tell when the device keeps forces off (control thread)."""
         super().look_after()
+        if self.state == "running":
+            # A device passes through poses that nobody asks about.
+            self._masses.look(self.held.inertia())
         condition = self.held.condition() if self.state == "running" else ""
         if condition != self._condition:
             self._condition = condition
@@ -99,8 +104,13 @@ class HardwareDriver(Driver):
             self.events.emit_each(kind, condition or "nothing keeps forces off any more")
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """Offer what the device is, and to put its handle into the middle of the scene."""
-        return {**super().operations(), "facts": lambda: self.held.facts, "recentre": self._recentre}
+        """Offer what the device is, the mass that a law meets on it, and to put its handle into the middle of the scene."""
+        return {
+            **super().operations(),
+            "facts": lambda: self.held.facts,
+            "inertia": lambda: self._masses.look(self.held.inertia()),
+            "recentre": self._recentre,
+        }
 
     def _recentre(self) -> dict[str, Any]:
         if any(self.driving.handed):

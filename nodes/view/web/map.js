@@ -70,7 +70,9 @@ export class StabilityMap {
   tell(map) {
     if (map.why) return [map.why];
     const bold = (text, bad) => Object.assign(document.createElement("b"), { textContent: text, className: bad ? "bad" : "" });
-    const at = ` at a delay of ${fixed(map.delay_ticks, 2)} ticks`;
+    const { mass, heaviest } = map.plant, least = figure(mass), most = figure(heaviest ?? mass);
+    const worst = heaviest ? ` and with ${figure(map.mass_kg)} kg, the worst of ${least} to ${most} kg` : "";
+    const at = ` at a delay of ${fixed(map.delay_ticks, 2)} ticks${worst}`;
     // What was seen counts more than what is computed.
     if (this.stopped) return [bold("It swung, and the driver stopped it", true), map.stable ? `, though the declared device would be stable${at}: the real loop is not this one.` : `: unstable${at}.`];
     if (!map.stable) {

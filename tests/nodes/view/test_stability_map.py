@@ -11,7 +11,7 @@ from nodes.coupling.parameters import PlantParameters
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
-from nodes.view.stability_map import drawn_map, plant_of, stability_map
+from nodes.view.stability_map import drawn_map, plant_of, stability_map, with_inertia
 
 T = 0.002
 PLANT = PlantParameters(mass=0.1, damping=1.0)
@@ -56,6 +56,33 @@ def test_the_map_follows_law_device_and_delay() -> None:
     assert stability_map(pd, T, PlantParameters(mass=0.2, damping=1.0), 0.0)["k_max_n_per_m"] != plain["k_max_n_per_m"]
     assert not stability_map(parse_law({**LAWS[0], "stiffness": 3800.0}), T, PLANT, 0.0)["stable"]
     assert stability_map(parse_law({**LAWS[0], "stiffness": 3700.0}), T, PLANT, 0.0)["stable"]
+
+
+def test_with_a_mass_that_depends_on_the_place_the_worst_is_drawn() -> None:
+    pd = parse_law(LAWS[0])
+    edges = {
+        mass: stability_map(pd, T, PlantParameters(mass=mass, damping=1.0), 1.0)["k_max_n_per_m"]
+        for mass in (0.05, 0.1, 0.4)
+    }
+    for light, heavy in ((0.05, 0.1), (0.1, 0.4), (0.05, 0.4)):
+        found = stability_map(pd, T, PlantParameters(mass=light, heaviest=heavy, damping=1.0), 1.0)
+        assert found["k_max_n_per_m"] == min(edges[light], edges[heavy])
+        assert edges[found["mass_kg"]] == found["k_max_n_per_m"]
+
+
+def test_what_a_device_says_of_its_masses_goes_into_the_map() -> None:
+    seen = {"here_kg": [0.15, 0.1, 0.1], "least_kg": 0.08, "greatest_kg": 0.2}
+    declared = PlantParameters(mass=0.1, damping=1.0)
+    assert with_inertia(None, None) is None
+    assert with_inertia(declared, None) == declared
+    assert with_inertia(None, seen) == PlantParameters(mass=0.08, heaviest=0.2)
+    assert with_inertia(declared, seen) == PlantParameters(mass=0.08, heaviest=0.2, damping=1.0)
+    # A hand makes the declared one heavier than the device by itself.
+    held = PlantParameters(mass=0.05, heaviest=0.5, damping=1.0)
+    assert with_inertia(held, seen) == held
+    drawn = drawn_map(LAWS[0], T, {"mass": 0.1, "damping": 1.0}, {}, 0.5, seen)
+    assert drawn["plant"]["heaviest"] == 0.2
+    assert drawn["mass_kg"] in (0.08, 0.2)
 
 
 def test_a_law_without_k_and_b_has_margins_only_and_an_unknown_device_has_none() -> None:

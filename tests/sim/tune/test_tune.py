@@ -44,6 +44,15 @@ def last_line(text: str) -> dict[str, Any]:
     return told
 
 
+def test_other_poses_widen_the_masses_that_a_law_is_designed_for() -> None:
+    found = identify(excite(DEVICE, T, 5.0, seed=3))
+    _, lightest, heaviest = found.mass.known()
+    asked = demand(found, Wanted(spread=1.0, poses=(0.02, 0.05)))
+    assert asked.mass == (lightest - 0.02, heaviest + 0.05)
+    # A pose never takes all of it away.
+    assert demand(found, Wanted(spread=1.0, poses=(1.0, 0.0))).mass == (0.1 * lightest, heaviest)
+
+
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """Tune once on a real launch, in lockstep: one tick of delay and 0.3 of the device's own."""

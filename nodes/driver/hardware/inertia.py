@@ -1,0 +1,66 @@
+"""The mass that a law meets on a device whose inertia depends on where it stands and which way it is pushed.
+
+A force along a direction u moves a device of inertia M as one mass 1/(uᵀ M⁻¹ u), because the other directions give way. Over
+all directions that lies between the least and the largest eigenvalue of M.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from messages.types import Vector
+
+Inertia = tuple[Vector, Vector, Vector]
+
+
+def masses_along(inertia: Sequence[Sequence[float]]) -> tuple[Vector, tuple[float, float]]:
+    """Give the mass along each axis, and the least and greatest along any direction [kg].
+
+    Parameters
+    ----------
+    inertia : sequence of sequence of float, shape (3, 3)
+        Symmetric [kg].
+
+    Returns
+    -------
+    tuple
+        Masses along x, y and z; least and greatest.
+
+    Raises
+    ------
+    ValueError
+        When it is no inertia: not finite, or not positive definite.
+    """
+    matrix = np.array(inertia, dtype=float)
+    if not np.isfinite(matrix).all():
+        raise ValueError("the device's inertia is not finite")
+    values = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+    if not values[0] > 0.0:
+        raise ValueError(f"the device's inertia is not positive: {values.tolist()} kg")
+    x, y, z = (1.0 / np.diag(np.linalg.inv(matrix))).tolist()
+    return (x, y, z), (float(values[0]), float(values[-1]))
+
+
+class SeenMasses:
+    """The least and greatest mass of a device in all poses that it was in so far; several threads may look."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._range: tuple[float, float] | None = None
+
+    def look(self, inertia: Inertia | None) -> dict[str, Any] | None:
+        """Take a pose, and tell its masses and those of all poses so far [kg]; None where it is not known."""
+        if inertia is None:
+            return None
+        try:
+            here, (least, greatest) = masses_along(inertia)
+        except ValueError:
+            return None
+        with self._lock:
+            low, high = self._range or (least, greatest)
+            self._range = low, high = min(low, least), max(high, greatest)
+        return {"here_kg": list(here), "least_kg": low, "greatest_kg": high}
