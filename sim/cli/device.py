@@ -214,18 +214,21 @@ def identify_running(arguments: argparse.Namespace, tell: Any) -> list[tuple[Pus
 def _pushed(
     loop: PushedLaunch, law: dict[str, Any], out: Path, centre: list[float], tell: Any, arguments: argparse.Namespace
 ) -> tuple[Pushed, list[Identified]]:
-    """Push and identify; in lockstep, where ticks cost no time, again and longer when the recorder lost too many of them."""
-    from sim.identify.push import push
+    """Push and identify; again and longer when too many ticks were lost: on a busy machine, or by the recorder in lockstep."""
+    from sim.identify.push import LONGEST, push
 
-    longer = (1, 4, 16) if loop.run.nodes[loop.driver].pace == "lockstep" else (1,)
+    # In lockstep ticks cost no time.
+    longer = (1, 4, 16) if loop.run.nodes[loop.driver].pace == "lockstep" else (1, 3)
     for times in longer:
         out.unlink(missing_ok=True)
-        pushed = push(loop, {**law, "duration": times * law["duration"]}, out, centre, tell, arguments.load)
+        duration = min(times * law["duration"], LONGEST)
+        pushed = push(loop, {**law, "duration": duration}, out, centre, tell, arguments.load)
         try:
             return pushed, _axes(loop, pushed, arguments.held)
-        except RefusedError:
+        except RefusedError as error:
             if pushed.reason != "done" or times == longer[-1]:
                 raise
+            tell(f"{error}: pushing again, for longer ...")
     raise RefusedError(f"{out}: nothing was identified")
 
 

@@ -30,6 +30,8 @@ ALARM = 1.0
 """A driver that gives no force for so many seconds' worth of ticks ends the push; shorter silences are a busy machine's [s]."""
 LONGER = 2.0
 """So much longer than it is recorded the excitation pushes, should nobody end it [s]."""
+LONGEST = 600.0
+"""The excitation takes no longer duration [s]."""
 START = 20.0
 """A recorder that has not begun after so long will not [s]."""
 
@@ -79,7 +81,7 @@ def push(
             loop.soften(law["load"])
             _centre(loop, here, centre)
             # It is ended from here; by itself only should nobody do so.
-            longer = {f"laws.{LAW}": {**law, "duration": min(duration + LONGER, 600.0)}}
+            longer = {f"laws.{LAW}": {**law, "duration": min(duration + LONGER, LONGEST)}}
             loop.change(loop.coupling, "param.set", values=longer)
             recorder = beside(*record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             # In lockstep a push is over in less time than a process takes to start.

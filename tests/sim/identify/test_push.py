@@ -44,6 +44,10 @@ def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) ->
         assert parameters(launch) == before
         heavy = launch.haptic("device", "identify", "--load", "60", "--amplitude", "50", code=1)
         assert "more than" in heavy.stderr
+        # Twelve windows of 100 ticks are needed: what a busy machine loses, or a short push lacks, a longer one makes up for.
+        short = launch.haptic("device", "identify", "--duration", "1.2", "--load", "0.981", code=None)
+        assert "pushing again, for longer" in short.stderr
+        assert parameters(launch) == before
         done = launch.haptic("device", "identify", "--duration", "6", "--load", "0.981", "--json")
         figures = json.loads(done.stdout.splitlines()[-1])
         assert parameters(launch) == before
