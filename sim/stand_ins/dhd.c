@@ -98,24 +98,28 @@ int dhdEnableForce(unsigned char on, char id) {
 }
 
 int dhdSetGravityCompensation(int on, char id) {
-    (void) on;
-    return wrong("dhdSetGravityCompensation", id) ? FAILED : remark();
+    if (wrong("dhdSetGravityCompensation", id)) return FAILED;
+    here()->carries = on;
+    return remark();
 }
 
 int dhdSetEffectorMass(double mass, char id) {
     if (wrong("dhdSetEffectorMass", id)) return FAILED;
     if (!(mass >= 0.0)) here()->broken++;
+    here()->tool_mass = mass;
     return remark();
 }
 
 int dhdSetBaseAngleXDeg(double angle, char id) {
-    (void) angle;
-    return wrong("dhdSetBaseAngleXDeg", id) ? FAILED : remark();
+    if (wrong("dhdSetBaseAngleXDeg", id)) return FAILED;
+    here()->base[0] = angle;
+    return remark();
 }
 
 int dhdSetBaseAngleZDeg(double angle, char id) {
-    (void) angle;
-    return wrong("dhdSetBaseAngleZDeg", id) ? FAILED : remark();
+    if (wrong("dhdSetBaseAngleZDeg", id)) return FAILED;
+    here()->base[1] = angle;
+    return remark();
 }
 
 double dhdGetMaxForce(char id) { return wrong("dhdGetMaxForce", id) ? -1.0 : here()->peak; }

@@ -41,6 +41,9 @@ typedef struct {
     /* So long after it was given a force acts [s]; those on their way: when each acts, and it. */
     double late, due[LATE_FORCES][4];
     int32_t due_first, due_count;
+    /* what a driver has told the library of weights: whether it carries the device's, the tool's mass, the base's angles */
+    double tool_mass, base[2];
+    int32_t carries, spare;
     char fail[32];
     int32_t lock;
 } world;

@@ -43,6 +43,9 @@ class WorldState(ctypes.Structure):
         ("late", ctypes.c_double),
         ("due", ctypes.c_double * (4 * 256)),
         *((name, ctypes.c_int32) for name in ("due_first", "due_count")),
+        ("tool_mass", ctypes.c_double),
+        ("base", ctypes.c_double * 2),
+        *((name, ctypes.c_int32) for name in ("carries", "spare")),
         ("fail", ctypes.c_char * 32),
         ("lock", ctypes.c_int32),
     ]

@@ -151,6 +151,36 @@ def test_the_handle_turns_with_the_scene(stand: Bench) -> None:
     assert handle.buttons == 3
 
 
+def test_weights_are_told_to_the_library_before_forces_are_on(tmp_path: Path) -> None:
+    with bench("force_dimension_driver", tmp_path) as stand:
+        w = stand.world.state
+        w.tool_mass = -1.0
+        for carries, tool, base in ((True, None, (0.0, 0.0)), (False, 0.08, (90.0, -30.0))):
+            device = stand.device(gravity_compensation=carries, tool_mass=tool, base_angles=list(base))
+            device.connect()
+            assert w.forces == 0
+            device.open()
+            assert (bool(w.carries), tuple(w.base)) == (carries, base)
+            # A mass that nobody gives is left as the device knows it.
+            assert w.tool_mass == (-1.0 if tool is None else tool)
+            device.close()
+
+
+def test_the_gripper_and_the_buttons_of_each_kind_are_in_the_handle(tmp_path: Path) -> None:
+    for kind, gripper, pressed in (("force_dimension_driver", 0.012, 5), ("inverse3_driver", 0.0, 1)):
+        folder = tmp_path / kind
+        folder.mkdir()
+        with bench(kind, folder) as stand:
+            stand.world.state.gripper, stand.world.state.buttons = 0.012, pressed
+            device = stand.device()
+            device.connect()
+            device.open()
+            handle = device.handle()
+            assert handle is not None
+            assert (handle.gripper, handle.buttons) == (gripper, pressed)
+            device.close()
+
+
 def test_inertia_keeps_its_energy() -> None:
     mapping = Mapping(rotation=(10.0, 20.0, 30.0), scale=2.0)
     turn = matrix(mapping, UPRIGHT)
