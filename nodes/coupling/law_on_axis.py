@@ -13,6 +13,7 @@ from functools import cache
 from typing import Any, TypeAlias, cast
 
 from nodes.arithmetic import push, sections, warm_up
+from nodes.compiled.layout import state_of
 from nodes.coupling.state import LEAVING, CouplingState
 from nodes.laws import CompiledLaw
 
@@ -41,7 +42,7 @@ class History:
     """
 
     def __init__(self, length: int, state: Any = None, n: int = 0) -> None:
-        state = CouplingState() if state is None else state
+        state = state_of(CouplingState) if state is None else state
         self._heads, self._counts, self._n = state.head, state.pushes, n
         self.length = self.known = length
         self.values = array("d", [0.0]) * (2 * length)

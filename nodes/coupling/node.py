@@ -20,7 +20,7 @@ from nodes.arithmetic import SMOOTHING
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
-from nodes.compiled.layout import NEVER
+from nodes.compiled.layout import NEVER, state_of
 from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
@@ -77,7 +77,7 @@ class Coupling(Node):
 
     def make_counters(self) -> Any:
         """Make its state."""
-        return CouplingState(seq=-1, answered=-1)
+        return state_of(CouplingState, self.setup.tick == "compiled", seq=-1, answered=-1)
 
     def configure(self) -> None:
         """Compile the laws and the schedule, and load what later requests will need."""

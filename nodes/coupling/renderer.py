@@ -12,6 +12,7 @@ from typing import Any
 
 from messages.types import Proxy, Vector
 from nodes.arithmetic import deflection
+from nodes.compiled.layout import state_of
 from nodes.coupling.law_on_axis import History, LawOnAxis, Share, shares_of
 from nodes.coupling.render import LawPort, make_render
 from nodes.coupling.state import SLOTS, CouplingState
@@ -102,7 +103,7 @@ class Renderer:
     fallback: ActiveLaw
 
     def __init__(self, axes: Sequence[int], memory: int, state: Any = None) -> None:
-        s = self.state = CouplingState() if state is None else state
+        s = self.state = state_of(CouplingState) if state is None else state
         self.axes = list(axes)
         s.axes, s.axis[:], s.length, s.clamp = len(self.axes), (*axes, 0, 0)[:3], memory, 1
         self.histories = [History(memory, s, n) for n in range(len(self.axes))]

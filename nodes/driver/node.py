@@ -21,7 +21,7 @@ from nodes.base import realtime
 from nodes.base.hang_watchdog import LastResort
 from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
-from nodes.compiled.layout import NEVER, Counted
+from nodes.compiled.layout import NEVER, Counted, state_of
 from nodes.driver.calls import numbers_of
 from nodes.driver.device import Device
 from nodes.driver.external import give
@@ -100,7 +100,7 @@ class Driver(Node):
 
     def make_counters(self) -> Any:
         """Make its state."""
-        return DriverState()
+        return state_of(DriverState, self.setup.tick == "compiled")
 
     def counted(self) -> Counted:
         """Tell how far it is: the tick that was sampled last."""

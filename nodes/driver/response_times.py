@@ -9,6 +9,7 @@ from __future__ import annotations
 from array import array
 from typing import Any, Final
 
+from nodes.compiled.layout import state_of
 from nodes.compiled.memory import wholes_at
 from nodes.driver.state import BINS, RECENT, DriverState
 
@@ -46,7 +47,7 @@ class ResponseTimes:
     """
 
     def __init__(self, state: Any = None) -> None:
-        self._state: Any = DriverState() if state is None else state
+        self._state: Any = state_of(DriverState) if state is None else state
         self.bins = array("q", [0]) * (BINS + 1)
         self._state.bins = self.bins.buffer_info()[0]
 
@@ -57,7 +58,7 @@ class ResponseTimes:
     @property
     def recent(self) -> bytes:
         """The newest responses as they stand [s], in no order; 0 where there was none yet."""
-        return bytes(self._state.recent)
+        return array("d", self._state.recent).tobytes()
 
     @property
     def count(self) -> int:

@@ -121,7 +121,7 @@ def rearm(s: Any, seq: int) -> bool:
     s.peaks_count = s.peaked = 0
     s.regained, s.away_from = 0, float(seq)
     for i in range(3):
-        s.brake[i] = s.sides[i] = 0
+        s.brake[i], s.sides[i] = 0.0, 0
     s.safety = NOTHING
     s.entered[NOTHING] += 1
     note(s, REARMED, seq, 8 * STOPPED + NOTHING)

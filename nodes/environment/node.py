@@ -17,6 +17,7 @@ from messages.types import DeviceState, Proxy, Vector
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
+from nodes.compiled.layout import state_of
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.state import UNKNOWN, EnvironmentState
 from nodes.environment.surfaces import SURFACES, Meeting, Surface, meet_axes, numbers_of, parse_surface
@@ -74,7 +75,7 @@ class Environment(Node):
 
     def make_counters(self) -> Any:
         """Make its state."""
-        return EnvironmentState(seq=-1, answered=-1, kind=UNKNOWN)
+        return state_of(EnvironmentState, self.setup.tick == "compiled", seq=-1, answered=-1, kind=UNKNOWN)
 
     def _touch(self, numbers: Numbers | None, meet: Callable[[Vector], Meeting]) -> None:
         """Take a surface; interpreted and compiled ticks go on with one memory of its proxy."""

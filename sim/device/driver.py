@@ -92,11 +92,12 @@ def parts_of(
     workspace: Sequence[tuple[float, float]] = NO_END,
     lockstep: bool = True,
     hold: float = math.inf,
+    compiled: bool = False,
 ) -> list[VirtualDevice]:
     """Make the device of each axis of a scene; see `sim.device.state.VirtualDevice`."""
     numbers = [AXIS_INDEX[axis] for axis in axes]
     return [
-        VirtualDevice(of_axis, period, next_tick, workspace[i], lockstep, hold, i)
+        VirtualDevice(of_axis, period, next_tick, workspace[i], lockstep, hold, i, compiled)
         for i, of_axis in zip(numbers, along(model, axes), strict=True)
     ]
 
@@ -135,9 +136,10 @@ class SimDevice:
         self._compiled = setup.tick == "compiled"
         self._limits = DeviceLimits(hold=math.inf if hold is None else hold, latency=model.delay * setup.period)
         next_tick = lockstep and setup.apply == "next_tick"
-        self.parts = parts_of(model, setup.axes, setup.period, next_tick, workspace, lockstep, self._limits.hold)
+        self.parts = parts_of(
+            model, setup.axes, setup.period, next_tick, workspace, lockstep, self._limits.hold, self._compiled
+        )
         self._states = [part.state for part in self.parts]
-        self._context = array("q", [len(self.parts), *(part.address for part in self.parts), 0, 0][:4])
         self._reader: PointerReader | None = None
         if model.hand is not None and pointer is not None and not lockstep:
             self._reader = PointerReader(pointer_file(setup.run_dir, setup.name), pointer.silence)
@@ -169,6 +171,7 @@ class SimDevice:
             return None
         for d in self._states:
             d.clock_gettime, d.time = functions()["clock_gettime"], self._clock.buffer_info()[0]
+        self._context = array("q", [len(self.parts), *(part.address for part in self.parts), 0, 0][:4])
         return Calls(read, write, self._context.buffer_info()[0])
 
     @property

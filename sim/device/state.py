@@ -13,6 +13,7 @@ from array import array
 from ctypes import Structure, c_double, c_int64
 from typing import Any, Final
 
+from nodes.compiled.layout import state_of
 from nodes.compiled.memory import monotonic, pairs_at, shared_real, shared_whole
 from sim.device.friction import move
 from sim.device.model import (
@@ -244,6 +245,8 @@ class VirtualDevice:
         Its own deadline [s].
     axis : int
         Its axis.
+    compiled : bool
+        Whether compiled code moves it too.
 
     Attributes
     ----------
@@ -260,8 +263,9 @@ class VirtualDevice:
         lockstep: bool = True,
         hold: float = math.inf,
         axis: int = 0,
+        compiled: bool = False,
     ) -> None:
-        self.state: Any = AxisState()
+        self.state = state_of(AxisState, compiled)
         d = self.state
         d.mass, d.damping, d.grip = model.moving_mass, model.moving_damping, model.grip
         for name, value in (

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import msgspec
 
 from messages.types import Vector
+from nodes.compiled.layout import state_of
 from nodes.driver.device import DeviceLimits
 from nodes.driver.limits import SafetyParameters, lower
 from nodes.driver.motion import act, set_motion
@@ -58,7 +58,7 @@ class DriverRules:
         if parameters.workspace is not None and len(axes) == 1:
             nothing = (-math.inf, math.inf)
             parameters = msgspec.structs.replace(parameters, workspace=(parameters.workspace[0], nothing, nothing))
-        s: Any = DriverState()
+        s = state_of(DriverState)
         self.state = s
         s.period, s.virtual, s.next_tick = period, 1, next_tick
         s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
