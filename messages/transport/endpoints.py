@@ -54,7 +54,7 @@ HANDSHAKE_MS = 3000
 TCP_HANDSHAKE_MS = 8000
 """How long one over tcp may take: two round trips of a second for the greeting, two for the keys, and a lost packet [ms]."""
 
-RECONNECT_MS = 20
+RECONNECT_MS = 10
 """How soon a listener tries again to reach a publisher that is not there yet or was respawned [ms]."""
 
 MAX_RECONNECT_MS = 500

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import sys
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 
 class NotInstalledError(ParameterError):
@@ -104,5 +106,8 @@ class Registry:
 @cache
 def _installed(group: str, path: tuple[str, ...]) -> dict[str, EntryPoint]:
     """Read a group once per search path: that takes milliseconds, and a running loop asks at every change."""
+    # Later: a node that looks up nothing starts without it.
+    from importlib.metadata import entry_points
+
     del path
     return {point.name: point for point in entry_points(group=group)}
