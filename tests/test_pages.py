@@ -30,7 +30,7 @@ SHORTER = {
     "haptic launch floor_swap": "first:=0.4 second:=0.8 duration:=1.2",
     "haptic launch --list": "",
     "haptic launch --show-args": "",
-    "haptic bench loop": "--rounds 1 --seconds 0.2 --ticks 200 --rates 500",
+    "haptic bench loop": "--rounds 1 --seconds 0.2 --ticks 200 --rates 500 --cases",
     "haptic study detail": "duration:=1",
     "haptic study proxies": "--finest 3 --ticks 300 --steps 20000",
     "haptic bench listeners": "--rounds 1 --seconds 0.3",

@@ -1,4 +1,8 @@
-"""The running loop, plain and compiled, against bare ones: lockstep throughput, response, start-up, memory, CPU."""
+"""The running loop, plain and compiled, against bare ones: lockstep throughput, response, start-up, memory, CPU.
+
+Beside the ordinary launch the cases of sim/measure/loop_cases.py, in turns with it: what a guard and a cross-fade cost, and
+whether a device behind its own servo loop misses more than the virtual one.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import argparse
 import contextlib
 import statistics
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from nodes.base.realtime import awake, quietest_processor
@@ -14,6 +18,7 @@ from nodes.base.setup import Tick
 from nodes.cli.main import add_json, answer
 from nodes.compiled.choose_tick import choose
 from nodes.launcher.launch_spec import AWAKE_RATE
+from sim.measure import loop_cases
 from sim.measure.bare import BARE, bare_loop, c_loop
 from sim.measure.measured_launch import fifo_granted, launch, machine
 from sim.measure.stopwatch import Progress
@@ -28,8 +33,19 @@ KERNELS = (
 )
 """The compiled ticks of the loop."""
 
-NAMES = {"compiled": "compiled", "plain": "plain", "bare": "bare pyzmq + msgpack", "c": "bare C"}
+NAMES = {
+    "compiled": "compiled",
+    "plain": "plain",
+    "bare": "bare pyzmq + msgpack",
+    "c": "bare C",
+    **{
+        f"{tick} {case}": f"{tick}, {told}" for case, told in loop_cases.CASES.items() for tick in ("compiled", "plain")
+    },
+}
 """The loops compared; a bare one carries a logger when ours does."""
+
+Launches = Mapping[str, tuple[str, ...]]
+"""Arguments of each case, and of the ordinary launch, see sim/measure/loop_cases.py."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -45,18 +61,25 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="of the real-time rounds (default 500 4000 8000)",
     )
+    parser.add_argument(
+        "--cases",
+        nargs="*",
+        choices=loop_cases.CASES,
+        default=list(loop_cases.CASES),
+        help=f"beside the ordinary launch (default all; stand_in at {loop_cases.SERVO_RATE} Hz, where that is a rate)",
+    )
     add_json(parser)
     parser.set_defaults(run=run)
 
 
-def _loops(tick: Tick) -> dict[str, Callable[[int, str, bool], float]]:
+def _loops(tick: Tick, launches: Launches) -> dict[str, Callable[[int, str, bool], float]]:
     """Name the loops that are compared in lockstep; each answers with ticks per second."""
 
-    def ours(tick: str) -> Callable[[int, str, bool], float]:
+    def ours(tick: str, case: str = "") -> Callable[[int, str, bool], float]:
         def measure(ticks: int, _: str, logger: bool) -> float:
             words = [] if logger else ["--without", "logger"]
             words += ["pace:=lockstep", f"duration:={ticks / 500.0}", "--tick", tick]
-            return float(launch("floor_drop", *words)["rate_hz"])
+            return float(launch(*launches[case], *words)["rate_hz"])
 
         return measure
 
@@ -69,15 +92,40 @@ def _loops(tick: Tick) -> dict[str, Callable[[int, str, bool], float]]:
     in_c = c_loop()
     if in_c is not None:
         loops["c"] = bare(in_c)
+    for case in launches.keys() - {"", "stand_in"}:
+        loops |= {f"{one} {case}": ours(one, case) for one in dict.fromkeys(("plain", tick))}
     return loops
 
 
-def lockstep(rounds: int, ticks: int, tick: Tick, progress: Progress) -> dict[str, Any]:
-    """Time lockstep against the bare loops, round by round, without a logger and with one."""
+def _names(loops: Mapping[str, Any]) -> list[str]:
+    """Name the rows of lockstep: each loop without a logger and with one, cases without."""
+    return [*loops, *(f"{name}_with_logger" for name in loops if " " not in name)]
+
+
+def _programs() -> dict[str, Sequence[str]]:
+    """Give the bare loops."""
+    in_c = c_loop()
+    return {"bare": BARE} if in_c is None else {"bare": BARE, "c": in_c}
+
+
+def _rows(rates: Sequence[int], tick: Tick, launches: Launches) -> list[tuple[str, int]]:
+    """Name what runs in real time, and at which rate; a case at one rate only."""
+    ours = tuple(dict.fromkeys(("plain", tick)))
+    found = [(name, rate) for rate in rates for name in (*ours, *_programs())]
+    for case in loop_cases.CASES.keys() & launches.keys():
+        rate = loop_cases.SERVO_RATE if case == "stand_in" else rates[0]
+        if rate in rates:
+            found += [(f"{one} {case}", rate) for one in (ours if case != "stand_in" else (tick,))]
+    return found
+
+
+def lockstep(
+    rounds: int, ticks: int, loops: Mapping[str, Callable[[int, str, bool], float]], tick: Tick, progress: Progress
+) -> dict[str, Any]:
+    """Time lockstep against the bare loops, round by round."""
     core = str(quietest_processor())
-    loops = _loops(tick)
-    found: dict[str, list[float]] = {f"{name}{key}": [] for key in ("", "_with_logger") for name in loops}
-    names = list(found)
+    names = _names(loops)
+    found: dict[str, list[float]] = {name: [] for name in names}
     for k in range(rounds):
         # The order rotates: the machine drifts.
         for name in names[k % len(names) :] + names[: k % len(names)]:
@@ -92,16 +140,14 @@ def lockstep(rounds: int, ticks: int, tick: Tick, progress: Progress) -> dict[st
     return figures
 
 
-def realtime(rounds: int, seconds: float, rates: Sequence[int], tick: Tick, progress: Progress) -> dict[str, Any]:
+def realtime(
+    rounds: int, seconds: float, rates: Sequence[int], tick: Tick, launches: Launches, progress: Progress
+) -> dict[str, Any]:
     """Measure response and missed ticks at several rates, interleaved with the bare loops."""
     core = str(quietest_processor())
     fifo = 50 if fifo_granted() else 0
-    in_c = c_loop()
-    programs = {"bare": BARE} if in_c is None else {"bare": BARE, "c": in_c}
-    ours = dict.fromkeys(("plain", tick))
-    found: dict[tuple[str, int], list[dict[str, Any]]] = {
-        (name, rate): [] for rate in rates for name in (*ours, *programs)
-    }
+    programs = _programs()
+    found: dict[tuple[str, int], list[dict[str, Any]]] = {row: [] for row in _rows(rates, tick, launches)}
     pairs = list(found)
     for k in range(rounds):
         for name, rate in pairs[k % len(pairs) :] + pairs[: k % len(pairs)]:
@@ -110,8 +156,9 @@ def realtime(rounds: int, seconds: float, rates: Sequence[int], tick: Tick, prog
                 with awake() if rate >= AWAKE_RATE else contextlib.nullcontext():
                     run = bare_loop(round(seconds * rate), core, fifo, float(rate), True, programs[name])
             else:
-                words = (f"rate:={rate}", f"duration:={seconds}", "stiffness:=500", "--tick", name)
-                run = launch("floor_drop", *words)
+                one, _, case = name.partition(" ")
+                words = (f"rate:={rate}", f"duration:={seconds}", "stiffness:=500", "--tick", one)
+                run = launch(*launches[case], *words)
             found[name, rate].append(run)
             progress.step(f"{rate} Hz, {name}")
     names = ("p50", "p99", "p999", "max")
@@ -140,9 +187,12 @@ def text(figures: dict[str, Any]) -> str:
     low, high = figures["ratio_range"]
     lines = [figures["machine"] + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")]
     for key, told in (("", "without a logger"), ("_with_logger", "with one")):
-        rates = {name: figures.get(f"{name}{key}_ticks_per_s") for name in NAMES}
+        rates = {name: figures.get(f"{name}{key}_ticks_per_s") for name in NAMES if " " not in name}
         found = ", ".join(f"{NAMES[name]} {rate:.0f}" for name, rate in rates.items() if rate is not None)
         lines.append(f"lockstep   {told}, ticks/s: {found}")
+    cases = {told: figures.get(f"{name}_ticks_per_s") for name, told in NAMES.items() if " " in name}
+    if found := ", ".join(f"{told} {rate:.0f}" for told, rate in cases.items() if rate is not None):
+        lines.append(f"           without a logger, ticks/s: {found}")
     lines += [
         f"           bare/ours {figures['ratio']:.2f} ({low:.2f} to {high:.2f})",
         f"start-up   {figures['startup_s']:.2f} s from the command to the first tick; "
@@ -151,10 +201,10 @@ def text(figures: dict[str, Any]) -> str:
     for rate in figures["rates_hz"]:
         key = f"{rate}_hz"
         for name, told in NAMES.items():
-            if f"{name}_response_us" in figures:
+            if key in figures.get(f"{name}_response_us", {}):
                 response, missed = figures[f"{name}_response_us"][key], figures[f"{name}_missed_share"][key]
                 lines.append(
-                    f"{rate:5} Hz   {told:24} response p50 {response['p50']:4.0f} µs, p99 {response['p99']:4.0f} µs, "
+                    f"{rate:5} Hz   {told:32} response p50 {response['p50']:4.0f} µs, p99 {response['p99']:4.0f} µs, "
                     f"max {response['max']:5.0f} µs, missed {missed:.3%}"
                 )
     memory = ", ".join(f"{name} {value:.0f} MB" for name, value in figures["memory_mb"].items())
@@ -168,10 +218,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     rounds = arguments.rounds
     tick = choose("compiled", KERNELS, lambda text: print(text, file=sys.stderr))
-    loops = 2 + (tick == "compiled") + (c_loop() is not None)
-    progress = Progress(loops * rounds * (2 + len(arguments.rates)))
-    figures = lockstep(rounds, arguments.ticks, tick, progress)
-    figures.update(realtime(rounds, arguments.seconds, arguments.rates, tick, progress))
+    # Like the bare loop in C, the stand-in needs a compiler.
+    stands_in = loop_cases.SERVO_RATE in arguments.rates and c_loop() is not None
+    with loop_cases.launches([case for case in arguments.cases if case != "stand_in" or stands_in]) as launches:
+        loops = _loops(tick, launches)
+        progress = Progress(rounds * (len(_names(loops)) + len(_rows(arguments.rates, tick, launches))))
+        figures = lockstep(rounds, arguments.ticks, loops, tick, progress)
+        figures.update(realtime(rounds, arguments.seconds, arguments.rates, tick, launches, progress))
     figures["machine"] = machine()
     answer(arguments.json, figures, text(figures))
     return 0
