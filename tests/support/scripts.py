@@ -11,7 +11,8 @@ from messages.types import DeviceState, Force, Message, Proxy, Vector
 from nodes.coupling.node import Coupling
 from nodes.driver.device import DeviceLimits
 from nodes.environment.node import Environment
-from tests.support.scripted import EPOCH, TICK, Arrival, Hand, Script, ScriptedDriver, at
+from tests.support.scripted import Hand, Script, ScriptedDriver
+from tests.support.scripted_world import EPOCH, TICK, Arrival, at
 
 BOX = ((-0.1, 0.1),) * 3
 TICKS = 120

@@ -23,8 +23,9 @@ from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.surfaces import Meeting, Plane
 from sim.measure.measured_launch import wait_for
 from tests.support import ROOT
-from tests.support.scripted import Arrival, HandInC, Script, ScriptedSimulation, assert_alike, at
+from tests.support.scripted import HandInC, Script, ScriptedSimulation, assert_alike
 from tests.support.scripted import played as scripted
+from tests.support.scripted_world import Arrival, at
 from tests.support.scripts import BOX, answer, answers_but, driver, moving
 from tests.support.setups import setup_of
 

@@ -18,7 +18,8 @@ from nodes.compiled.choose_tick import choose
 from nodes.coupling.node import Coupling
 from nodes.driver.node import Driver
 from nodes.environment.node import Environment
-from tests.support.scripted import EPOCH, TICK, Arrival, Outcome, Script, ScriptedSimulation, assert_alike, at, played
+from tests.support.scripted import Outcome, Script, ScriptedSimulation, assert_alike, played
+from tests.support.scripted_world import EPOCH, TICK, Arrival, at
 from tests.support.scripts import KINDS, answer, driver, follower, question
 
 ALL = ["driver", *KINDS]

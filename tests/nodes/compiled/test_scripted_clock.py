@@ -24,7 +24,8 @@ from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
 from nodes.driver.state import DAMPING, FAULT, NOTHING, RAMP, STOPPED
 from nodes.environment.node import Environment
-from tests.support.scripted import EPOCH, TICK, Arrival, Hand, Script, T, assert_alike, at, played
+from tests.support.scripted import Hand, Script, assert_alike, played
+from tests.support.scripted_world import EPOCH, TICK, Arrival, T, at
 from tests.support.scripts import BOX, KINDS, TICKS, answer, answers_but, driver, follower, moving
 
 KERNELS = [Driver.kernel_module, Environment.kernel_module, Coupling.kernel_module]
