@@ -49,7 +49,8 @@ class CommandError(HapticError):
     """A request that was refused; the text is for the page."""
 
 
-def _publisher(run: RunInfo, topic: str) -> str:
+def publisher(run: RunInfo, topic: str) -> str:
+    """Name of the node that publishes a topic; empty for none."""
     return next((name for name, setup in run.nodes.items() if topic in load(setup.factory).publishes), "")
 
 
@@ -98,8 +99,8 @@ class Commander:
         self._undo: list[tuple[str, dict[str, Any], dict[str, Any], float]] = []
         self._recorder: subprocess.Popen[bytes] | None = None
         self._recordings = 0
-        self.driver = _publisher(run, DEVICE_STATE)
-        self.coupling = _publisher(run, FORCE)
+        self.driver = publisher(run, DEVICE_STATE)
+        self.coupling = publisher(run, FORCE)
         self.beyond = bool(self.driver) and _may_go_beyond(run.nodes[self.driver])
         self.again = again and self.beyond
         self.delays = bool(self.driver and self.coupling) and _has_delay(run.nodes[self.driver])

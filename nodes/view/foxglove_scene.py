@@ -7,20 +7,20 @@ what was recorded, as the node stepped it, where MuJoCo and the file are there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from messages.topics import DEVICE_STATE, PROXY
 from messages.types import DeviceState, Proxy, Vector
-from nodes.environment.bodies.moving_scene import MovingScene
-from nodes.environment.bodies.node import MujocoParameters, load_world
-from nodes.parameters.store import ParameterError, convert
+from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.recording.recover import Copy
 from nodes.recording.writer import MANIFEST, PARAMETERS, Output, RecordError, discard, mcap_writer, versions
+from nodes.view.bodies import RecordedBodies
 from nodes.view.shape import shape_of
 
 SCENE, FRAME = "/scene", "haptic"
@@ -106,30 +106,18 @@ def _surface(at: int, name: str, triangles: list[float]) -> dict[str, Any]:
     return _entity(at, name, triangles=[drawn])
 
 
-class _Bodies:
-    """The geoms of a scene in which things move, stepped by what was recorded."""
-
-    def __init__(self, world: MovingScene) -> None:
-        import mujoco
-
-        self._world, self._library, self._first = world, mujoco, True
-
-    def follow(self, state: DeviceState) -> None:
-        """Step the scene to a tick."""
-        if state.safety == "fault":
-            return
-        self._world.follow(state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay, self._first)
-        self._first = False
+class _Bodies(RecordedBodies):
+    """The geoms of a scene in which things move, for Foxglove."""
 
     def entity(self, at: int, name: str) -> dict[str, Any]:
         """Draw all geoms of a simple kind."""
-        import numpy as np
+        import mujoco
 
-        model, data, kinds = self._world.model, self._world.data, self._library.mjtGeom
+        model, data, kinds = self.world.model, self.world.data, mujoco.mjtGeom
         found: dict[str, list[dict[str, Any]]] = {"cubes": [], "spheres": [], "cylinders": []}
         turn = np.empty(4)
         for i in range(model.ngeom):
-            self._library.mju_mat2Quat(turn, data.geom_xmat[i])
+            mujoco.mju_mat2Quat(turn, data.geom_xmat[i])
             size, kind = model.geom_size[i].tolist(), kinds(int(model.geom_type[i]))
             drawn = {"pose": _pose(data.geom_xpos[i], (*turn[1:], turn[0])), "color": _colour(_SURFACE)}
             if kind == kinds.mjGEOM_BOX:
@@ -157,15 +145,14 @@ class _Scene:
         period = 1.0 / float(recording.metadata.get(MANIFEST, {}).get("rate_hz", 500.0))
         for node, text in recording.metadata.get(PARAMETERS, {}).items():
             chain = node.rpartition("/")[0]
-            parameters: Mapping[str, Any] = msgspec.json.decode(text)
+            parameters: dict[str, Any] = msgspec.json.decode(text)
             try:
                 if "surface" in parameters:
                     shape = shape_of(parameters)
                     self._surfaces[node] = shape.get("triangles", [])
                     self._radius[chain] = shape.get("tool_radius", 0.0)
                 elif "scene" in parameters:
-                    made: MujocoParameters = convert(parameters, MujocoParameters, node)
-                    self._bodies[chain] = _Bodies(load_world(made, period, node))
+                    self._bodies[chain] = _Bodies(parameters, period, node)
             except (ParameterError, OSError) as error:
                 self.left_out.append(f"{node}: {error}")
 

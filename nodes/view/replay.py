@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import time
 from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
-from messages.types import DeviceState, Receipt
+from messages.types import DeviceState, Event, Receipt
 from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
@@ -31,6 +33,13 @@ from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, Facts, LiveRun
 from nodes.view.server import PageServer
 from nodes.view.stability_map import drawn_map
+from nodes.view.words import told_delay
+
+if TYPE_CHECKING:
+    from nodes.view.bodies import RecordedBodies
+
+AHEAD = 30.0
+"""How far past its place in the recording a page's plots go, so that a moment can be picked that is still to come [s]."""
 
 OVER = 20_000
 """Most points of another recording that is drawn over this one."""
@@ -114,6 +123,8 @@ class ReplayPages:
         self._scene_period = max(1.0 / SCENES, self.duration / MOST_SCENES)
         self.live = LiveRun(self._facts, self.duration + 10.0, MOST_BINS / max(self.duration, 1.0))
         self.scenes, self.statuses, self.log, self.laws = Timeline(), Timeline(), Timeline(), Timeline()
+        self.poses = Timeline()
+        self._bodies: RecordedBodies | None = None
         self._driver: dict[str, Any] = {}
         self._plant: Any = None
         self._shape: dict[str, Any] = {}
@@ -153,16 +164,22 @@ class ReplayPages:
             live.keep(topic, message, log_time)
             if isinstance(message, Receipt):
                 self._read_receipt(message)
+            elif isinstance(message, Event) and message.kind == "delay":
+                self._read_delay(message)
             while live.board.logged > len(self.log.items):
                 texts, _, _ = live.board.since(1 << 62, len(self.log.items))
                 self.log.add(message.seq * period, texts[0])
             if not isinstance(message, DeviceState):
                 continue
+            if self._bodies is not None:
+                self._bodies.follow(message)
             at = message.seq * period
             delays, states = delays + message.delay, states + 1.0
             if at >= next_scene:
                 next_scene = at + self._scene_period
                 self.scenes.add(at, live.feed.now())
+                if self._bodies is not None:
+                    self.poses.add(at, self._bodies.poses().astype(np.float32))
                 live.feed.file()
             if at >= next_status:
                 next_status = at + 0.2
@@ -195,15 +212,22 @@ class ReplayPages:
                 self._read_coupling(name, parameters)
             elif "device" in parameters:
                 self._driver = parameters
-            elif "surface" in parameters and len(self._facts.axes) > 1:
-                self._read_shape(parameters)
+            elif ("surface" in parameters or "scene" in parameters) and len(self._facts.axes) > 1:
+                self._read_shape(name, parameters)
+        if self.laws.items and "delay" in self._driver.get("device", {}):
+            self.laws.items[0]["device_delay"] = self._driver["device"]["delay"]
 
-    def _read_shape(self, parameters: dict[str, Any]) -> None:
-        from nodes.view.shape import shape_of
+    def _read_shape(self, name: str, parameters: dict[str, Any]) -> None:
+        from nodes.view.bodies import RecordedBodies
+        from nodes.view.shape import bodies_of, shape_of
 
-        # A shape that is not installed here, or a mesh whose file has gone: the flat views remain.
+        # A shape that is not installed here, or a file that has gone: the flat views remain.
         with contextlib.suppress(ParameterError, OSError):
-            self._shape = shape_of(parameters)
+            if "scene" in parameters:
+                self._bodies = RecordedBodies(parameters, self._facts.period, name)
+                self._shape = bodies_of(self._bodies.world)
+            else:
+                self._shape = shape_of(parameters)
 
     def _read_coupling(self, name: str, parameters: dict[str, Any]) -> None:
         try:
@@ -227,6 +251,13 @@ class ReplayPages:
         laws = {**before["laws"], law: after} if "kind" in after else before["laws"]
         self.laws.add(receipt.seq * self._facts.period, {**before, "active": law, "laws": laws})
 
+    def _read_delay(self, event: Event) -> None:
+        """Take how late the virtual device answers from an event on: the map of stability is another one."""
+        ticks = told_delay(event.reason)
+        if ticks is None or not self.laws.items:
+            return
+        self.laws.add(event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks})
+
     # -- serving -----------------------------------------------------------------------------------------------------
 
     async def run(self, stopping: Callable[[], bool]) -> None:
@@ -244,15 +275,28 @@ class ReplayPages:
         described = laws["laws"].get(active)
         if described is None:
             return
-        key = repr((active, described))
+        later = laws.get("device_delay")
+        key = repr((active, described, later))
 
         async def draw() -> None:
             if key not in self._maps:
-                work = partial(drawn_map, described, self._facts.period, self._plant, self._driver, self._delay)
+                plant, driver = self._with(later)
+                work = partial(drawn_map, described, self._facts.period, plant, driver, self._delay)
                 self._maps[key] = await asyncio.get_running_loop().run_in_executor(self._mapping, work)
             tell(msgspec.json.encode({"type": "map", "law": active, **self._maps[key]}).decode())
 
         self._job = asyncio.get_running_loop().create_task(draw())
+
+    def _with(self, later: float | None) -> tuple[Any, dict[str, Any]]:
+        """Give what a map is drawn for when the device answers so many ticks later than it is."""
+        plant, driver = self._plant, self._driver
+        if later is None or "device" not in driver:
+            return plant, driver
+        before = float(driver["device"].get("delay", 0.0))
+        if plant is not None:
+            own = float(plant.get("device_delay", 0.0))
+            plant = {**plant, "device_delay": max(0.0, own + later - before)}
+        return plant, {**driver, "device": {**driver["device"], "delay": later}}
 
 
 class ReplayPage:
@@ -271,16 +315,22 @@ class ReplayPage:
         self._since = time.monotonic()
         self._speed = 1.0
         self._playing = True
+        self._first = self._cursor = -1
+        self._void = True
+        self._shown = math.nan
         self._told: list[str | bytes] = [pages.hello, *([pages.over] if pages.over else [])]
         self._go(pages.begin)
 
     def _go(self, at: float) -> None:
-        """Begin anew at a time."""
+        """Go to a time; bins that the page has already stay, so that it can be pulled through them."""
         self._at, self._since = min(max(at, self._pages.begin), self._end), time.monotonic()
-        self._cursor = self._pages.live.feed.until(self._at - HISTORY)
+        feed = self._pages.live.feed
+        first = feed.until(self._at - HISTORY)
+        if not self._first <= feed.until(self._at) <= self._cursor:
+            self._first = self._cursor = first
+            self._void = True
         self._logged = 0
-        self._status = self._law = 0
-        self._void = True
+        self._status = self._law = self._posed = 0
         self._told.append('{"type":"reset"}')
 
     def _tell(self, text: str) -> None:
@@ -308,11 +358,22 @@ class ReplayPage:
             found.append(msgspec.json.encode({"type": "laws", **laws}).decode())
             pages.map_of(laws, self._tell)
         self._status, self._law = status, law
-        end, scene = pages.live.feed.until(at), pages.scenes.until(at)
-        if (end > self._cursor or self._void) and scene:
+        posed = pages.poses.until(at)
+        if posed != self._posed and posed:
+            found.append(
+                msgspec.json.encode(
+                    {"type": "poses", "poses": np.round(pages.poses.items[posed - 1].astype(float), 6).tolist()}
+                ).decode()
+            )
+        self._posed = posed
+        end, scene = pages.live.feed.until(at + AHEAD), pages.scenes.until(at)
+        if (at != self._shown or end > self._cursor or self._void) and scene:
             now = (at, *pages.scenes.items[scene - 1][1:])
+            end = max(end, self._cursor)
             found.append(pages.live.feed.frame(self._cursor, end, self._void, now))
-            self._cursor, self._void = end, False
+            # What the page's ring has room for.
+            self._first = max(self._first, pages.live.feed.until(at - HISTORY))
+            self._cursor, self._void, self._shown = end, False, at
         return found
 
     def hand(self, target: list[float] | None) -> str:

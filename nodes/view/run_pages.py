@@ -10,11 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from messages.topics import PROXY
 from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.base.setup import AXIS_INDEX
 from nodes.launcher.runs import RunInfo
-from nodes.view.commands import Commander, CommandError
+from nodes.parameters.store import ParameterError
+from nodes.view.commands import Commander, CommandError, publisher
 from nodes.view.comparison import Comparison
 from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, LiveRun, facts_of
@@ -24,6 +26,7 @@ from nodes.view.shared_hand import SharedHand
 from nodes.view.stability_map import drawn_map
 
 if TYPE_CHECKING:
+    from nodes.view.bodies import RunningBodies
     from nodes.view.foxglove import Bridge
 
 DRAIN_PERIOD = 1.0 / 60.0
@@ -126,6 +129,7 @@ class RunPages:
         self._mapping = ThreadPoolExecutor(1, "map")
         self._laws: dict[str, Any] = {}
         self._bridge: Bridge | None = None
+        self._bodies: RunningBodies | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
         self._mapped: tuple[str, float] = ("", -1.0)
@@ -146,8 +150,17 @@ class RunPages:
 
     def _shape(self) -> dict[str, Any]:
         """Describe what a scene of several axes looks like; once, for it stays."""
-        environment = next((setup for setup in self._run.nodes.values() if setup.kind == "environment"), None)
-        if environment is None or len(environment.axes) < 2:
+        name = publisher(self._run, PROXY)
+        if not name or len(self._run.nodes[name].axes) < 2:
+            return {}
+        environment = self._run.nodes[name]
+        if "scene" in environment.parameters:
+            from nodes.view.bodies import RunningBodies
+
+            # On another machine nobody can look: the flat views remain, and whoever lacks MuJoCo has them, too.
+            with contextlib.suppress(OSError, ParameterError):
+                self._bodies = RunningBodies(environment)
+                return self._bodies.shape
             return {}
         from nodes.view.shape import shape_of
 
@@ -227,6 +240,9 @@ class RunPages:
         self.hand.step(state.target)
         self._comparison.step(time.monotonic(), self.live.delay)
         if self.server.pages:
+            poses = self._bodies.news() if self._bodies is not None else None
+            if poses is not None:
+                self.live.board.put("poses", poses)
             side = proxy.normal[axis] if proxy is not None else 0.0
             surface = proxy.position[axis] - side * proxy.distance if proxy is not None and side else None
             self.hand.tap(axis, surface, side)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from nodes.environment.shapes.scene import Solid
 from nodes.environment.shapes.tables import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
 from nodes.environment.surfaces import parse_surface
 
+if TYPE_CHECKING:
+    from nodes.environment.bodies.moving_scene import MovingScene
+
 Points = NDArray[np.float64]
 
 AROUND, ACROSS = 28, 14
@@ -22,6 +25,8 @@ AROUND, ACROSS = 28, 14
 
 REACH = 0.08
 """A plane has no end; so much of it is drawn on each side [m]."""
+
+_UP = np.array([0.0, 0.0, 1.0])
 
 MOST = 20_000
 """Triangles that are sent: of a finer mesh, every so many-th."""
@@ -45,7 +50,13 @@ def _frame(axis: Points) -> tuple[Points, Points]:
     return first, np.cross(axis, first)
 
 
-def _round(profile: Callable[[float], tuple[float, float]], centre: Points, axis: Points) -> Points:
+def _round(
+    profile: Callable[[float], tuple[float, float]],
+    centre: Points,
+    axis: Points,
+    around: int = AROUND,
+    across: int = ACROSS,
+) -> Points:
     """Triangles of what is round about an axis: from 0 to 1, how far along it and how far from it [m]."""
     first, second = _frame(axis)
 
@@ -54,16 +65,35 @@ def _round(profile: Callable[[float], tuple[float, float]], centre: Points, axis
         angle = 2.0 * math.pi * turn
         return np.asarray(centre + along * axis + out * (math.cos(angle) * first + math.sin(angle) * second))
 
-    return _grid(at)
+    return _grid(at, around, across)
 
 
-def _plane(point: Points, normal: Points) -> Points:
+def _plane(point: Points, normal: Points, reach: float = REACH) -> Points:
     first, second = _frame(normal)
 
     def at(a: float, b: float) -> Points:
-        return np.asarray(point + REACH * ((2.0 * a - 1.0) * first + (2.0 * b - 1.0) * second))
+        return np.asarray(point + reach * ((2.0 * a - 1.0) * first + (2.0 * b - 1.0) * second))
 
     return _grid(at, 8, 8)
+
+
+def _sphere(radius: float) -> Callable[[float], tuple[float, float]]:
+    return lambda part: (-radius * math.cos(math.pi * part), radius * math.sin(math.pi * part))
+
+
+def _capsule(length: float, radius: float) -> Callable[[float], tuple[float, float]]:
+    """Outline of a capsule that begins at the centre of its lower end."""
+
+    def profile(part: float) -> tuple[float, float]:
+        angle = math.pi * part
+        return (length if part > 0.5 else 0.0) - radius * math.cos(angle), radius * math.sin(angle)
+
+    return profile
+
+
+def _cylinder(half: float, radius: float) -> Callable[[float], tuple[float, float]]:
+    outline = ((-half, 0.0), (-half, radius), (half, radius), (half, 0.0))
+    return lambda part: outline[min(3, int(part * 3.0 + 1e-9))]
 
 
 def _box(centre: Points, axes: Points, half: Points) -> Points:
@@ -77,20 +107,12 @@ def _triangles(solid: Solid) -> Points:
     if solid.kind == PLANE:
         return _plane(n[:3], n[3:6])
     if solid.kind == SPHERE:
-        up = np.array([0.0, 0.0, 1.0])
-        return _round(lambda p: (-n[3] * math.cos(math.pi * p), n[3] * math.sin(math.pi * p)), n[:3], up)
+        return _round(_sphere(float(n[3])), n[:3], _UP)
     if solid.kind == CAPSULE:
-        length, radius = float(n[6]), float(n[7])
-
-        def profile(part: float) -> tuple[float, float]:
-            angle = math.pi * part
-            return (length if part > 0.5 else 0.0) - radius * math.cos(angle), radius * math.sin(angle)
-
-        return _round(profile, n[:3], n[3:6])
+        return _round(_capsule(float(n[6]), float(n[7])), n[:3], n[3:6])
     if solid.kind == CYLINDER:
-        half, radius = float(n[6]), float(n[7])
-        outline = ((-half, 0.0), (-half, radius), (half, radius), (half, 0.0))
-        return _round(lambda p: outline[min(3, int(p * 3.0 + 1e-9))], n[:3], n[3:6])
+        # Two discs and what is between them.
+        return _round(_cylinder(float(n[6]), float(n[7])), n[:3], n[3:6], across=3)
     if solid.kind == BOX:
         return _box(n[:3], n[3:12].reshape(3, 3), n[12:15])
     assert solid.mesh is not None  # noqa: S101  # what is left is a mesh
@@ -114,3 +136,43 @@ def shape_of(parameters: Mapping[str, Any]) -> dict[str, Any]:
     point, normal = np.zeros(3), np.zeros(3)
     point[AXIS_INDEX[axis]], normal[AXIS_INDEX[axis]] = float(position), float(getattr(surface, "normal", 1.0))
     return {"triangles": np.round(_plane(point, normal), 6).ravel().tolist(), "tool_radius": 0.0, "friction": 0.0}
+
+
+def bodies_of(world: MovingScene) -> dict[str, Any]:
+    """Describe a scene in which things move: triangles of each geom in its own frame [m]; its poses come later."""
+    import mujoco
+
+    model = world.model
+    found = []
+    for i in range(model.ngeom):
+        triangles = _geom(model, i, mujoco.mjtGeom)
+        body = int(model.geom_bodyid[i])
+        of_tool = int(model.body_rootid[body]) == world.tool
+        flat = np.round(triangles.reshape(-1, 9), 6).ravel().tolist()
+        found.append({"name": model.geom(i).name or model.body(body).name, "tool": of_tool, "triangles": flat})
+    return {"triangles": [], "bodies": found, "tool_radius": 0.0, "friction": 0.0}
+
+
+def _geom(model: Any, i: int, kinds: Any) -> Points:
+    """Triangles of a geom; none for a kind that has no outline of a few numbers."""
+    kind, (a, b, c) = kinds(int(model.geom_type[i])), model.geom_size[i].tolist()
+    centre = np.zeros(3)
+    if kind == kinds.mjGEOM_PLANE:
+        return _plane(centre, _UP, min(REACH, a or REACH))
+    if kind == kinds.mjGEOM_SPHERE:
+        return _round(_sphere(a), centre, _UP, 16, 8)
+    if kind == kinds.mjGEOM_ELLIPSOID:
+        return np.asarray(_round(_sphere(1.0), centre, _UP, 16, 8) * [a, b, c])
+    if kind == kinds.mjGEOM_CAPSULE:
+        return _round(_capsule(2.0 * b, a), np.array([0.0, 0.0, -b]), _UP, 16, 9)
+    if kind == kinds.mjGEOM_CYLINDER:
+        return _round(_cylinder(b, a), centre, _UP, 20, 3)
+    if kind == kinds.mjGEOM_BOX:
+        return _box(centre, np.eye(3), np.array([a, b, c]))
+    if kind == kinds.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[i])
+        first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        start = int(model.mesh_vertadr[mesh])
+        faces = model.mesh_face[first : first + count : 1 + count // MOST]
+        return np.asarray(model.mesh_vert[start + faces], dtype=np.float64)
+    return np.zeros((0, 3, 3))

@@ -34,6 +34,15 @@ def told_stop(reason: str) -> tuple[str, float]:
     return f"{strokes} strokes to the limit of {limit} N within {span} s, {energy} mJ given out", float(span)
 
 
+_LATER = re.compile(r"the device answers (\S+) ticks later")
+
+
+def told_delay(reason: str) -> float | None:
+    """Read from an event how late a virtual device answers from then on [ticks]."""
+    found = _LATER.match(reason)
+    return float(found.group(1)) if found else None
+
+
 def size(vector: tuple[float, float, float]) -> float:
     """Length of a vector."""
     return math.sqrt(sum(part * part for part in vector))

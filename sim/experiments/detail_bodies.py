@@ -52,7 +52,7 @@ class _Led(_Watched):
     def __init__(self, launch: Launch, went: list[tuple[Rows, Rows]]) -> None:
         super().__init__(launch)
         self._led = iter(went)
-        others = self.model.body_rootid != self._tool
+        others = self.model.body_rootid != self.tool
         self.model.body_mass[others] *= _HEAVY
         self.model.body_inertia[others] *= _HEAVY
         # What contacts are regularised by follows from the masses.

@@ -72,6 +72,8 @@ class MovingScene:
 
     Attributes
     ----------
+    tool : int
+        The tool's body in the model.
     mass : float
         Of the tool, with what is fixed to it [kg].
     steps : int
@@ -97,8 +99,8 @@ class MovingScene:
         except ValueError as error:
             raise ParameterError(f"{where}.scene: {file}: {' '.join(str(error).split())}") from error
         self.data = mujoco.MjData(self.model)
-        self._tool, self._slides = self._find_tool(tool, file, where)
-        self.mass = float(self.model.body_subtreemass[self._tool])
+        self.tool, self._slides = self._find_tool(tool, file, where)
+        self.mass = float(self.model.body_subtreemass[self.tool])
         if self.mass < _LIGHTEST:
             raise ParameterError(
                 f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg"
@@ -141,7 +143,7 @@ class MovingScene:
     @property
     def tool_position(self) -> Vector:
         """Where the tool is now [m]."""
-        x, y, z = self.data.xpos[self._tool].tolist()
+        x, y, z = self.data.xpos[self.tool].tolist()
         return x, y, z
 
     def begin(self, position: Vector) -> None:
@@ -175,7 +177,7 @@ class MovingScene:
     def advance(self, tick: int) -> None:
         """Step the scene up to the time of a tick."""
         model, data = self.model, self.data
-        push = data.xfrc_applied[self._tool]
+        push = data.xfrc_applied[self.tool]
         forces = self._forces
         while self._done < tick * self.steps:
             while len(forces) > 1 and forces[1][0] <= self._done:
@@ -235,7 +237,7 @@ class MovingScene:
         let come to rest: what both give is the pair's static stiffness with that geom held.
         """
         model, mujoco = self.model, self._mujoco
-        of_tool = [i for i in range(model.ngeom) if int(model.body_rootid[model.geom_bodyid[i]]) == self._tool]
+        of_tool = [i for i in range(model.ngeom) if int(model.body_rootid[model.geom_bodyid[i]]) == self.tool]
         tip = next((i for i in of_tool if model.geom_contype[i] or model.geom_conaffinity[i]), None)
         if tip is None:
             return []

@@ -15,6 +15,7 @@ from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import Axis, Setup
 from nodes.environment.bodies.moving_scene import MovingScene
+from nodes.environment.bodies.poses import RATE, Poses, poses_file
 from nodes.parameters.store import ParameterError, convert
 
 
@@ -63,6 +64,8 @@ class MujocoEnvironment(Node):
     def configure(self) -> None:
         """Load the scene, measure its contacts, and say what the stability figures have to know."""
         self._world = load_world(self.store.current, self.setup.period, self.setup.name)
+        self._poses = Poses(poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True)
+        self._every = max(1, round(1.0 / (RATE * self.setup.period)))
         told = ", ".join(f"{pair.geom} {pair.stiffness:.3g} N/m" for pair in self._world.stiffness()) or "none"
         self.events.emit_each(
             "bodies",
@@ -80,6 +83,8 @@ class MujocoEnvironment(Node):
                 "bodies",
                 "the scene diverged and was put back to its beginning; a smaller option timestep may help",
             )
+        if seq % self._every == 0:
+            self._poses.write(world.data.geom_xpos, world.data.geom_xmat)
         return encode(
             Proxy(
                 seq=seq,

@@ -6,12 +6,12 @@ const STEPS = 400, BELOW = 0.98, FARTHEST = 8, RESTS = 700;
 export class Delay {
   // `change` is called with a delay of the device [ticks] and whether the loop swings at it.
   constructor({ row, slider, told, beyond }, change) {
-    Object.assign(this, { row, slider, told, box: beyond, change, ticks: null, edge: null });
+    Object.assign(this, { row, slider, told, box: beyond, change, ticks: null, edge: null, turning: -Infinity });
     slider.addEventListener("input", () => {
       this.turning = performance.now();
       this.set((slider.value / STEPS) * this.most());
     });
-    for (const event of ["change", "blur"]) slider.addEventListener(event, () => { this.turning = 0; });
+    for (const event of ["change", "blur"]) slider.addEventListener(event, () => { this.turning = -Infinity; });
     beyond.addEventListener("change", () => {
       if (!beyond.checked && this.isPast(this.ticks)) this.set(this.most());
       this.fill();
@@ -23,7 +23,7 @@ export class Delay {
   // What the device answers with now, and the delay of the device at which the law would swing: null for a far one.
   show(ticks, edge) {
     Object.assign(this, { ticks, edge });
-    if (performance.now() - (this.turning || 0) > RESTS) this.fill();
+    if (performance.now() - this.turning > RESTS) this.fill();
   }
 
   isPast(ticks) { return this.edge !== null && ticks >= this.edge; }

@@ -6,14 +6,14 @@ const STEPS = 1000, SOFTEST = 0.02, BELOW = 0.98, PAST = 8, RESTS = 700;
 export class Dial {
   // `change` is called with a stiffness [N/m] and whether it lies past the edge.
   constructor({ dial, hardness, edge, beyond, allowed }, change) {
-    Object.assign(this, { dial, hardness, mark: edge, box: beyond, allowed, change, edge: null, stiffness: null, fitted: null });
+    Object.assign(this, { dial, hardness, mark: edge, box: beyond, allowed, change, edge: null, stiffness: null, turning: -Infinity });
     dial.addEventListener("input", () => {
       this.turning = performance.now();
       const wanted = this.value();
       this.write(wanted);
       change(wanted, this.isPast(wanted));
     });
-    for (const event of ["change", "blur"]) dial.addEventListener(event, () => { this.turning = 0; });
+    for (const event of ["change", "blur"]) dial.addEventListener(event, () => { this.turning = -Infinity; });
     beyond.addEventListener("change", () => {
       // Whoever takes the permission back comes back with it.
       if (!beyond.checked && this.isPast(this.stiffness)) change(this.ends()[1], false);
@@ -33,7 +33,7 @@ export class Dial {
     // A trembling delay moves the edge a little, and must not move the dial under a hand.
     if (!edge || !safe || Math.abs(edge - safe) > 0.02 * safe) this.edge = edge;
     // Not under a hand; one that rests on it is none.
-    if (performance.now() - (this.turning || 0) > RESTS) this.fill();
+    if (performance.now() - this.turning > RESTS) this.fill();
   }
 
   isPast(stiffness) { return this.edge !== null && stiffness >= this.edge; }

@@ -6,9 +6,11 @@ const NEAR = 44;
 export class Hand {
   // `place` gives the coordinate of a pointer [m], the target as the driver tells it, both ends of what is in sight, and pixels per metre.
   constructor(canvas, place, move) {
-    Object.assign(this, { canvas, place, move, held: null, by: "", grip: 0, wanted: 0, ready: false, used: false });
+    Object.assign(this, { canvas, place, move, held: null, by: "", grip: 0, wanted: 0, ready: false, used: false, finger: null });
     canvas.addEventListener("pointerdown", (event) => {
-      if (!this.ready || event.button) return;
+      // A second finger is no hand.
+      if (!this.ready || event.button || this.finger !== null) return;
+      this.finger = event.pointerId;
       canvas.setPointerCapture(event.pointerId);
       canvas.focus({ preventScroll: true });
       const target = this.held ?? this.place.target(), at = this.place.coordinate(event);
@@ -17,9 +19,13 @@ export class Hand {
       this.take(target, at - this.grip, "pointer");
     });
     canvas.addEventListener("pointermove", (event) => {
-      if (this.by === "pointer" && canvas.hasPointerCapture(event.pointerId)) this.pull(this.place.coordinate(event) - this.grip);
+      if (this.by === "pointer" && event.pointerId === this.finger) this.pull(this.place.coordinate(event) - this.grip);
     });
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => this.letGo());
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => {
+      if (event.pointerId !== this.finger) return;
+      this.finger = null;
+      this.letGo();
+    });
     // Tab takes the keys away from the canvas, not the mouse that still holds on.
     canvas.addEventListener("blur", () => { if (this.by === "keys") this.letGo(); });
     canvas.addEventListener("keydown", (event) => {

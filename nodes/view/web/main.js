@@ -11,6 +11,7 @@ import { StabilityMap } from "./map.js";
 import { Plots } from "./plots.js";
 import { Replay } from "./replay.js";
 import { Scene } from "./scene.js";
+import { Section } from "./section.js";
 import { SlowMotion } from "./slow_motion.js";
 import { Sound } from "./sound.js";
 import { Space } from "./space.js";
@@ -38,6 +39,7 @@ function moved(target) {
 
 const scene = new Scene($("scene"), $("lens"), $("reading"), moved);
 const space = new Space($("space"), moved);
+const section = new Section($("section"), $("plane"), (letters) => { strip.look(letters); plots.start(store, letters, hello.hand || hello.has_hand); });
 const strip = new Strip($("strip"));
 const slow = new SlowMotion();
 const plots = new Plots($("plots"), $("legend"), $("values"), (live) => {
@@ -59,7 +61,7 @@ let overlaid = null;
 plots.over = () => overlaid ?? (beside.on ? beside : null);
 const sound = new Sound($("sound"));
 
-function refused(text) { log.refused(text, store?.end ?? 0); }
+function refused(text) { log.refused(text, scene.now?.t ?? 0); }
 
 async function ask(request) {
   const answer = await link.ask(request);
@@ -82,8 +84,9 @@ const link = new Link({
     scene.start(found);
     strip.start(store, found);
     space.start(found);
+    section.start(space.solids, found.axes);
     lookAt(space.shape ? "3-D" : found.axes[0]);
-    plots.start(store, found.axes, found.hand || found.has_hand);
+    plots.replayed = strip.replayed = found.replay;
     laws.start(found.fields, found.replay);
     dial.start(found);
     delay.start(found);
@@ -103,7 +106,7 @@ const link = new Link({
     if (!store) return;
     store.add(frame);
     lag.arrive(frame, scene.axis, store.index(`target.${"xyz"[scene.axis]}`));
-    sound.hear();
+    sound.hear(hello.replay ? frame.now.t : Infinity);
     if (!slow.on) { scene.show(frame.now); space.show(frame.now); }
     replay.at(frame.now.t);
     plots.at = hello.replay ? frame.now.t : null;
@@ -125,6 +128,7 @@ const link = new Link({
     turn();
     if (!hello?.replay) open();
   },
+  poses({ poses }) { space.pose(poses); },
   beside(found) { beside.show(found); },
   over(found) { overlaid = found; plots.dirty = true; },
   map(found) { map.show(found, laws.state?.device_delay ?? 0); laws.edge = found.k_max_n_per_m ?? null; laws.fill(); turn(); },
@@ -155,8 +159,14 @@ function lookAt(view) {
   if (whole) scene.letGo(); else space.letGo();
   if (hello.hand) $("hint").textContent = whole ? "Drag the handle; anywhere else turns the view; the wheel goes nearer, or pushes what is held." : "Pull the handle, or drag anywhere here.";
   $("lens").hidden = whole || !scene.surface;
+  $("section").hidden = !whole || !section.plane;
+  $("plane").parentElement.hidden = $("section").hidden;
+  space.section = $("section").hidden ? null : section;
   scene.look(whole ? hello.axes[0] : view, hello.hand && (whole || view === hello.axes[0]));
-  strip.look(whole ? hello.axes[0] : view);
+  // Of three axes the plots show the two of the section; along one axis, that one.
+  const letters = space.section ? [...section.plane] : [whole ? hello.axes[0] : view];
+  strip.look(letters);
+  plots.start(store, whole && !space.section ? hello.axes : letters, hello.hand || hello.has_hand);
 }
 
 $("axis").addEventListener("change", () => lookAt($("axis").value));
@@ -215,7 +225,7 @@ function watchSlowly(stop) {
 function goOn() {
   stoppedAt = null;
   slow.end();
-  dial.turning = 0;
+  dial.turning = -Infinity;
   turn();
   $("once-more").hidden = $("again").hidden = true;
 }
@@ -259,18 +269,23 @@ let plotted = 0, read = 0;
 function draw(time) {
   const past = slow.window();
   if (past) { const then = slow.now(past.at); scene.show(then); space.show(then); }
-  if ($("space").hidden) scene.draw(); else space.draw();
+  if ($("space").hidden) scene.draw();
+  else {
+    space.draw();
+    if (space.section) section.draw(space.now, space.turn);
+  }
   // Half as often as the scene: nobody reads a plot faster.
   if (time - plotted > 30) {
-    strip.draw(past, beside);
+    strip.draw(past, beside, scene.now?.t);
     if ($("lab").open) plots.draw();
     plotted = time;
   }
-  if (time - read > 120) { scene.read(); read = time; }
+  // In slow motion the figures keep up with the picture.
+  if (time - read > (past ? 30 : 120)) { if ($("space").hidden) scene.read(); else space.read($("reading")); read = time; }
   requestAnimationFrame(draw);
 }
 requestAnimationFrame(draw);
 setInterval(() => { scene.tell(); space.tell(); }, 100);
 
 // For the console, and the tests.
-Object.assign(globalThis, { haptic: { lag, scene, space, strip, plots, dial, delay, map, laws, slow, beside, sound, tour } });
+Object.assign(globalThis, { haptic: { lag, scene, space, section, strip, plots, dial, delay, map, laws, slow, beside, sound, tour } });

@@ -32,6 +32,7 @@ export class Plots {
     this.panels.forEach(({ plot }) => plot.destroy());
     this.legend.replaceChildren();
     this.panels = PANELS.map((panel) => this.panel(panel, axes, hand));
+    if (axes.length > 1) this.legend.append(axes.map((axis, k) => `${axis} ${["solid", "dashed", "dash-dotted"][k]}`).join(", "));
     this.resize();
   }
 
@@ -43,7 +44,7 @@ export class Plots {
       const found = axes.length && this.store.index(`${name}.${axes[0]}`) >= 0 ? axes.map((axis) => `${name}.${axis}`) : [name];
       for (const [k, each] of found.entries()) {
         wanted.push(this.store.index(each));
-        series.push({ stroke: () => colour(tint), width: 1.5, points: { show: false }, dash: name === "law_force" ? [4, 3] : k ? [6, 3 * k] : undefined });
+        series.push({ stroke: () => colour(tint), width: 1.5, points: { show: false }, dash: k ? [[7, 4], [9, 3, 2, 3]][k - 1] : name === "law_force" ? [4, 3] : undefined });
       }
       if (label) this.legend.append(entry(tint, label));
     }
@@ -66,7 +67,9 @@ export class Plots {
     for (const name of ["pointerup", "pointercancel"]) plot.over.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     plot.over.addEventListener("wheel", (event) => this.wheel(event, plot), { passive: false });
     const names = lines.filter(([name]) => name !== "target" || hand).map(([, , label]) => label || unit);
-    return { plot, wanted, factor, unit, lines: axes.length === 1 ? names : [], height: height + (unit === "response" ? 18 : 0) };
+    // Of several axes each line is named with its own.
+    const each = axes.length > 1 && lines.length > 1 ? names.flatMap((name) => axes.map((axis) => `${name} ${axis}`)) : names;
+    return { plot, wanted, factor, unit, lines: each, height: height + (unit === "response" ? 18 : 0) };
   }
 
   resize() {
@@ -80,6 +83,12 @@ export class Plots {
   // Live: the newest span. Otherwise the window that was chosen.
   sight() {
     if (this.window) return this.window;
+    // Of a recording a page that the moment shown goes through, so that any moment in it can be picked.
+    if (this.replayed && this.at !== null) {
+      const { at, span } = this, begin = this.page ?? -Infinity;
+      if (at < begin || at > begin + 0.95 * span || this.paged !== span) Object.assign(this, { page: Math.max(this.store.begin, at - 0.1 * span), paged: span });
+      return [this.page, this.page + span];
+    }
     const from = Math.max(this.store.begin, this.store.end - this.span);
     return [from, from + this.span];
   }

@@ -29,7 +29,7 @@ export class Scene {
 
   start({ axes, hand, has_hand: hasHand, peak_n: peak, shape }) {
     const picker = document.getElementById("axis");
-    picker.replaceChildren(...(shape?.triangles && axes.length > 1 ? ["3-D"] : []).concat(axes).map((view) => new Option(view)));
+    picker.replaceChildren(...(axes.length > 1 && (shape?.triangles?.length || shape?.bodies) ? ["3-D"] : []).concat(axes).map((view) => new Option(view)));
     document.getElementById("axes").hidden = axes.length < 2;
     this.limit = peak ?? null;
     this.hand = hand || Boolean(hasHand);
@@ -106,8 +106,9 @@ export class Scene {
     const beside = now && this.beside?.at(now.t);
     const it = { now, beside, axis, letter, surface, trace, hand, held, limit, forceScale, handle: this.draggable, asks: this.draggable && !this.grip.used };
     paint(this.canvas, { upright, middle: this.middle, half: this.half, lens: false }, it);
-    this.lens.hidden = !surface;
-    if (!surface) return;
+    // In three dimensions there is no canvas to draw on.
+    this.lens.hidden = !surface || !this.canvas.clientWidth;
+    if (this.lens.hidden) return;
     const half = LENSES.find((size) => size > this.deepest * 1.15) ?? this.half;
     paint(this.lens, { upright, middle: surface.at, half, lens: true }, it);
   }

@@ -27,18 +27,18 @@ export class Sound {
     return this.context.resume();
   }
 
-  // Called when new bins are there: each becomes one sample, the stronger of its two values.
-  hear() {
-    const { store } = this;
-    if (!this.on || !this.node || this.from > store.head) { this.from = store?.head ?? 0; return; }
-    const count = store.head - this.from, times = new Float64Array(count), forces = new Float32Array(count);
+  // Called when new bins are there: each becomes one sample, the stronger of its two values. A recording is heard up to where it is.
+  hear(until = Infinity) {
+    const { store } = this, head = !store ? 0 : until < store.end ? store.find(until) : store.head;
+    if (!this.on || !this.node || this.from > head) { this.from = head; return; }
+    const count = head - this.from, times = new Float64Array(count), forces = new Float32Array(count);
     for (let k = 0; k < count; k++) {
       const n = (this.from + k) % store.size, low = store.low[this.series][n], high = store.high[this.series][n];
       times[k] = store.times[n];
       forces[k] = Math.abs(low) > Math.abs(high) ? low : high;
       if (Number.isNaN(forces[k])) forces[k] = 0;
     }
-    this.from = store.head;
+    this.from = head;
     this.knock(forces);
     this.fed += count;
     this.last = { times, forces };

@@ -1,9 +1,12 @@
-// The scene in three dimensions: its shape, sent once and drawn again only when the camera moves, and over it what moves.
+// The scene in three dimensions: its solids, drawn again only when they or the camera move, and over them device, proxy and force.
 import { fixed } from "./format.js";
+import { Solids } from "./solids.js";
+import { dotAt, line, ring, zigzag } from "./strokes.js";
 import { colour, onTheme } from "./theme.js";
 
 const LIGHT = [0.35, -0.5, 0.79];
 const TRACE_SECONDS = 2;
+const STEP = 0.0005;
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 const plus = (a, b, by = 1) => [a[0] + by * b[0], a[1] + by * b[1], a[2] + by * b[2]];
@@ -13,26 +16,32 @@ const size = (a) => Math.sqrt(dot(a, a));
 export class Space {
   // `move` is called with where the hand is wanted [m], or null when it lets go.
   constructor(canvas, move) {
-    Object.assign(this, { canvas, move, still: document.createElement("canvas"), shape: null, now: null, trace: [], held: null, ready: false, by: "" });
+    Object.assign(this, { canvas, move, still: document.createElement("canvas"), shape: null, solids: null, section: null, finger: null, now: null, trace: [], held: null, ready: false, by: "" });
     this.turn = { yaw: -0.7, pitch: 0.45, scale: 1, middle: [0, 0, 0] };
     onTheme(() => { this.drawn = ""; });
     canvas.addEventListener("pointerdown", (event) => this.press(event));
     canvas.addEventListener("pointermove", (event) => this.drag(event));
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { this.by = ""; this.letGo(); });
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => { if (event.pointerId === this.finger) this.lift(); });
     canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
-    canvas.addEventListener("keydown", (event) => { if (event.key === "Escape") this.letGo(); });
+    canvas.addEventListener("keydown", (event) => this.key(event));
+    canvas.addEventListener("blur", () => { if (!this.by) this.letGo(); });
   }
 
   start({ shape, hand, axes }) {
-    this.shape = axes.length > 1 && shape?.triangles ? shape : null;
+    this.shape = axes.length > 1 && (shape?.triangles?.length || shape?.bodies) ? shape : null;
+    this.solids = this.shape && new Solids(shape);
     this.ready = hand;
     this.drawn = "";
-    if (!this.shape) return;
-    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-    shape.triangles.forEach((value, k) => { low[k % 3] = Math.min(low[k % 3], value); high[k % 3] = Math.max(high[k % 3], value); });
-    // The device begins at the origin or near it.
-    this.turn.middle = low.map((each, k) => (Math.min(each, 0) + Math.max(high[k], 0)) / 2);
-    this.turn.reach = Math.max(0.02, size(minus(high, low)) / 2);
+    this.trace.length = 0;
+    if (this.shape) Object.assign(this.turn, this.solids.extent());
+  }
+
+  // Where the bodies are.
+  pose(poses) {
+    if (!this.solids) return;
+    const first = !this.solids.poses;
+    this.solids.pose(poses);
+    if (first) Object.assign(this.turn, this.solids.extent());
   }
 
   // -- the camera ---------------------------------------------------------------------------------------------------
@@ -50,7 +59,9 @@ export class Space {
   }
 
   press(event) {
-    if (event.button) return;
+    // A second finger is no hand.
+    if (event.button || this.finger !== null) return;
+    this.finger = event.pointerId;
     this.canvas.setPointerCapture(event.pointerId);
     this.last = [event.offsetX, event.offsetY];
     const [u, v] = this.now ? this.seen(this.now.target) : [1e9, 0], { clientWidth: width, clientHeight: height } = this.canvas;
@@ -61,7 +72,7 @@ export class Space {
 
   // The handle moves in the plane that the camera looks at; anywhere else turns the camera.
   drag(event) {
-    if (!this.by || !this.canvas.hasPointerCapture(event.pointerId)) return;
+    if (!this.by || event.pointerId !== this.finger) return;
     const du = event.offsetX - this.last[0], dv = event.offsetY - this.last[1];
     this.last = [event.offsetX, event.offsetY];
     if (this.by === "camera") {
@@ -69,7 +80,25 @@ export class Space {
       this.turn.pitch = Math.min(1.5, Math.max(-1.5, this.turn.pitch + dv * 0.008));
       return;
     }
+    // Let go meanwhile: the connection was lost, or another page holds it.
+    if (!this.held) return;
     this.held = plus(plus(this.held, this.camera.right, du / this.pixels), this.camera.up, -dv / this.pixels);
+    this.tell();
+  }
+
+  lift() {
+    this.by = "";
+    this.finger = null;
+    this.letGo();
+  }
+
+  // Arrow keys move the hand in the plane that the camera looks at, Page Up and Page Down away and nearer; Escape lets go.
+  key(event) {
+    if (event.key === "Escape") return this.letGo();
+    const { right, up, away } = this.camera ?? {}, way = { ArrowRight: [right, 1], ArrowLeft: [right, -1], ArrowUp: [up, 1], ArrowDown: [up, -1], PageUp: [away, 1], PageDown: [away, -1] }[event.key];
+    if (!way || !right || !this.ready || !this.now || this.by) return;
+    event.preventDefault();
+    this.held = plus(this.held ?? [...this.now.target], way[0], way[1] * STEP * (event.shiftKey ? 10 : 1));
     this.tell();
   }
 
@@ -101,7 +130,7 @@ export class Space {
   draw() {
     const { canvas, still } = this, width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
     if (!width || !this.shape) return;
-    const { yaw, pitch, scale, reach } = this.turn, view = [yaw, pitch, scale, width, height, ratio].join();
+    const { yaw, pitch, scale, reach } = this.turn, view = [yaw, pitch, scale, width, height, ratio, this.solids.version].join();
     this.camera = this.axes();
     this.pixels = (0.42 * Math.min(width, height) * scale) / reach;
     for (const each of [canvas, still]) if (each.width !== Math.round(width * ratio) || each.height !== Math.round(height * ratio)) { each.width = Math.round(width * ratio); each.height = Math.round(height * ratio); }
@@ -124,21 +153,19 @@ export class Space {
 
   // From the farthest to the nearest, brighter towards the light.
   paint(g) {
-    const { triangles } = this.shape, faces = [];
-    for (let k = 0; k < triangles.length; k += 9) {
-      const [a, b, c] = [0, 3, 6].map((at) => triangles.slice(k + at, k + at + 3));
+    const faces = [];
+    for (const { points: [a, b, c], tool } of this.solids.all()) {
       const normal = cross(minus(b, a), minus(c, a)), length = size(normal);
       if (length < 1e-15) continue;
       const points = [a, b, c].map((point) => this.seen(point));
-      faces.push([points[0][2] + points[1][2] + points[2][2], points, Math.abs(dot(normal, LIGHT)) / length]);
+      faces.push([points[0][2] + points[1][2] + points[2][2], points, Math.abs(dot(normal, LIGHT)) / length, tool]);
     }
     faces.sort((one, other) => other[0] - one[0]);
-    for (const [, points, bright] of faces) {
+    for (const [, points, bright, tool] of faces) {
       g.beginPath();
       points.forEach(([u, v], n) => g[n ? "lineTo" : "moveTo"](u, v));
       g.closePath();
-      g.globalAlpha = 1;
-      g.fillStyle = g.strokeStyle = `color-mix(in srgb, ${colour("wall-edge")} ${Math.round(100 - 75 * bright)}%, ${colour("wall")})`;
+      g.fillStyle = g.strokeStyle = `color-mix(in srgb, ${colour(tool ? "proxy" : "wall-edge")} ${Math.round(100 - 75 * bright)}%, ${colour("wall")})`;
       g.fill();
       g.stroke();
     }
@@ -149,7 +176,7 @@ export class Space {
     g.font = "600 12px system-ui, sans-serif";
     [["x", [1, 0, 0]], ["y", [0, 1, 0]], ["z", [0, 0, 1]]].forEach(([letter, axis]) => {
       const { right, up } = this.camera, u = 26 * dot(axis, right), v = -26 * dot(axis, up);
-      const { clientWidth: width, clientHeight: height } = this.canvas, [x, y] = [width / 2 - 52, height / 2 - 44];
+      const { clientWidth: width, clientHeight: height } = this.canvas, [x, y] = [width / 2 - 52, height / 2 - 40];
       line(g, "soft", 1.5, [[x, y], [x + u, y + v]]);
       g.fillStyle = colour("soft");
       g.fillText(letter, x + 1.3 * u - 3, y + 1.3 * v + 4);
@@ -162,6 +189,8 @@ export class Space {
       g.globalAlpha = 0.6 * (1 - (now.t - this.trace[k][0]) / TRACE_SECONDS);
       line(g, this.trace[k][2] > 0.05 ? "force" : "device", 1.5, [this.seen(this.trace[k - 1][1]), this.seen(this.trace[k][1])]);
     }
+    g.globalAlpha = 0.7;
+    for (const ends of this.section?.lines(now) ?? []) line(g, "ink", 1, ends.map((point) => this.seen(point)));
     g.globalAlpha = 1;
     line(g, "target", 1.5, [device, taken], [4, 3]);
     dotAt(g, "target", taken, 8);
@@ -170,7 +199,7 @@ export class Space {
       const proxy = this.seen(now.proxy);
       this.cone(g, now);
       line(g, "proxy", 2, zigzag(device, proxy));
-      dotAt(g, "proxy", proxy, 7);
+      if (!this.shape.bodies) dotAt(g, "proxy", proxy, 7);
       line(g, "wall-edge", 2, [proxy, this.seen(plus(now.proxy, now.normal, 0.008))]);
     }
     // The device is a ghost where it is inside.
@@ -187,6 +216,14 @@ export class Space {
     }
   }
 
+  // The figures of this very moment.
+  read(place) {
+    if (!this.now) return;
+    const { contact, distance, normal, force } = this.now, parts = [];
+    if (contact === 1 && normal.some(Boolean)) parts.push(`${fixed(Math.abs(distance) * 1e3, 2)} mm deep`);
+    place.textContent = [...parts, `${fixed(Math.hypot(...force), 2)} N`].join("   ·   ");
+  }
+
   // Inside it the contact sticks; red when the force lies on it or beyond.
   cone(g, { proxy, normal, force }) {
     const mu = this.shape.friction;
@@ -201,37 +238,4 @@ export class Space {
     line(g, slides ? "bad" : "good", 1.5, points);
     for (const k of [0, 6, 12, 18]) line(g, slides ? "bad" : "good", 1, [this.seen(proxy), points[k]]);
   }
-}
-
-function line(g, tint, width, points, dash = []) {
-  g.strokeStyle = colour(tint);
-  g.lineWidth = width;
-  g.setLineDash(dash);
-  g.beginPath();
-  points.forEach(([u, v], n) => g[n ? "lineTo" : "moveTo"](u, v));
-  g.stroke();
-  g.setLineDash([]);
-}
-
-function dotAt(g, tint, [u, v], radius) {
-  g.fillStyle = colour(tint);
-  g.beginPath();
-  g.arc(u, v, radius, 0, 2 * Math.PI);
-  g.fill();
-}
-
-function ring(g, tint, [u, v], radius, width) {
-  g.strokeStyle = colour(tint);
-  g.lineWidth = width;
-  g.beginPath();
-  g.arc(u, v, radius, 0, 2 * Math.PI);
-  g.stroke();
-}
-
-function zigzag(from, to) {
-  const long = Math.hypot(to[0] - from[0], to[1] - from[1]);
-  if (long < 4) return [from, to];
-  const across = [(-(to[1] - from[1]) / long) * 4, ((to[0] - from[0]) / long) * 4], points = [from];
-  for (let k = 1; k < 8; k++) points.push([from[0] + ((to[0] - from[0]) * k) / 8 + (k % 2 ? 1 : -1) * across[0], from[1] + ((to[1] - from[1]) * k) / 8 + (k % 2 ? 1 : -1) * across[1]]);
-  return [...points, to];
 }

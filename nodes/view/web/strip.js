@@ -13,13 +13,17 @@ export class Strip {
 
   start(store, { axes, peak_n: peak }) {
     Object.assign(this, { store, limit: peak ?? null, high: 1, low: -0.2 });
-    this.look(axes[0]);
+    this.look([axes[0]]);
   }
 
-  look(letter) { this.series = ["law_force", "force"].map((name) => this.store.index(`${name}.${letter}`)); }
+  // Along one axis, or the two of a section: the force of the second one is dotted.
+  look(letters) {
+    this.letters = letters;
+    this.series = [`law_force.${letters[0]}`, ...letters.map((letter) => `force.${letter}`)].map((name) => this.store.index(name));
+  }
 
   // A window of the past and the time in it that the scene shows; without one, what is now. And B, where there is one.
-  draw(window = null, beside = null) {
+  draw(window = null, beside = null, now = null) {
     const { canvas, store } = this;
     const width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
     if (!store || !width) return;
@@ -27,10 +31,11 @@ export class Strip {
     canvas.height = Math.round(height * ratio);
     const g = canvas.getContext("2d");
     g.setTransform(ratio, 0, 0, ratio, 0, 0);
-    const [from, to] = window ? window.sight : [store.end - SPAN, store.end];
+    // A recording's bins go on past the moment that is shown.
+    const last = this.replayed && Number.isFinite(now) ? now : store.end, [from, to] = window ? window.sight : [last - SPAN, last];
     const left = 66, right = width - 10, top = 16, bottom = height - 8;
-    const [times, asked, force] = store.columns(this.series, from, to, Math.round(right - left));
-    this.settle(force);
+    const [times, asked, force, second] = store.columns(this.series, from, to, Math.round(right - left));
+    this.settle(second ? [...force, ...second] : force);
     const x = (t) => left + ((t - from) / (to - from)) * (right - left);
     const y = (force) => bottom - ((force - this.low) / (this.high - this.low)) * (bottom - top);
     this.frame(g, y, left, right, window);
@@ -40,6 +45,7 @@ export class Strip {
     g.clip();
     this.curve(g, times, asked, x, y, "asked", 1.2, [4, 3]);
     this.curve(g, times, force, x, y, "force", 1.8, []);
+    if (second) this.curve(g, times, second, x, y, "force", 1.8, [2, 3]);
     if (beside?.on) this.curve(g, beside.times, beside.force, x, y, "beside", 1.6, []);
     this.held(g, times, force, x, top);
     if (window) this.cursor(g, x(window.at), top, bottom);
@@ -58,7 +64,8 @@ export class Strip {
     g.font = "12px system-ui, sans-serif";
     g.fillStyle = colour("soft");
     g.textAlign = "left";
-    g.fillText(window ? "Force [N], in slow motion" : "Force [N]", left + 2, 12);
+    const along = this.letters.length > 1 ? ` along ${this.letters[0]}, dotted along ${this.letters[1]}` : "";
+    g.fillText(`Force [N]${along}${window ? ", in slow motion" : ""}`, left + 2, 12);
     g.textAlign = "right";
     const marks = [0, ...[this.limit, -this.limit].filter((at) => at && at < this.high && at > this.low)];
     for (const end of [this.high, this.low]) {

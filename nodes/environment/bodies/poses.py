@@ -1,0 +1,70 @@
+"""Where the bodies of a scene are, for whoever draws them: the environment writes it some 60 times a second, a page reads it.
+
+Both map one small file in the run's private directory, sequence-locked as nodes/view/pointer.py is: the writer counts up before
+and after, and a reader takes the poses only when both counts agree. So drawing costs the loop no message and no waiting.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+RATE = 60.0
+"""Poses that are written per second of the run."""
+
+NUMBERS = 12
+"""Of each geom: its place [m], then its rotation matrix by rows."""
+
+
+def poses_file(run_dir: str | Path, node: str) -> Path:
+    """Place of an environment's file of poses."""
+    return Path(run_dir) / f"{node}.poses"
+
+
+class Poses:
+    """Poses of the geoms of a scene, in a mapped file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    count : int
+        Geoms of the scene.
+    make : bool
+        Whether to make the file: the environment does.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be made, or is not there.
+    """
+
+    def __init__(self, path: Path, count: int, make: bool = False) -> None:
+        size = 8 * (NUMBERS * count + 2)
+        descriptor = os.open(path, os.O_RDWR | (os.O_CREAT if make else 0), 0o600)
+        try:
+            if make:
+                os.truncate(descriptor, size)
+            self._map = mmap.mmap(descriptor, size)
+        finally:
+            os.close(descriptor)
+        numbers = np.frombuffer(self._map, dtype=np.uint64)
+        self._after, self._before = numbers[:1], numbers[-1:]
+        self._poses = numbers[1:-1].view(np.float64).reshape(count, NUMBERS)
+
+    def write(self, places: NDArray[np.float64], turns: NDArray[np.float64]) -> None:
+        """Write where the geoms are: places of shape (n, 3) and rotation matrices of shape (n, 9)."""
+        self._before += np.uint64(1)
+        self._poses[:, :3] = places
+        self._poses[:, 3:] = turns
+        self._after[:] = self._before
+
+    def read(self) -> NDArray[np.float64] | None:
+        """Read them, of shape (n, 12); None before the first ones, and while they are written."""
+        after = int(self._after[0])
+        found = self._poses.copy()
+        return found if after and after == int(self._before[0]) else None

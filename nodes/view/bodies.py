@@ -1,0 +1,86 @@
+"""Where the bodies of a scene are, for a page: read from a running environment, or found by stepping a recording's scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from messages.types import DeviceState
+from nodes.base.setup import Setup
+from nodes.environment.bodies.moving_scene import MovingScene
+from nodes.environment.bodies.node import MujocoParameters, load_world
+from nodes.environment.bodies.poses import Poses, poses_file
+from nodes.parameters.store import convert
+from nodes.view.shape import bodies_of
+
+
+class RunningBodies:
+    """The bodies of a running environment on this machine.
+
+    Parameters
+    ----------
+    setup : Setup
+        Of the environment.
+
+    Attributes
+    ----------
+    shape : dict
+        What they look like.
+
+    Raises
+    ------
+    OSError
+        When they are on another machine.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        parameters: MujocoParameters = convert(setup.parameters, MujocoParameters, setup.name)
+        world = load_world(parameters, setup.period, setup.name)
+        self._poses = Poses(poses_file(setup.run_dir, setup.name), world.model.ngeom)
+        self.shape = bodies_of(world)
+
+    def news(self) -> dict[str, Any] | None:
+        """Tell where they are; None when nobody knows yet."""
+        found = self._poses.read()
+        return None if found is None else {"poses": np.round(found, 6).tolist()}
+
+
+class RecordedBodies:
+    """The bodies of a recording: its scene stepped again by what was recorded, as the node stepped it.
+
+    Parameters
+    ----------
+    parameters : dict
+        Of the environment, as they were recorded.
+    period : float
+        Sampling period of the loop [s].
+    name : str
+        Of the environment.
+
+    Attributes
+    ----------
+    world : MovingScene
+        The scene.
+
+    Raises
+    ------
+    ParameterError
+        When MuJoCo or the scene's file is not there.
+    """
+
+    def __init__(self, parameters: dict[str, Any], period: float, name: str) -> None:
+        self.world: MovingScene = load_world(convert(parameters, MujocoParameters, name), period, name)
+        self._first = True
+
+    def follow(self, state: DeviceState) -> None:
+        """Step the scene to a tick."""
+        if state.safety == "fault":
+            return
+        self.world.follow(state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay, self._first)
+        self._first = False
+
+    def poses(self) -> NDArray[np.float64]:
+        """Tell where they are."""
+        return np.hstack([self.world.data.geom_xpos, self.world.data.geom_xmat])

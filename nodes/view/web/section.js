@@ -1,0 +1,63 @@
+// A plane of section through the device: what it cuts, and device, proxy and force as they lie in it. It says what the plots show.
+import { fixed, step } from "./format.js";
+import { colour } from "./theme.js";
+import { dotAt, line, ring, zigzag } from "./strokes.js";
+
+const LETTERS = "xyz", ARROW = 0.01;
+
+export class Section {
+  // `turned` is called with the letters of the plane's two axes.
+  constructor(canvas, picker, turned) {
+    Object.assign(this, { canvas, picker, plane: "", solids: null });
+    picker.addEventListener("change", () => { this.plane = picker.value; turned([...this.plane]); });
+  }
+
+  // The planes of a scene's axes; upright ones first, for most things lie below.
+  start(solids, axes) {
+    this.solids = solids;
+    const planes = ["xz", "yz", "xy"].filter((plane) => [...plane].every((letter) => axes.includes(letter)));
+    this.picker.replaceChildren(...planes.map((plane) => new Option(plane)));
+    this.picker.parentElement.hidden = !solids;
+    this.plane = planes[0] ?? "";
+  }
+
+  get axes() { return [...this.plane].map((letter) => LETTERS.indexOf(letter)); }
+  get across() { return 3 - this.axes[0] - this.axes[1]; }
+
+  // Where the plane cuts the scene; the same for the picture in three dimensions.
+  lines(now) { return this.solids.cut(this.across, now.position[this.across]); }
+
+  // `reach` is half of what is in sight [m], about the middle of the scene; what is nearer goes with the device.
+  draw(now, { reach: whole, scale, middle: centre }) {
+    const reach = (0.8 * whole) / scale;
+    const { canvas } = this, width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
+    if (!width || !this.solids || !now?.position.every(Number.isFinite)) return;
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+    const g = canvas.getContext("2d"), [across, up] = this.axes, pixels = Math.min(width, height) / (2 * reach), middle = scale > 1.2 ? now.position : centre;
+    const at = (point) => [(point[across] - middle[across]) * pixels, -(point[up] - middle[up]) * pixels];
+    g.setTransform(ratio, 0, 0, ratio, (width * ratio) / 2, (height * ratio) / 2);
+    for (const [from, to] of this.lines(now)) line(g, "wall-edge", 2, [at(from), at(to)]);
+    dotAt(g, "target", at(now.target), 5);
+    line(g, "target", 1, [at(now.position), at(now.target)], [4, 3]);
+    if (now.contact === 1) {
+      line(g, "proxy", 2, zigzag(at(now.position), at(now.proxy)));
+      ring(g, "proxy", at(now.proxy), 8, 2.5);
+    }
+    dotAt(g, "device", at(now.position), 6);
+    const tip = now.position.map((each, k) => each + ARROW * now.force[k]);
+    if (Math.hypot(now.force[across], now.force[up]) > 0.02) line(g, "force", 3, [at(now.position), at(tip)]);
+    this.words(g, width, height, pixels);
+  }
+
+  words(g, width, height, pixels) {
+    const long = step(50 / pixels), [u, v] = [width / 2 - 12, height / 2 - 14];
+    line(g, "soft", 1.5, [[u - long * pixels, v], [u, v]]);
+    g.font = "12px system-ui, sans-serif";
+    g.fillStyle = colour("soft");
+    g.textAlign = "right";
+    g.fillText(`${fixed(long * 1e3, long < 1e-3 ? 1 : 0)} mm`, u, v - 6);
+    g.textAlign = "left";
+    g.fillText(`${this.plane[0]} →, ${this.plane[1]} ↑`, 12 - width / 2, v);
+  }
+}
