@@ -181,6 +181,8 @@ def threshold(axes: Axes, value: float, name: str, vertical: bool = False) -> No
     vertical : bool
         Whether it stands at a value of x.
     """
+    from matplotlib.patheffects import withStroke
+
     draw = axes.axvline if vertical else axes.axhline
     draw(value, color=INK, lw=0.9, ls=(0, (1, 1.5)))
     place: tuple[float, float] = (value, 0.99) if vertical else (0.01, value)
@@ -198,4 +200,7 @@ def threshold(axes: Axes, value: float, name: str, vertical: bool = False) -> No
         fontsize=7.5,
         color=INK,
         va="top" if vertical or high else "bottom",
+        # A curve that passes behind it does not strike it through.
+        path_effects=[withStroke(linewidth=2.5, foreground="white")],
+        zorder=5,
     )

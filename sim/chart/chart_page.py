@@ -1,4 +1,4 @@
-"""The chart for people: figures as PNG and SVG, and one page that reads them.
+"""The chart for people: figures as PNG, PDF and SVG, and one page that reads them.
 
 Everything the page says is worked out from the points, so that it stays true on another machine and another day.
 """
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nodes.recording.figure_style import COLOURS, INK, LINES, MARKERS
+from nodes.recording.figure_style import COLOURS, GREY, INK, LINES, MARKERS, save_figure, styled
 from sim.axes import name_points
 from sim.chart.derivative_errors import lengths_taken
 from sim.chart.derivatives import GAIN, PERIOD, STIFFNESS
@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from matplotlib.transforms import BboxBase
 
 _FLOOR = 1e-16
-_FRONT, _REST, _SEED = "#1f5fa8", "#b9bec5", "#d9822b"
+_FRONT, _REST, _SEED = COLOURS[0], "#B9BEC5", COLOURS[1]
 
 
-def draw(group: Group, folder: Path) -> list[Path]:
+@styled
+def draw(group: Group, folder: Path) -> Path:
     """Draw one group: every choice as a dot, the front joined and named, the paper's Grünwald–Letnikov marked."""
     from matplotlib.figure import Figure
 
@@ -33,8 +34,6 @@ def draw(group: Group, folder: Path) -> list[Path]:
     axes = figure.add_subplot()
     shown = [p for p in group.points if math.isfinite(p.error) and math.isfinite(p.cost)]
     axes.set(title=group.title, xlabel=group.cost_label, ylabel=group.error_label, xscale="log")
-    axes.xaxis.label.set_fontsize(9)
-    axes.yaxis.label.set_fontsize(9)
     lowest = min((p.error for p in shown if p.error > 0.0), default=1e-3)
     floor = max(_FLOOR, 0.3 * lowest) if any(p.error <= 0.0 for p in shown) else _FLOOR
     if group.linear:
@@ -43,9 +42,8 @@ def draw(group: Group, folder: Path) -> list[Path]:
         axes.set_yscale("log")
     if group.families:
         _by_family(axes, shown, floor)
-    for front, colour, size, label in (
-        () if group.families else ((False, _REST, 18, "beaten"), (True, _FRONT, 36, "Pareto front"))
-    ):
+    kinds = ((False, _REST, 18, "beaten"), (True, _FRONT, 36, "Pareto front"))
+    for front, colour, size, label in () if group.families else kinds:
         points = [p for p in shown if p.on_front is front and p.family != "gl"]
         axes.scatter(
             [p.cost for p in points], [max(p.error, floor) for p in points], s=size, c=colour, label=label, zorder=3
@@ -55,7 +53,7 @@ def draw(group: Group, folder: Path) -> list[Path]:
         axes.plot(
             [p.cost for p in classic],
             [max(p.error, floor) for p in classic],
-            "o--",
+            "s--",
             color=_SEED,
             ms=5,
             lw=1,
@@ -68,22 +66,18 @@ def draw(group: Group, folder: Path) -> list[Path]:
             [p.cost for p in best], [max(p.error, floor) for p in best], where="post", color=_FRONT, lw=1, alpha=0.6
         )
     _ticks(axes, max(p.cost for p in shown) / min(p.cost for p in shown))
-    axes.grid(alpha=0.25, which="both")
-    legend = axes.legend(fontsize=8)
+    legend = axes.legend()
     figure.draw_without_rendering()
     taken: list[BboxBase] = [legend.get_window_extent(), *_dots(axes, shown, floor)]
     named_ones = (
         ((shown, False, 7.0, INK),)
         if group.families
-        else ((best, True, 7.0, _FRONT), (_beaten(shown), False, 6.0, "#6b7178"))
+        else ((best, True, 7.0, _FRONT), (_beaten(shown), False, 6.0, GREY))
     )
     for some, must, letters, ink in named_ones:
         named = [(p.name if p.error > 0.0 else f"{p.name} (0)", p.cost, max(p.error, floor)) for p in some]
         name_points(axes, named, taken, must=must, size=letters, color=ink)
-    paths = [fresh(folder / f"chart_{group.name}.{suffix}") for suffix in ("png", "svg")]
-    for path in paths:
-        figure.savefig(path, dpi=150)
-    return paths
+    return save_figure(figure, folder / f"chart_{group.name}.png", fresh)
 
 
 def _by_family(axes: Axes, points: Sequence[Point], floor: float) -> None:

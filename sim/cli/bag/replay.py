@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from messages.errors import RefusedError, UsageError
 from nodes.cli.main import answer
+from nodes.recording.figure_style import INK, styled
 
 if TYPE_CHECKING:
     from sim.device.model import DeviceModel
@@ -185,6 +186,7 @@ def _text(figures: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+@styled
 def _draw(path: Path, recorded: RecordedScene, same: Felt, other: Felt) -> None:
     import numpy as np
     from matplotlib.figure import Figure
@@ -192,11 +194,11 @@ def _draw(path: Path, recorded: RecordedScene, same: Felt, other: Felt) -> None:
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True)
     time = np.arange(len(recorded.position)) * recorded.scene.scene.period
-    top.plot(time, 1e3 * recorded.position, "k", lw=2.5, alpha=0.3, label="recorded")
+    top.plot(time, 1e3 * recorded.position, color=INK, ls="-", lw=2.5, alpha=0.3, label="recorded")
     for felt, label in ((same, "same law replayed"), (other, "predicted")):
         top.plot(time, 1e3 * felt.measured, lw=0.9, label=label)
         bottom.plot(time, felt.force, lw=0.9)
-    top.set(ylabel="position [mm]")
-    bottom.set(xlabel="time [s]", ylabel="force [N]")
-    top.legend(fontsize=8)
-    figure.savefig(path, dpi=120)
+    top.set(ylabel="position  [mm]")
+    bottom.set(xlabel="time  [s]", ylabel="force  [N]")
+    top.legend()
+    figure.savefig(path, dpi=150)

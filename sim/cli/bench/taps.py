@@ -8,6 +8,7 @@ from typing import Any
 
 from messages.errors import UsageError
 from nodes.cli.main import add_json, answer
+from nodes.recording.figure_style import save_figure, styled, threshold
 from sim.results import fresh
 
 
@@ -16,7 +17,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rounds", type=int, default=25, help="interleaved rounds (default: %(default)s)")
     parser.add_argument("--taps", type=_lengths, help="numbers of taps, separated by commas (default: 4 to 2000)")
     add_json(parser)
-    parser.add_argument("--out", type=Path, help="also write bench_taps.json, .png and .svg to this directory")
+    parser.add_argument("--out", type=Path, help="also write bench_taps.json, .png, .pdf and .svg to this directory")
     parser.set_defaults(run=run)
 
 
@@ -60,25 +61,23 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+@styled
 def _write(figures: dict[str, Any], folder: Path) -> list[Path]:
     import json
 
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.add_subplot(xlabel="taps", ylabel="time per tick [µs]", xscale="log", yscale="log")
+    axes = figure.add_subplot(xlabel="taps  [1]", ylabel="time per tick  [µs]", xscale="log", yscale="log")
     taps = [point["taps"] for point in figures["points"]]
-    for way, style in (("plain", "o-"), ("unrolled", "v-"), ("numpy", "s-"), ("numba", "^-"), ("numpy_dot", ":")):
+    for way, mark in (("plain", "o"), ("unrolled", "v"), ("numpy", "s"), ("numba", "^"), ("numpy_dot", "")):
         label = "numpy dot (other bits)" if way == "numpy_dot" else way
-        axes.plot(taps, [point[f"{way}_us"] for point in figures["points"]], style, ms=4, label=label)
+        axes.plot(taps, [point[f"{way}_us"] for point in figures["points"]], marker=mark, label=label)
         low, high = ([point[f"{way}_us_{end}"] for point in figures["points"]] for end in ("low", "high"))
         axes.fill_between(taps, low, high, alpha=0.15)
-    axes.axvline(figures["unrolled_taps"], color="grey", lw=0.8, ls="--")
-    axes.set_title(f"Adding n taps, {figures['machine']['cpu']}", fontsize=9)
-    axes.legend(fontsize=8)
-    axes.grid(alpha=0.3, which="both")
-    paths = [fresh(folder / f"bench_taps.{suffix}") for suffix in ("json", "png", "svg")]
-    paths[0].write_text(json.dumps(figures, indent=1) + "\n")
-    for path in paths[1:]:
-        figure.savefig(path, dpi=150)
-    return paths
+    threshold(axes, figures["unrolled_taps"], f"numpy beyond {figures['unrolled_taps']} taps", vertical=True)
+    axes.set_title(f"Adding n taps, {figures['machine']['cpu']}")
+    axes.legend()
+    told = fresh(folder / "bench_taps.json")
+    told.write_text(json.dumps(figures, indent=1) + "\n")
+    return [told, save_figure(figure, folder / "bench_taps.png", fresh)]

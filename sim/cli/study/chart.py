@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     seconds, where = time.monotonic() - start, machine()
     files = save(groups, where, seconds, arguments.out)
     for group in groups:
-        files += draw(group, arguments.out)
+        files.append(draw(group, arguments.out))
     read = fresh(arguments.out / "chart.md")
     read.write_text(page(groups, where, seconds))
     lines = conclusions(groups)

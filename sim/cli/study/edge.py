@@ -167,6 +167,7 @@ def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: fl
         ylabel=r"$2(b-f(\omega_c))/T$ over $K_\mathrm{max}$  [1]",
         title=r"Colgate at $\omega_c$ alone, without R",
     )
+    right.set_ylim(top=right.get_ylim()[1] + 0.15 * (right.get_ylim()[1] - right.get_ylim()[0]))
     threshold(right, 1.0, "1: as predicted")
     left.legend()
     figure.suptitle(

@@ -81,5 +81,5 @@ def _draw(edges: list[FailureEdge], bias: dict[int, tuple[float, float]]) -> Fig
     right.set_xticks(counts, [str(n) for n in counts])
     right.minorticks_off()
     right.set_title("what an integrator adds to $K_\\mathrm{max}$")
-    legend_below(figure, right)
+    legend_below(figure, [right])
     return figure

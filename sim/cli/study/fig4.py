@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from nodes.cli.quantities import Interval, declare, not_negative, positive
-from nodes.recording.figure_style import COLOURS, MARKERS, styled, threshold
+from nodes.recording.figure_style import COLOURS, GREY, MARKERS, styled, threshold
 from sim.cli import arguments as shared
 from sim.cli.sweeps import add_sweep, begun, executor
 from sim.measure.sweep import Row, read_ledger, sweep
@@ -123,13 +123,20 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
             swings = [f.frequency_hz or float("nan") for f in curve.found]
             frequency.plot(gains, swings, **color, ls="-", marker=MARKERS[i], ms=3.5)
         stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles  [N/m]")
-        stiffness.set_title(f"d = {delay:g}: nominal K full, felt H(1) dashed, Touch X sensor × (H(1))")
+        stiffness.set_title(f"delay of {delay:g} ticks")
         edge = 2.0 * setting.damping / setting.period
         threshold(stiffness, edge, f"2b/T = {edge:.4g} N/m: passive for any hand")
         plain_log(stiffness.yaxis, *stiffness.get_ylim())
         plain_log(stiffness.xaxis, setting.gains[0], setting.gains[-1])
         frequency.set(xlabel="B  [N s/m]", ylabel="measured swing at the limit  [Hz]")
-    legend_below(figure, axes[0][0])
+    # Each law where it has the most curves to be named by, and what full, dashed and × are.
+    for text, look in (
+        ("nominal K", {"ls": "-"}),
+        ("felt, H(1)", {"ls": "--", "lw": 0.9}),
+        ("felt with the Touch X's sensor", {"ls": "none", "marker": "x"}),
+    ):
+        axes[0][0].plot([], [], color=GREY, label=text, **look)
+    legend_below(figure, axes[0])
     figure.suptitle(
         f"Drop of {setting.mass:g} kg, b = {setting.damping:g} N s/m, {1.0 / setting.period:g} Hz, "
         f"{setting.criterion.ticks} ticks, history = penetration, clamped",

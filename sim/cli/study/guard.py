@@ -12,10 +12,13 @@ from nodes.cli.main import add_json, answer
 from nodes.cli.quantities import declare, not_negative, positive
 from nodes.driver.passivity import PassivityParameters
 from nodes.laws.pd import PD
-from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, save_figure, styled
+from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, save_figure, styled, threshold
 from sim.device.model import DeviceModel
 from sim.experiments.guarded_drop import Drop, compare
 from sim.results import fresh
+
+LEAST = 1e-6
+"""Where what is less is drawn, in mJ and mm: a nanojoule, a nanometre."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -82,20 +85,22 @@ def _draw(arguments: argparse.Namespace, drops: list[Drop]) -> Path:
         look: Any = {"color": COLOURS[i], "marker": MARKERS[i], "ls": LINES[i], "ms": 3.5}
         chosen = [drop for drop in drops if drop.guarded is guarded]
         stiffness = [drop.stiffness for drop in chosen]
-        # Zero has no place on a logarithmic axis: a nanojoule stands for less.
-        panels[0].plot(stiffness, [max(drop.energy_max_j * 1e3, 1e-6) for drop in chosen], label=label, **look)
-        panels[1].plot(stiffness, [max(drop.unrest_m * 1e3, 1e-6) for drop in chosen], **look)
+        # Zero has no place on a logarithmic axis.
+        panels[0].plot(stiffness, [max(drop.energy_max_j * 1e3, LEAST) for drop in chosen], label=label, **look)
+        panels[1].plot(stiffness, [max(drop.unrest_m * 1e3, LEAST) for drop in chosen], **look)
         felt = [float("nan") if drop.felt_n_per_m is None else drop.felt_n_per_m for drop in chosen]
         panels[2].plot(stiffness, felt, **look)
     nominal = [drop.stiffness for drop in drops]
     panels[2].plot(nominal, nominal, ls=":", color=GREY, label="felt = nominal")
-    for axes, label in zip(panels, ("given out [mJ]", "unrest [mm]", "felt stiffness [N/m]"), strict=True):
+    for axes, label in zip(panels, ("given out  [mJ]", "unrest  [mm]", "felt stiffness  [N/m]"), strict=True):
         axes.set(xscale="log", yscale="log", ylabel=label)
         if axes.get_legend_handles_labels()[0]:
             axes.legend()
-    panels[2].set_xlabel("nominal stiffness K [N/m]")
+    threshold(panels[0], LEAST, "nothing, or less")
+    threshold(panels[1], LEAST, "at rest")
+    panels[2].set_xlabel("nominal stiffness K  [N/m]")
     panels[0].set_title(
         f"Drop of {arguments.mass:g} kg from {arguments.height * 1e3:g} mm, PD with B = {arguments.gain:g} N s/m, "
-        f"{arguments.rate:g} Hz, delay {int(arguments.next_tick)} tick",
+        f"{arguments.rate:g} Hz, forces {'at the next tick' if arguments.next_tick else 'on arrival'}",
     )
     return save_figure(figure, arguments.out / "guard.png", fresh)
