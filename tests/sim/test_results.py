@@ -89,7 +89,7 @@ def test_logarithmic_axes_are_labelled_with_plain_numbers(low: float, high: floa
     axes = figure.add_subplot(xscale="log", xlim=(low, high))
     axes.plot([low, high], [0.0, 1.0], label="a line")
     plain_log(axes.xaxis, low, high)
-    legend_below(figure, axes)
+    legend_below(figure, [axes])
     assert overlaps(figure) == []
     labels = [text.get_text() for text in drawn_texts(figure)]
     assert any(low <= float(label) <= high for label in labels if label.replace(".", "").replace("e-", "").isdigit())

@@ -285,3 +285,80 @@ def test_no_url_is_printed_for_a_launch_that_is_ending(tmp_path: Path, capfd: py
     announcer(supervisor)
     announcer.drain()
     assert capfd.readouterr().out.count("http://") == 1
+
+
+def _pull(page: Page, by: str) -> None:
+    """Go into the wall with the hand, from where it is touched."""
+    if by == "keyboard":
+        page.locator("#scene").focus()
+        page.keyboard.press("Shift+ArrowRight")
+        return
+    box: Any = page.locator("#scene").bounding_box()
+    y = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + 0.3 * box["width"], y)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.95 * box["width"], y, steps=3)
+
+
+def _act(page: Page, by: str) -> None:
+    """Do what the sentence ends in."""
+    if by == "keyboard":
+        page.locator("#tour-act").focus()
+        page.keyboard.press("Enter")
+    else:
+        page.locator("#tour-act").click()
+
+
+@pytest.mark.parametrize("by", ["mouse", "keyboard"])
+def test_the_tour_goes_on_when_what_it_asks_for_is_done(by: str, page: Page, launch: Running) -> None:
+    launch.call("coupling", "law.switch", law="pd")
+    launch.call("coupling", "param.set", values={"laws.pd.stiffness": 1000.0})
+    wait_for(lambda: page.evaluate("haptic.dial.edge !== null && haptic.dial.stiffness === 1000"), "the dial")
+    page.locator("#tour-begin").focus()
+    page.keyboard.press("Enter")
+
+    def stands(words: str, step: int) -> bool:
+        return shown(page, "#sentence").startswith(f"{step} of 5") and words in shown(page, "#sentence")
+
+    assert stands("Touch it", 1)
+
+    def touched() -> bool:
+        _pull(page, by)
+        return stands("Make it harder", 2)
+
+    wait_for(touched, "a touch is seen")
+    _act(page, by)
+    wait_for(lambda: stands("Go past the edge", 3), "it is harder")
+    assert page.evaluate("haptic.dial.stiffness < haptic.dial.edge"), "and stable"
+    _act(page, by)
+
+    def sang() -> bool:
+        # Pushed into the wall and drawn out of it, until it rings or is stopped.
+        page.mouse.up()
+        page.keyboard.press("Escape")
+        _pull(page, by)
+        return stands("Go back below it", 4)
+
+    wait_for(sang, "it sings")
+    page.mouse.up()
+
+    def later() -> bool:
+        if stands("Go back below it", 4) and page.locator("#again").is_enabled():
+            _act(page, by)
+        return stands("Put one beside yours", 5)
+
+    wait_for(later, "back below the edge, and later")
+    assert launch.call("driver", "param.get", name="device.delay") > 0.0
+    # What the page shows goes into its link, and out of it in another page.
+    page.evaluate("navigator.clipboard.writeText = () => Promise.resolve()")
+    page.locator("#share").click()
+    told = page.evaluate("Object.fromEntries(new URLSearchParams(location.hash.slice(1)))")
+    assert (told["law"], float(told["d"])) == ("pd", launch.call("driver", "param.get", name="device.delay"))
+    _act(page, by)
+    wait_for(lambda: not page.locator("#tour").is_visible(), "the tour is over")
+    assert page.evaluate("haptic.beside.law") not in ("", "pd")
+    page.evaluate("haptic.beside.choose('')")
+    if page.locator("#beyond").is_checked():
+        page.locator("#beyond").uncheck()
+    launch.call("driver", "param.set", values={"device.delay": 0.0})
+    launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})

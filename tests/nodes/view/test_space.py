@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -102,6 +104,40 @@ def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch
     page.select_option("#axis", "3-D")
 
 
+def test_a_plane_of_section_cuts_the_ball_and_gives_the_plots(page: Page) -> None:
+    assert page.evaluate("haptic.section.plane") == "xz"
+    page.evaluate("document.getElementById('lab').open = true")
+    for plane, across in (("yz", 0), ("xz", 1)):
+        page.select_option("#plane", plane)
+        lines = page.evaluate("haptic.plots.panels[0].lines")
+        assert [f"device {letter}" in lines for letter in "xyz"] == [letter in plane for letter in "xyz"]
+        # Through the ball's middle, where the hand need not be.
+        at = CENTRE[across] + 0.2 * RADIUS
+        cut = page.evaluate("([across, at]) => haptic.space.solids.cut(across, at)", [across, at])
+        points = [point for ends in cut for point in ends]
+        assert len(cut) > 10
+        assert [point[across] for point in points] == pytest.approx([at] * len(points))
+        # Of flat faces, so inside the ball by what their number gives at most.
+        far = [math.dist(point, CENTRE) / RADIUS for point in points]
+        assert 0.97 < min(far) <= max(far) <= 1.0 + 1e-4
+    page.evaluate("document.getElementById('lab').open = false")
+    assert page.locator("#section").is_visible()
+    assert not page.locator("#lens").is_visible()
+
+
+def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
+    page.locator("#space").focus()
+
+    def moved() -> bool:
+        page.keyboard.press("Shift+PageUp")
+        away = page.evaluate("haptic.space.camera.away")
+        return sum(a * b for a, b in zip(page.evaluate("[...haptic.space.now.target]"), away, strict=True)) > 0.01
+
+    wait_for(moved, "away from the camera")
+    page.keyboard.press("Escape")
+    assert page.evaluate("haptic.space.held") is None
+
+
 def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
     """What is drawn when the ball is touched; the hand taps by itself along the first axis, or is pulled there."""
     page.evaluate("haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell()")
@@ -134,3 +170,36 @@ def test_a_recording_is_looked_at_in_three_dimensions_too(browser: Browser, laun
         # One picture of the scene for 60 in a second: its pose is that of one of the ticks just before.
         near = [states[seq] for seq in range(max(0, round(now["t"] / 0.002) - 20), round(now["t"] / 0.002) + 1)]
         assert tuple(now["position"]) in near
+
+
+def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(
+    browser: Browser, tmp_path: Path
+) -> None:
+    """A box that is pushed: live from the environment, in a replay from the scene stepped again, which is the same."""
+    pytest.importorskip("mujoco")
+    with running(tmp_path, "stack_boxes", "--view", "duration:=0") as launch:
+        with OpenPage(browser, url_of(launch)) as page:
+            wait_for(lambda: page.evaluate("haptic.space.solids?.poses?.length === 4"), "table, tool and two boxes")
+            wait_for(lambda: page.evaluate("haptic.space.solids.poses[2][0]") > 0.055, "the lower box is pushed")
+            wait_for(lambda: page.evaluate("haptic.space.pixels > 0"), "the picture")
+            tool = "Math.hypot(...haptic.space.now.proxy.map((each, k) => each - haptic.space.solids.poses[1][k]))"
+            wait_for(lambda: page.evaluate(tool) < 2e-3, "the tool is the proxy")
+            figures = launch.finish(signal.SIGINT)
+            last = page.evaluate("haptic.space.solids.poses.map((pose) => [...pose])")
+        path = tmp_path / figures["recording"]
+    with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as page:
+        end = """() => { const slider = document.getElementById("seek");
+          slider.value = slider.max;
+          slider.dispatchEvent(new Event("input")); }"""
+        page.evaluate(end)
+        wait_for(lambda: page.evaluate("haptic.space.solids?.poses?.[2][0]") > 0.055, "the box where it was pushed to")
+
+        def near() -> bool:
+            found = page.evaluate("haptic.space.solids.poses.map((pose) => [...pose])")
+            # Poses of moments that are at most some ticks apart, of bodies slower than 0.1 m/s.
+            return all(
+                math.dist(a[:3], b[:3]) < 5e-3 and max(abs(x - y) for x, y in zip(a[3:], b[3:], strict=True)) < 0.05
+                for a, b in zip(found, last, strict=True)
+            )
+
+        wait_for(near, "the same poses")
