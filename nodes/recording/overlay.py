@@ -172,7 +172,8 @@ def force_over_position(
     runs = zip(recordings, lines, labels, _colors(len(recordings)), strict=True)
     for number, (recording, one, label, color) in enumerate(runs):
         width = _width(number, len(lines))
-        axes.plot(*_trace(recording, one, axis, *ends), color=color, lw=width, label=label)
+        look = {"color": color, "lw": width, "ls": _line_style(number)}
+        axes.plot(*_trace(recording, one, axis, *ends), label=label, **look)
     level = _surface(lines[0], axis)
     if level is not None:
         axes.axvline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)

@@ -13,7 +13,7 @@ from sim.identify.encoder import encoder
 from sim.identify.experiment import Experiment
 from sim.identify.first_guess import first_guess
 from sim.identify.identified import Identified
-from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
+from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS, window
 from sim.identify.output_error import Fit, fit, windows
 
 Array = NDArray[np.float64]
@@ -81,12 +81,44 @@ def initial_state(experiment: Experiment, found: Identified) -> tuple[float, flo
     tuple of float, shape (2,)
         Position [m] and velocity [m/s] at the first tick.
     """
+    first = _begun(experiment, found, np.zeros(1, dtype=np.int64))
+    return float(first.states[0, 0]), float(first.states[0, 1])
+
+
+def followed(experiment: Experiment, found: Identified, count: int) -> tuple[NDArray[np.int64], Array]:
+    """Let an identified device move through the first windows of a run, each from where the run has it at its beginning.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The run.
+    found : Identified
+        The device, its mass known; its joint and lag, if any, are left out.
+    count : int
+        Most windows.
+
+    Returns
+    -------
+    starts : ndarray of int, shape (W,)
+        First tick of each window.
+    positions : ndarray, shape (W, L)
+        Of the model [m].
+    """
+    starts = windows(experiment, found.ticks)[:count]
+    begun = _begun(experiment, found, starts)
+    positions = np.empty((len(starts), found.ticks))
+    for start, state, out in zip(starts.tolist(), begun.states, positions, strict=True):
+        window(begun.theta, state, start, found.ticks, experiment.period, experiment.at, experiment.force, out)
+    return starts, positions
+
+
+def _begun(experiment: Experiment, found: Identified, starts: NDArray[np.int64]) -> Fit:
+    """Find where a device that is known begins each window."""
     mass, _, _ = found.mass.known()
     parts = (found.damping, found.friction, found.stiffness, found.load)
     theta = np.zeros(11)
     theta[:6] = np.array([1.0, *(part.value or 0.0 for part in parts), mass * (found.device_delay.value or 0.0)]) / mass
-    first = fit(experiment, np.zeros(1, dtype=np.int64), found.ticks, theta, (), found.encoder.value or 1e-6)
-    return float(first.states[0, 0]), float(first.states[0, 1])
+    return fit(experiment, starts, found.ticks, theta, (), found.encoder.value or 1e-6)
 
 
 def _search(experiment: Experiment, starts: NDArray[np.int64], length: int, scale: float, held: bool | None) -> Fit:

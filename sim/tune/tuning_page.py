@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sim.identify.identified_text import ROWS
-from sim.tune.knocking import LEFT
+from sim.tune.tuning_pictures import pictures
 from sim.tune.tuning_text import SECTIONS, Row, number
 
 STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem;color-scheme:light dark}"
     "table{border-collapse:collapse}td,th{padding:.15rem .8rem .15rem 0;text-align:left;border-bottom:1px solid #8884;"
     "vertical-align:top}img{max-width:100%}.verdict{font-size:1.2rem;border-left:.4rem solid #c33;padding-left:.8rem}"
-    ".holds{border-color:#393}.by{opacity:.75}"
+    ".holds{border-color:#393}.by{opacity:.75}img{border-radius:.4rem;margin:.6rem 0}"
+    # In the dark a picture's paper is dark, too, and its colours stay what they are.
+    "@media(prefers-color-scheme:dark){img{filter:invert(.9) hue-rotate(180deg)}}"
 )
 
 
@@ -35,9 +35,7 @@ def page(told: Mapping[str, Any]) -> str:
     for title, key, rows in SECTIONS:
         if key in told:
             parts += [f"<h2>{title}</h2>", _table(rows(told[key]))]
-    picture = _picture(told)
-    if picture:
-        parts.append(f'<img alt="what is left of each knock" src="data:image/png;base64,{picture}">')
+    parts += [f'<img alt="{name}" src="data:image/png;base64,{picture}">' for name, picture in pictures(told)]
     head = f'<meta charset="utf-8"><title>haptic tune</title><style>{STYLE}</style>'
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
 
@@ -58,40 +56,12 @@ def _device(told: Mapping[str, Any]) -> str:
         if one["value"] is None:
             lines.append(f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>")
         else:
-            interval = f"{number(one['low'])} to {number(one['high'])}"
+            # What is known to three digits and better is told by how far it may be off.
+            low, high = number(one["low"]), number(one["high"])
+            interval = f"± {number((one['high'] - one['low']) / 2.0)}" if low == high else f"{low} to {high}"
             lines.append(f"<tr><td>{name}</td><td>{number(one['value'])}</td><td>{interval}</td><td>{unit}</td></tr>")
     refuted = f"<p><b>The recording refutes this model: {_plain(told['why'])}</b></p>" if told.get("refuted") else ""
     steps = told["residual_steps"]
     ended = f"The push ended: {_plain(told['stopped'])}. "
     residual = f"Residual {number(steps)} encoder steps; rounding alone leaves 0.29."
     return f"{refuted}<table>{''.join(lines)}</table><p>{ended}{residual}</p>"
-
-
-def _picture(told: Mapping[str, Any]) -> str:
-    """Draw what is left of each knock against the stiffness; empty before anything was knocked on."""
-    if "predicted" not in told:
-        return ""
-    from matplotlib.figure import Figure
-
-    h1 = told["predicted"]["h1_n_per_m"]
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
-    axes = figure.subplots()
-    runs = [
-        ("predicted", told["predicted_steps"]["steps"], "o-"),
-        ("measured", told.get("verified", {}).get("steps"), "s-"),
-    ]
-    for name, steps, style in runs:
-        if steps:
-            stiffness = [h1 * step["factor"] for step in steps]
-            axes.plot(stiffness, [max(step["left"], 1e-3) for step in steps], style, ms=4, label=name)
-    axes.axhline(LEFT, color="k", linestyle="--", lw=0.8)
-    axes.axvline(h1, color="k", linestyle=":", lw=0.8, label="the law")
-    axes.axvline(
-        told["predicted"]["edge_linear_h1_n_per_m"], color="k", lw=0.8, alpha=0.4, label="pole on the unit circle"
-    )
-    axes.set(yscale="log", xlabel="stiffness H(1) [N/m]", ylabel="left of a knock after the window")
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=110, format="png")
-    return base64.b64encode(buffer.getvalue()).decode("ascii")
