@@ -161,6 +161,7 @@ export class Space {
       faces.push([points[0][2] + points[1][2] + points[2][2], points, Math.abs(dot(normal, LIGHT)) / length, tool]);
     }
     faces.sort((one, other) => other[0] - one[0]);
+    g.lineWidth = 1;
     for (const [, points, bright, tool] of faces) {
       g.beginPath();
       points.forEach(([u, v], n) => g[n ? "lineTo" : "moveTo"](u, v));
