@@ -131,7 +131,8 @@ def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
     def moved() -> bool:
         page.keyboard.press("Shift+PageUp")
         away = page.evaluate("haptic.space.camera.away")
-        return sum(a * b for a, b in zip(page.evaluate("[...haptic.space.now.target]"), away, strict=True)) > 0.01
+        target = page.evaluate("[...haptic.space.now.target]")
+        return math.fsum(a * b for a, b in zip(target, away, strict=True)) > 0.01
 
     wait_for(moved, "away from the camera")
     page.keyboard.press("Escape")
