@@ -292,7 +292,8 @@ def _pull(page: Page, by: str) -> None:
     """Go into the wall with the hand, from where it is touched."""
     if by == "keyboard":
         page.locator("#scene").focus()
-        page.keyboard.press("Shift+ArrowRight")
+        for _ in range(6):
+            page.keyboard.press("Shift+ArrowRight")
         return
     box: Any = page.locator("#scene").bounding_box()
     y = box["y"] + box["height"] / 2
