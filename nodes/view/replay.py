@@ -33,7 +33,7 @@ from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, Facts, LiveRun
 from nodes.view.server import PageServer
 from nodes.view.stability_map import drawn_map
-from nodes.view.words import told_delay
+from nodes.view.why_force import told_delay
 
 if TYPE_CHECKING:
     from nodes.view.bodies import RecordedBodies

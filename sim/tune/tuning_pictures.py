@@ -46,8 +46,8 @@ def _fit(told: Mapping[str, Any]) -> Figure | None:
     from matplotlib.figure import Figure
 
     from sim.identify.experiment import read
-    from sim.identify.identify import followed
     from sim.identify.identified_text import from_figures
+    from sim.identify.identify import followed
 
     try:
         experiment = read(Path(identified["recording"]), identified["axis"])
