@@ -20,7 +20,7 @@ from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.recording.recover import Copy
 from nodes.recording.writer import MANIFEST, PARAMETERS, Output, RecordError, discard, mcap_writer, versions
-from nodes.view.bodies import RecordedBodies
+from nodes.view.drawn_bodies import RecordedBodies
 from nodes.view.shape import shape_of
 
 SCENE, FRAME = "/scene", "haptic"

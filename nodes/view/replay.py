@@ -36,7 +36,7 @@ from nodes.view.stability_map import drawn_map
 from nodes.view.why_force import told_delay
 
 if TYPE_CHECKING:
-    from nodes.view.bodies import RecordedBodies
+    from nodes.view.drawn_bodies import RecordedBodies
 
 AHEAD = 30.0
 """How far past its place in the recording a page's plots go, so that a moment can be picked that is still to come [s]."""
@@ -123,7 +123,6 @@ class ReplayPages:
         self._scene_period = max(1.0 / SCENES, self.duration / MOST_SCENES)
         self.live = LiveRun(self._facts, self.duration + 10.0, MOST_BINS / max(self.duration, 1.0))
         self.scenes, self.statuses, self.log, self.laws = Timeline(), Timeline(), Timeline(), Timeline()
-        self.poses = Timeline()
         self._bodies: RecordedBodies | None = None
         self._driver: dict[str, Any] = {}
         self._plant: Any = None
@@ -136,7 +135,7 @@ class ReplayPages:
             "bin_s": feed.per_bin * self._facts.period,
             "replay": True,
             "hand": False,
-            "has_hand": any(scene[16:19] != (0.0, 0.0, 0.0) for scene in self.scenes.items),
+            "has_hand": any(scene[16:19] != (0.0, 0.0, 0.0) for scene, _ in self.scenes.items),
             "begin_s": self.begin,
             "end_s": self.begin + self.duration,
             "shape": self._shape,
@@ -177,9 +176,8 @@ class ReplayPages:
             delays, states = delays + message.delay, states + 1.0
             if at >= next_scene:
                 next_scene = at + self._scene_period
-                self.scenes.add(at, live.feed.now())
-                if self._bodies is not None:
-                    self.poses.add(at, self._bodies.poses().astype(np.float32))
+                poses = None if self._bodies is None else self._bodies.poses().astype(np.float32)
+                self.scenes.add(at, (live.feed.now(), poses))
                 live.feed.file()
             if at >= next_status:
                 next_status = at + 0.2
@@ -218,7 +216,7 @@ class ReplayPages:
             self.laws.items[0]["device_delay"] = self._driver["device"]["delay"]
 
     def _read_shape(self, name: str, parameters: dict[str, Any]) -> None:
-        from nodes.view.bodies import RecordedBodies
+        from nodes.view.drawn_bodies import RecordedBodies
         from nodes.view.shape import bodies_of, shape_of
 
         # A shape that is not installed here, or a file that has gone: the flat views remain.
@@ -330,7 +328,7 @@ class ReplayPage:
             self._first = self._cursor = first
             self._void = True
         self._logged = 0
-        self._status = self._law = self._posed = 0
+        self._status = self._law = 0
         self._told.append('{"type":"reset"}')
 
     def _tell(self, text: str) -> None:
@@ -358,17 +356,13 @@ class ReplayPage:
             found.append(msgspec.json.encode({"type": "laws", **laws}).decode())
             pages.map_of(laws, self._tell)
         self._status, self._law = status, law
-        posed = pages.poses.until(at)
-        if posed != self._posed and posed:
-            found.append(
-                msgspec.json.encode(
-                    {"type": "poses", "poses": np.round(pages.poses.items[posed - 1].astype(float), 6).tolist()}
-                ).decode()
-            )
-        self._posed = posed
         end, scene = pages.live.feed.until(at + AHEAD), pages.scenes.until(at)
         if (at != self._shown or end > self._cursor or self._void) and scene:
-            now = (at, *pages.scenes.items[scene - 1][1:])
+            shown, poses = pages.scenes.items[scene - 1]
+            now = (at, *shown[1:])
+            if poses is not None:
+                placed = np.round(poses.astype(float), 6).tolist()
+                found.append(msgspec.json.encode({"type": "poses", "poses": placed}).decode())
             end = max(end, self._cursor)
             found.append(pages.live.feed.frame(self._cursor, end, self._void, now))
             # What the page's ring has room for.

@@ -26,7 +26,7 @@ from nodes.view.shared_hand import SharedHand
 from nodes.view.stability_map import drawn_map
 
 if TYPE_CHECKING:
-    from nodes.view.bodies import RunningBodies
+    from nodes.view.drawn_bodies import RunningBodies
     from nodes.view.foxglove import Bridge
 
 DRAIN_PERIOD = 1.0 / 60.0
@@ -155,7 +155,7 @@ class RunPages:
             return {}
         environment = self._run.nodes[name]
         if "scene" in environment.parameters:
-            from nodes.view.bodies import RunningBodies
+            from nodes.view.drawn_bodies import RunningBodies
 
             # On another machine nobody can look: the flat views remain, and whoever lacks MuJoCo has them, too.
             with contextlib.suppress(OSError, ParameterError):
