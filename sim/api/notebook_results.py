@@ -53,14 +53,14 @@ class Result:
         return {field.name: getattr(self, field.name) for field in fields if not field.name.startswith("_")}
 
     def plot(self) -> Figure:
-        """Draw it.
+        """Draw it: the figures beside each other, where a result has no picture of its own.
 
         Returns
         -------
         matplotlib.figure.Figure
             A notebook shows it; ``.savefig("name.pdf")`` keeps it.
         """
-        raise TypeError(f"{type(self).__name__} has only figures, and nothing to draw: {self}")
+        return bars(self.figures(), "", type(self).__name__)
 
     def to_pandas(self) -> Any:
         """Turn it into a table.
@@ -75,17 +75,13 @@ class Result:
         ModuleNotFoundError
             When pandas is not installed.
         """
-        try:
-            pandas = importlib.import_module("pandas")
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError("to_pandas() needs pandas: pip install pandas") from error
         columns = self.columns()
         flat = {
             name if values.ndim == 1 else f"{name}_{'xyz'[i]}": values if values.ndim == 1 else values[:, i]
             for name, values in columns.items()
             for i in range(1 if values.ndim == 1 else values.shape[1])
         }
-        return pandas.DataFrame(flat or [self.figures()])
+        return pandas().DataFrame(flat or [self.figures()])
 
     def __str__(self) -> str:
         lines = [f"  {name:28} {_short(value)}" for name, value in self.figures().items()]
@@ -102,6 +98,25 @@ class Result:
         return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
 
 
+def pandas() -> Any:
+    """Load pandas, which is no dependency.
+
+    Returns
+    -------
+    module
+        Pandas.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        With the remedy.
+    """
+    try:
+        return importlib.import_module("pandas")
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("to_pandas() needs pandas: pip install pandas") from error
+
+
 def _short(value: Any) -> str:
     if isinstance(value, bool) or value is None:
         return str(value)
@@ -113,6 +128,37 @@ def _short(value: Any) -> str:
         more = f", … {len(value) - _LONGEST} more" if len(value) > _LONGEST else ""
         return "[" + ", ".join(_short(inner) for inner in value[:_LONGEST]) + more + "]"
     return str(value)
+
+
+def bars(values: Mapping[str, Any], label: str, title: str) -> Figure:
+    """Draw figures beside each other.
+
+    Parameters
+    ----------
+    values : mapping of str to float
+        Figure by name; what is no number is left out.
+    label : str
+        What they are, with the unit.
+    title : str
+        Of the picture.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One bar each.
+    """
+    known = {
+        name: float(value)
+        for name, value in values.items()
+        if isinstance(value, int | float | np.number) and not isinstance(value, bool) and np.isfinite(value)
+    }
+    figure, (axes,) = new_figure(height=max(2.4, 0.3 * len(known)))
+    axes.barh(list(known), list(known.values()))
+    axes.invert_yaxis()
+    if len(known) > 1 and min(known.values()) > 0.0 and max(known.values()) > 100.0 * min(known.values()):
+        axes.set_xscale("log")
+    axes.set(xlabel=label, title=title)
+    return figure
 
 
 def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[Figure, list[Any]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -18,7 +19,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from messages.errors import HapticError
 from nodes.base.realtime import die_with_parent
@@ -26,10 +27,14 @@ from nodes.client import launches
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive, runs
 from sim.api.controls import Laws, Parameters
-from sim.api.notebook_results import Result
+from sim.api.interrupts import whole
+from sim.api.notebook_results import Result, bars
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, read
 from sim.api.values import plain
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 HAPTIC = (*PYTHON, "-m", "nodes.cli.main")
 
@@ -38,6 +43,20 @@ STARTS_WITHIN = 60.0
 
 ENDS_WITHIN = 60.0
 """How long a launch may take to end [s]."""
+
+
+def end(process: subprocess.Popen[Any]) -> None:
+    """End a command that was started in a process group of its own as Ctrl-C does; what does not end is killed."""
+    process.send_signal(signal.SIGINT)
+    try:
+        process.wait(ENDS_WITHIN)
+    except BaseException as error:
+        # A cell that was interrupted leaves nothing behind, even one that is interrupted twice.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        if not isinstance(error, subprocess.TimeoutExpired):
+            raise
 
 
 class LaunchError(HapticError):
@@ -79,6 +98,18 @@ class RunSummary(Result):
     def figures(self) -> dict[str, Any]:
         """List the figures that fit on a screen."""
         return {name: value for name, value in super().figures().items() if name != "all"}
+
+    def plot(self) -> Figure:
+        """Draw its recording; without one, the response times.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Position and force, or the percentiles.
+        """
+        if self.recording is not None and Path(self.recording).exists():
+            return read(self.recording).plot()
+        return bars(self.response_us, "response time [µs]", self.scenario)
 
 
 class Run:
@@ -180,7 +211,8 @@ class Run:
         object
             The answer.
         """
-        return launches.ask(self.info, node, op, **args)
+        with whole():
+            return launches.ask(self.info, node, op, **args)
 
     @property
     def url(self) -> str:
@@ -212,9 +244,23 @@ class Run:
         """
         path = Path(out) if out is not None else Path(f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap")
         words = ["bag", "record", "--run", self.info.run, "--duration", str(duration), "--out", str(path), "--json"]
-        done = subprocess.run([*HAPTIC, *words], capture_output=True, text=True, check=False, process_group=0)
-        if done.returncode:
-            raise LaunchError(f"bag record ended with exit code {done.returncode}: {done.stderr.strip()}")
+        process = subprocess.Popen(
+            [*HAPTIC, *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            process_group=0,
+            preexec_fn=die_with_parent,
+        )
+        try:
+            told = process.communicate()[1]
+        except BaseException:
+            # What is recorded so far is complete.
+            end(process)
+            raise
+        if process.returncode:
+            raise LaunchError(f"bag record ended with exit code {process.returncode}: {told.strip()}")
         return read(path)
 
     def wait(self, timeout: float | None = None) -> RunSummary:
@@ -237,15 +283,16 @@ class Run:
         """
         process = self._started_here("wait for")
         until = None if timeout is None else time.monotonic() + timeout
-        driver = launches.roles(self.info).get("driver")
-        total = self.info.nodes[driver].ticks if driver else None
         try:
+            driver = launches.roles(self.info).get("driver")
+            total = self.info.nodes[driver].ticks if driver else None
             with progress(self.info.scenario, total) as step:
                 while process.poll() is None:
                     if until is not None and time.monotonic() > until:
                         raise LaunchError(f"{self.info.run}: still running after {timeout:g} s")
-                    with contextlib.suppress(HapticError):
-                        step(self.ticks if driver else 0)
+                    if driver:
+                        with contextlib.suppress(HapticError):
+                            step(int(self.ask(driver, "status", timeout=1.0)["ticks"]))
                     with contextlib.suppress(subprocess.TimeoutExpired):
                         process.wait(0.1)
         except KeyboardInterrupt:
@@ -262,12 +309,7 @@ class Run:
                 raise LaunchError(done.stderr.strip())
             return
         if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(ENDS_WITHIN)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            end(process)
 
     def _started_here(self, what: str) -> subprocess.Popen[bytes]:
         if self._process is None:
@@ -340,8 +382,9 @@ def connect(name: str | None = None) -> Run:
 
     Examples
     --------
-    >>> run = connect()  # doctest: +SKIP
-    >>> run.law.switch("multi_term", ramp=50)  # doctest: +SKIP
+    >>> with launch("wall_press", duration=0):
+    ...     connect().law.switch("multi_term", ramp=50)["to"]
+    'multi_term'
     """
     return Run(launches.find(name))
 
@@ -372,8 +415,9 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
 
     Examples
     --------
-    >>> with launch("floor_drop", stiffness=1500, pace="lockstep") as run:  # doctest: +SKIP
-    ...     print(run.wait())
+    >>> with launch("floor_drop", stiffness=1500, pace="lockstep") as run:
+    ...     run.wait().ticks
+    1500
     """
     words = [
         f"{name}:={value if isinstance(value, str) else json.dumps(value)}" for name, value in plain(arguments).items()
@@ -396,8 +440,7 @@ def launch(scenario: str, *, view: bool = False, out_dir: str | Path | None = No
     try:
         return Run(_appeared(process, folder), process, folder)
     except BaseException:
-        process.send_signal(signal.SIGINT)
-        process.wait(ENDS_WITHIN)
+        end(process)
         shutil.rmtree(folder, ignore_errors=True)
         raise
 

@@ -92,7 +92,11 @@ def read(recording: str | Path) -> Recorded:
 
     Examples
     --------
-    >>> read("floor_drop.mcap")["position"][-1]  # doctest: +SKIP
+    >>> from sim.api.python_runs import launch
+    >>> with launch("floor_drop", pace="lockstep", duration=0.4) as run:
+    ...     path = run.wait().recording
+    >>> read(path)["position"].shape
+    (201, 3)
     """
     from nodes.recording import table
     from nodes.recording.reader import Recording
@@ -121,13 +125,9 @@ def plot(what: Result | str | Path) -> Figure:
     matplotlib.figure.Figure
         A notebook shows it.
 
-    Raises
-    ------
-    TypeError
-        When it has only figures.
-
     Examples
     --------
-    >>> plot("floor_drop.mcap").savefig("drop.pdf")  # doctest: +SKIP
+    >>> from sim.api.loops import play
+    >>> plot(play("floor_drop")).savefig("drop.pdf")
     """
     return what.plot() if isinstance(what, Result) else read(what).plot()

@@ -7,19 +7,31 @@ from __future__ import annotations
 
 import collections
 import json
-import os
-import signal
+import re
 import subprocess
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from nodes.base.realtime import die_with_parent
-from sim.api.notebook_results import Result
+from sim.api.notebook_results import Result, bars, new_figure, pandas
 from sim.api.progress import progress
-from sim.api.python_runs import ENDS_WITHIN, HAPTIC, LaunchError
+from sim.api.python_runs import HAPTIC, LaunchError, end
 from sim.api.values import plain
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_TABLES = ("rows", "points", "drops", "edges", "curves", "cases", "terms", "parameters")
+"""Names under which studies tell their rows."""
+
+_ON_OR_OFF = ("land",)
+"""Options that are on unless they are switched off."""
+
+_SHARE = re.compile(r"^(\d+) % ")
+"""How a verb says how far it is, where nobody looks at a terminal (sim/measure/stopwatch.py)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -32,14 +44,47 @@ class Answer(Result):
         What was run.
     answer : dict of str to object
         Its figures; ``result["name"]`` reads one.
+    held : bool
+        Whether its verdict is yes: its exit code is 0.
     """
 
     command: str
     answer: dict[str, Any]
+    held: bool = True
 
     def figures(self) -> dict[str, Any]:
         """List the figures."""
         return self.answer
+
+    def to_pandas(self) -> Any:
+        """Turn it into a table: the rows of a study that has some, else its figures.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row per row of the study, or one row.
+        """
+        rows = next((value for name, value in self.answer.items() if name in _TABLES and value), None)
+        return pandas().DataFrame([self.answer] if rows is None else rows)
+
+    def plot(self) -> Figure:
+        """Draw it: the picture that the verb drew, or its figures beside each other.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The picture.
+        """
+        picture = self.answer.get("plot")
+        if not isinstance(picture, str) or not Path(picture).exists():
+            return bars(_flat(self.answer), "as their names say", self.command)
+        from matplotlib.image import imread
+
+        drawn = imread(picture)
+        figure, (axes,) = new_figure(width=drawn.shape[1] / 150.0, height=drawn.shape[0] / 150.0)
+        axes.imshow(drawn)
+        axes.set_axis_off()
+        return figure
 
     def __getitem__(self, name: str) -> Any:
         """Read one figure."""
@@ -51,16 +96,25 @@ class Answer(Result):
         return list(self.answer)
 
 
+def _flat(told: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Name every number of an answer by its path."""
+    found: dict[str, Any] = {}
+    for name, value in told.items():
+        found |= _flat(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
+    return found
+
+
 def _words(options: dict[str, Any]) -> list[str]:
     """Write keyword arguments as options: ``taps=4`` is ``--taps 4``, ``land=True`` is ``--land``."""
     words = []
     for name, value in plain(options).items():
         option = f"--{name.replace('_', '-')}"
-        if value is True:
-            words.append(option)
+        if isinstance(value, bool):
+            # Off is said only where it can be; other options are off when they are left out.
+            words += [option] if value else [f"--no-{name}"] if name in _ON_OR_OFF else []
         elif isinstance(value, tuple | list):
             words += [option, *map(str, value)]
-        elif value is not None and value is not False:
+        elif value is not None:
             words += [option, str(value)]
     return words
 
@@ -81,34 +135,82 @@ def _run(*words: str) -> Answer:
     assert error_pipe is not None  # noqa: S101
     told: collections.deque[str] = collections.deque(maxlen=20)
     try:
-        with progress(command, None) as step:
+        with progress(command, 100) as step:
             reader = threading.Thread(target=_collect, args=(error_pipe, told, step), daemon=True)
             reader.start()
             out = out_pipe.read()
             process.wait()
             reader.join(1.0)
     except KeyboardInterrupt:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(ENDS_WITHIN)
-        except subprocess.TimeoutExpired:
-            # A cell that was interrupted leaves nothing behind.
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+        end(process)
         raise
     finally:
         out_pipe.close()
     lines = out.splitlines()
-    if process.returncode or not lines:
+    if process.returncode not in (0, 1) or not lines:
         raise LaunchError(f"{command}: exit code {process.returncode}: {''.join(told).strip()}")
-    return Answer(command, json.loads(lines[-1]))
+    return Answer(command, json.loads(lines[-1]), process.returncode == 0)
 
 
 def _collect(stream: IO[str], told: collections.deque[str], step: Any) -> None:
     with stream:
-        for done, line in enumerate(stream, 1):
+        for line in stream:
             told.append(line)
-            step(done)
+            if (share := _SHARE.match(line)) is not None:
+                step(int(share[1]))
+
+
+def study(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
+    """Run a study: ``haptic study NAME``; one that sweeps runs on the workers of a Dask client where one is given.
+
+    Parameters
+    ----------
+    name : str
+        E.g. ``kmax``, ``edge`` or ``fig4``; ``haptic study --help`` lists them.
+    *words : str
+        What stands without an option, e.g. a recording.
+    client : distributed.Client, optional
+        Whose workers do the jobs; same figures to the bit.
+    **options : object
+        The study's options: ``gain="1..40"``, ``points=41``; ``haptic study kmax --help``.
+
+    Returns
+    -------
+    Answer
+        Its figures; ``.held`` says whether its verdict is yes.
+
+    Raises
+    ------
+    LaunchError
+        When it refuses; the text says why.
+
+    Examples
+    --------
+    >>> study("kmax", law="pd", gain=3)["k_max_n_per_m"]
+    3781.8660...
+    """
+    return _run("study", name, *words, *_words(options | _cluster(client)))
+
+
+def _cluster(client: Any) -> dict[str, Any]:
+    """Name the scheduler of a client, and its certificates."""
+    if client is None:
+        return {}
+    address, security = client.scheduler.address, client.security
+    if not address.startswith(("tcp://", "tls://")):
+        raise LaunchError(
+            f"client: {address} is inside this process; make it of processes: LocalCluster(processes=True)"
+        )
+    if address.startswith("tcp://"):
+        return {"cluster": address}
+    files = {
+        "tls_ca_file": security.tls_ca_file,
+        "tls_cert": security.tls_client_cert,
+        "tls_key": security.tls_client_key,
+    }
+    if any(not isinstance(file, str) or "\n" in file for file in files.values()):
+        raise LaunchError("client: its certificates are in memory; give distributed.Security their files")
+    return {"cluster": address, **files}
 
 
 def design(**options: Any) -> Answer:
@@ -131,7 +233,8 @@ def design(**options: Any) -> Answer:
 
     Examples
     --------
-    >>> design(mass="0.05..0.2", taps=2)["taps_n_per_m"]  # doctest: +SKIP
+    >>> design(mass="0.05..0.2", taps=2, land=False)["designed"]["h1_n_per_m"]
+    1866...
     """
     return _run("study", "design", *_words(options))
 

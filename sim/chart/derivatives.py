@@ -8,6 +8,7 @@ becomes unstable, with the same normalised gain for all.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, MutableSequence, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import analyse
 from sim.chart.points import Detail, Group, Point
+from sim.measure.jobs import Spread, here
 from sim.measure.stopwatch import Timing, interleaved
 from sim.scene.compiled import compiled
 
@@ -98,8 +100,8 @@ def largest_stable(radius: Callable[[float], float], low: float, high: float, pr
     return before
 
 
-def derivative_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
-    """Measure all realisations."""
+def derivative_groups(step: Callable[[str], None], quick: bool = False, spread: Spread = here) -> list[Group]:
+    """Measure all realisations: times on this machine, all else where the study runs."""
     groups = []
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     for order in ORDERS:
@@ -110,28 +112,34 @@ def derivative_groups(step: Callable[[str], None], quick: bool = False) -> list[
             jobs[f"{kind} {taps}|compiled"] = (_when_compiled(law), 20 * _TICKS)
         timings = interleaved(jobs, rounds, step)
         details: dict[str, tuple[str, dict[str, Detail]]] = {}
-        for kind, taps, law in found:
+        jobs_beside: list[Callable[[], Any]] = [partial(_figures, kind, taps, order) for kind, taps, _ in found]
+        figures = spread(jobs_beside, lambda done, _, order=order: step(f"D^{order:g} {done}"))  # type: ignore[misc]
+        for (kind, taps, _), told in zip(found, figures, strict=True):
             name = f"{kind} {taps}"
-            timed = timings[f"{name}|node"], timings[f"{name}|compiled"]
-            details[name] = kind, _detail(kind, taps, law, order, *timed)
-            step(f"D^{order:g} {name}")
+            node, fast = timings[f"{name}|node"], timings[f"{name}|compiled"]
+            details[name] = kind, told | _times(node, fast)
         groups += _groups(order, details, rounds)
     return groups
 
 
-def _detail(kind: str, taps: int, law: CompiledLaw, order: float, node: Timing, fast: Timing) -> dict[str, Detail]:
-    """Tell everything about one realisation."""
+def _times(node: Timing, fast: Timing) -> dict[str, Detail]:
+    return {
+        "node_us": 1e6 * node.median,
+        "node_us_low": 1e6 * node.low,
+        "node_us_high": 1e6 * node.high,
+        "compiled_ns": 1e9 * fast.median,
+    }
+
+
+def _figures(kind: str, taps: int, order: float) -> dict[str, Detail]:
+    """Tell everything about one realisation but its times."""
     figures = analyse(kind, order, taps, PERIOD)
-    stiffness, gain = _limits(law, order)
+    stiffness, gain = _limits(realise(kind, order, taps, PERIOD), order)
     return {
         "order": order,
         "taps": taps,
         "multiplies": figures.multiplies,
         "states": figures.states,
-        "node_us": 1e6 * node.median,
-        "node_us_low": 1e6 * node.low,
-        "node_us_high": 1e6 * node.high,
-        "compiled_ns": 1e9 * fast.median,
         "error_raw": figures.error(aligned=False),
         "error_aligned": figures.error(),
         "delay_ticks": figures.delay,

@@ -9,8 +9,10 @@ is dropped instead (`sim.paper.fig4`).
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from nodes.stability.plant import Plant
 from sim.chart.derivative_errors import Analysis, analyse
 from sim.chart.derivatives import DAMPING, DELAY, PERIOD, candidates, with_stiffness
 from sim.chart.points import Detail, Group, Point
+from sim.measure.jobs import Spread, here
 
 ORDERS = (0.5, 1.0, 1.5)
 MASSES, NYQUIST = (0.05, 0.1, 0.2), 1e4
@@ -86,17 +89,29 @@ def laws(order: float, quick: bool) -> Iterator[tuple[str, str, Way, Analysis]]:
             )
 
 
-def demand_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
+@functools.cache
+def _listed(order: float, quick: bool) -> list[tuple[str, str, Way, Analysis]]:
+    return list(laws(order, quick))
+
+
+def _row(order: float, quick: bool, number: int, radius: float) -> tuple[str, str, float, float, float]:
+    """Tune one realisation: name, family, error of its derivative, stiffness and gain."""
+    name, family, way, errors = _listed(order, quick)[number]
+    return name, family, errors.error(), *tuned(way, radius)
+
+
+def demand_groups(step: Callable[[str], None], quick: bool = False, spread: Spread = here) -> list[Group]:
     """Tune every realisation to the same demand."""
-    found = []
-    for order in ORDERS:
-        for demand, radius in RADII.items():
-            rows = []
-            for name, family, way, errors in laws(order, quick):
-                rows.append((name, family, errors.error(), *tuned(way, radius)))
-                step(f"D^{order:g} {name} at equal demand")
-            found.append(_group(order, demand, radius, rows))
-    return found
+    groups = [(order, demand) for order in ORDERS for demand in RADII]
+    jobs: list[Callable[[], Any]] = [
+        functools.partial(_row, order, quick, number, RADII[demand])
+        for order, demand in groups
+        for number in range(len(_listed(order, quick)))
+    ]
+    rows = iter(spread(jobs, lambda done, _: step(f"equal demand: {done}")))
+    return [
+        _group(order, demand, RADII[demand], [next(rows) for _ in _listed(order, quick)]) for order, demand in groups
+    ]
 
 
 def _group(order: float, demand: str, radius: float, rows: list[tuple[str, str, float, float, float]]) -> Group:

@@ -1,4 +1,4 @@
-"""Where the sweep of a study runs: processes of this machine by default, or the workers of a Dask scheduler (``--cluster``)."""
+"""Where the jobs of a study run: here, in processes of this machine, or on the workers of a Dask scheduler (``--cluster``)."""
 
 from __future__ import annotations
 
@@ -7,21 +7,25 @@ import contextlib
 import multiprocessing
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from messages.errors import RefusedError, UsageError
+from sim.measure.jobs import RETRIES, done_by
 from sim.measure.stopwatch import Progress
 from sim.measure.sweep import Job, Row, sweep
 
 TLS = ("tls-ca-file", "tls-cert", "tls-key")
 """Options that hold the certificates of a cluster off this machine."""
-RETRIES = 3
-"""How often a job is given to another worker when one dies."""
+PATIENCE = 2.0
+"""What is done so soon shows no progress [s]."""
+
+J = TypeVar("J")
+R = TypeVar("R")
 
 
 class Study(NamedTuple):
@@ -34,7 +38,12 @@ class Study(NamedTuple):
 def add_sweep(parser: argparse.ArgumentParser) -> None:
     """Declare where a sweep runs, and whether it goes on."""
     parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
-    parser.add_argument("--workers", type=int, default=0, help="processes on this machine (default: one per core)")
+    add_spread(parser, "one per core")
+
+
+def add_spread(parser: argparse.ArgumentParser, alone: str = "none: one job after another, here") -> None:
+    """Declare where the jobs of a study run."""
+    parser.add_argument("--workers", type=int, default=0, help=f"processes on this machine (default: {alone})")
     parser.add_argument(
         "--cluster", metavar="ADDRESS", help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786"
     )
@@ -45,6 +54,8 @@ def add_sweep(parser: argparse.ArgumentParser) -> None:
 @contextlib.contextmanager
 def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
     """Open what the jobs run on."""
+    if arguments.workers < 0:
+        raise UsageError(f"--workers {arguments.workers}: at least 0")
     if arguments.cluster is None:
         # Spawned, not forked: this process may have threads of its own by now.
         with ProcessPoolExecutor(
@@ -54,11 +65,9 @@ def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
         return
     security = check_cluster(arguments)
     if not security:
-        print(
-            f"[sweep] {arguments.cluster}: whoever of this machine's users holds that port is given the jobs, and believed; "
-            f"where there are others, use tls:// with --{', --'.join(TLS)}",
-            file=sys.stderr,
-            flush=True,
+        _say(
+            f"{arguments.cluster}: whoever of this machine's users holds that port is given the jobs, and believed; "
+            f"where there are others, use tls:// with --{', --'.join(TLS)}"
         )
     try:
         import distributed
@@ -70,9 +79,15 @@ def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
     except (OSError, TimeoutError) as error:
         raise RefusedError(f"--cluster {arguments.cluster}: no scheduler answers ({error})") from error
     try:
+        if not client.scheduler_info()["workers"]:
+            _say(f"{arguments.cluster}: no worker there yet; the jobs wait for the first")
         yield client.get_executor(retries=RETRIES, pure=False)
     finally:
         client.close()
+
+
+def _say(what: str) -> None:
+    print(f"[sweep] {what}", file=sys.stderr, flush=True)
 
 
 def check_cluster(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -123,3 +138,28 @@ def begun(arguments: argparse.Namespace, name: str) -> Path:
     if arguments.fresh:
         ledger.unlink(missing_ok=True)
     return ledger
+
+
+def spread(
+    arguments: argparse.Namespace,
+    job: Callable[[J], R],
+    jobs: Sequence[J],
+    chunk: int = 1,
+    step: Callable[[str, int], None] | None = None,
+) -> list[R]:
+    """Do all jobs where the arguments say, with progress on stderr: results in the order of the jobs, kept nowhere."""
+    step = step or Progress(len(jobs), after=PATIENCE).step
+    results: dict[int, R] = {}
+
+    def told(part: range, rows: list[R]) -> None:
+        results.update(zip(part, rows, strict=True))
+        step(f"{len(results)} of {len(jobs)}", len(rows))
+
+    if arguments.cluster is None and not arguments.workers:
+        for i, parameters in enumerate(jobs):
+            told(range(i, i + 1), [job(parameters)])
+    else:
+        with executor(arguments) as pool, contextlib.closing(done_by(pool, job, jobs, chunk)) as done:
+            for part, rows in done:
+                told(part, rows)
+    return [results[i] for i in range(len(jobs))]

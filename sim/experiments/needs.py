@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -29,6 +30,9 @@ _TAIL = 5
 
 S = TypeVar("S")
 R = TypeVar("R")
+
+Play = Callable[[Callable[[S], R], Sequence[S]], list[R]]
+"""How variants are played: one after another here, or side by side (`sim.cli.sweeps.spread`)."""
 
 
 @dataclass(frozen=True)
@@ -188,21 +192,34 @@ class Variant(NamedTuple, Generic[S]):
     switched: str
 
 
-def needs(scene: LaunchedScene, model: Model, rounds: int = 5, step: Callable[[str], None] | None = None) -> Needs:
+def here(play: Callable[[S], R], scenes: Sequence[S]) -> list[R]:
+    """Play variants one after another."""
+    return [play(scene) for scene in scenes]
+
+
+def needs(
+    scene: LaunchedScene,
+    model: Model,
+    rounds: int = 5,
+    step: Callable[[str], None] | None = None,
+    players: Play[LaunchedScene, Trace] = here,
+) -> Needs:
     """Switch every term of a scene."""
 
     def changes(changed: LaunchedScene, trace: Trace) -> dict[str, float]:
         return movement(before, outcome(changed, trace), scene.scene.period)
 
-    def play(changed: LaunchedScene) -> Trace:
-        return changed.play(interpreted=True)
-
     contact = scene.scene.surface.kind == "plane"
     variants = variants_of(scene, TERMS, CONVENTIONS if contact else {}, TOGETHER)
     with np.errstate(all="ignore"):
-        before = outcome(scene, play(scene))
-        findings, tick = judge(scene, variants, play, changes, scene.ticks, model, rounds, step)
+        before = outcome(scene, _play(scene))
+        findings, tick = judge(scene, variants, _play, changes, scene.ticks, model, rounds, step, players)
     return Needs(before, findings, tick)
+
+
+def _play(scene: LaunchedScene) -> Trace:
+    with np.errstate(all="ignore"):
+        return scene.play(interpreted=True)
 
 
 def judge(
@@ -214,32 +231,20 @@ def judge(
     model: Model,
     rounds: int,
     step: Callable[[str], None] | None,
+    players: Play[S, R] = here,
 ) -> tuple[tuple[Finding, ...], float | None]:
-    """Play a scene and its variants in turns: what each one moves and costs, and the time per tick of the scene [µs].
+    """Play a scene and its variants: what each moves; in turns, what each costs and the time per tick of the scene [µs].
 
-    Without rounds nothing is timed.
+    Without rounds nothing is timed. Times are of this machine, whoever plays the variants.
     """
-    played: dict[int, R] = {}
-
-    def job(i: int, changed: S) -> Callable[[], None]:
-        def run() -> None:
-            played[i] = play(changed)
-
-        return run
-
+    played = players(play, [variant.scene for variant in variants])
     jobs: dict[str, tuple[Callable[[], object], int]] = {
-        str(i): (job(i, changed), ticks) for i, changed in enumerate([scene, *(v.scene for v in variants)])
+        str(i): (partial(play, changed), ticks) for i, changed in enumerate([scene, *(v.scene for v in variants)])
     }
-    timings: dict[str, Timing] = {}
-    if rounds:
-        timings = interleaved(jobs, rounds, step)
-    else:
-        for i, (run, _) in enumerate(jobs.values()):
-            if i:
-                run()
+    timings: dict[str, Timing] = interleaved(jobs, rounds, step) if rounds else {}
     found = []
     for i, variant in enumerate(variants, 1):
-        finding = _finding(variant, changes(variant.scene, played[i]), model)
+        finding = _finding(variant, changes(variant.scene, played[i - 1]), model)
         if timings:
             whole, mine = timings["0"], timings[str(i)]
             cost = 1e6 * (whole.median - mine.median) * (1.0 if finding.switched.startswith("off") else -1.0)

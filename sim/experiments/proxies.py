@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,25 +97,32 @@ def ring(ticks: int, speed: float, period: float, radius: float) -> tuple[Array,
     return radius * normal, normal
 
 
-def cases(finest: int, ticks: int, speed: float, period: float) -> list[tuple[str, int, list[Solid], Array, Array]]:
-    """List what is compared: name, triangles, solids, points on the surface [m], normals."""
+Case = tuple[str, int, list[Solid], Array, Array]
+"""Name, triangles, solids, points on the surface [m], normals."""
+
+CLOSED_FORMS = 3
+"""Cases before the first mesh."""
+
+
+def case(number: int, ticks: int, speed: float, period: float) -> Case:
+    """Make what is compared: plane, sphere and capsule, then ever finer meshes of the sphere."""
     on_ball, outward = ring(ticks, speed, period, RADIUS)
+    if number >= CLOSED_FORMS:
+        triangles = icosphere(number - CLOSED_FORMS + 2, RADIUS)
+        solid = mesh(prepare_mesh(triangles, False, "sphere"))
+        return f"sphere of {len(triangles)} triangles", len(triangles), [solid], on_ball, outward
     flat = np.arange(ticks)[:, None] * speed * period * np.array([1.0, 0.0, 0.0])
     up = np.tile([0.0, 0.0, 1.0], (ticks, 1))
     along = np.array([0.6, 0.8, 0.0])
     turn = np.arange(ticks) * speed * period / RADIUS
     rod_normal = np.cos(turn)[:, None] * np.array([0.0, 0.0, 1.0]) + np.sin(turn)[:, None] * np.array([0.8, -0.6, 0.0])
     rod = RADIUS * rod_normal + 0.02 * np.sin(turn)[:, None] * along
-    found = [
+    found: list[Case] = [
         ("plane", 0, [plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))], flat, up),
         ("sphere", 0, [sphere((0.0, 0.0, 0.0), RADIUS)], on_ball, outward),
         ("capsule", 0, [capsule((-0.06, -0.08, 0.0), (0.06, 0.08, 0.0), RADIUS)], rod, rod_normal),
     ]
-    for halvings in range(2, finest + 1):
-        triangles = icosphere(halvings, RADIUS)
-        solid = mesh(prepare_mesh(triangles, False, "sphere"))
-        found.append((f"sphere of {len(triangles)} triangles", len(triangles), [solid], on_ball, outward))
-    return found
+    return found[number]
 
 
 def compare_proxies(
@@ -150,22 +158,45 @@ def compare_proxies(
     list of ProxyError
         One for each shape.
     """
-    return [_compared(case, stiffness, depth, period, tool_radius) for case in cases(finest, ticks, speed, period)]
+    ways = [Way(number, ticks, depth, speed, period, tool_radius) for number in range(count(finest))]
+    return [timed(compared(way, stiffness), way) for way in ways]
 
 
-def _compared(
-    case: tuple[str, int, list[Solid], Array, Array], stiffness: float, depth: float, period: float, tool_radius: float
-) -> ProxyError:
-    name, triangles, solids, surface, normal = case
-    ticks = len(surface)
-    below = depth * np.minimum(np.arange(ticks) / (0.05 * ticks), 1.0) - 1e-4
-    path = surface + (tool_radius - below[:, None]) * normal
+def count(finest: int) -> int:
+    """Count the cases up to the finest mesh."""
+    return CLOSED_FORMS + finest - 1
+
+
+class Way(NamedTuple):
+    """How a tool is led along the surface of a case; as for `compare_proxies`."""
+
+    number: int
+    ticks: int
+    depth: float
+    speed: float
+    period: float
+    tool_radius: float
+
+    def below(self) -> Array:
+        """Give how deep below the surface each point is [m]."""
+        return self.depth * np.minimum(np.arange(self.ticks) / (0.05 * self.ticks), 1.0) - 1e-4
+
+    def led(self) -> tuple[Case, Array]:
+        """Make the case, and the path of the tool's middle [m]."""
+        made = case(self.number, self.ticks, self.speed, self.period)
+        *_, surface, normal = made
+        return made, surface + (self.tool_radius - self.below()[:, None]) * normal
+
+
+def compared(way: Way, stiffness: float) -> ProxyError:
+    """Lead the tool along one surface: all but the times of the calls, which are of one machine (`timed`)."""
+    (name, triangles, solids, surface, normal), path = way.led()
+    ticks, depth, period, tool_radius, below = way.ticks, way.depth, way.period, way.tool_radius, way.below()
     ideal = surface + tool_radius * normal
     found = touch(solids, path, tool_radius, period)
     inside = found.contact & (below > 0.1 * depth)
     error = stiffness * (found.proxy - ideal)[inside]
     size = np.linalg.norm(error, axis=1)
-    single = call_times(solids, path, tool_radius, period, _TIMED)
     return ProxyError(
         name=name,
         triangles=triangles,
@@ -174,10 +205,17 @@ def _compared(
         noise_n=float(np.sqrt(np.mean(np.sum(np.diff(error, axis=0) ** 2, axis=1)) / 2.0)),
         proxy_um=float(1e6 * size.max() / stiffness),
         drag=drag(solids, path[ticks // 10 :], tool_radius, period, found),
-        call_us=float(1e6 * np.median(single)),
-        call_p99_us=float(1e6 * np.percentile(single, 99)),
+        call_us=math.nan,
+        call_p99_us=math.nan,
         rounds=int(found.rounds.max()),
     )
+
+
+def timed(row: ProxyError, way: Way) -> ProxyError:
+    """Time the calls of a case on this machine."""
+    (_, _, solids, _, _), path = way.led()
+    single = call_times(solids, path, way.tool_radius, way.period, _TIMED)
+    return replace(row, call_us=float(1e6 * np.median(single)), call_p99_us=float(1e6 * np.percentile(single, 99)))
 
 
 def drag(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.launcher.launch_spec import Launch
-from sim.experiments.needs import Needs, Outcome, judge, movement, variants_of
+from sim.experiments.needs import Needs, Outcome, Play, here, judge, movement, variants_of
 from sim.experiments.spatial_terms import SPATIAL_CONVENTIONS, SPATIAL_TERMS, SpatialScene, spatial_scene
 from sim.scene.spatial import SpatialTrace
 
@@ -46,7 +46,17 @@ def apart(before: Rows, after: Rows, scale: Rows) -> float:
     return difference / size if size > 0.0 else 0.0 if difference == 0.0 else float("inf")
 
 
-def spatial_needs(launch: Launch, rounds: int = 5, step: Callable[[str], None] | None = None) -> Needs:
+def _play(scene: SpatialScene) -> SpatialTrace:
+    with np.errstate(all="ignore"):
+        return scene.play()
+
+
+def spatial_needs(
+    launch: Launch,
+    rounds: int = 5,
+    step: Callable[[str], None] | None = None,
+    players: Play[SpatialScene, SpatialTrace] = here,
+) -> Needs:
     """Switch every term of a scene with several axes.
 
     Parameters
@@ -57,6 +67,8 @@ def spatial_needs(launch: Launch, rounds: int = 5, step: Callable[[str], None] |
         Interleaved rounds of timing; 0 times nothing.
     step : callable, optional
         Is called after each.
+    players : callable, optional
+        Plays the variants; here, one after another, when left out.
 
     Returns
     -------
@@ -83,6 +95,6 @@ def spatial_needs(launch: Launch, rounds: int = 5, step: Callable[[str], None] |
             }
 
         findings, tick = judge(
-            scene, variants, SpatialScene.play, changes, len(first.position), launch.model, rounds, step
+            scene, variants, _play, changes, len(first.position), launch.model, rounds, step, players
         )
     return Needs(before, findings, tick)

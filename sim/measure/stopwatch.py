@@ -45,10 +45,13 @@ class Progress:
         How many steps make the whole.
     stream : text stream, optional
         Where to draw; standard error when left out.
+    after : float
+        What is done so soon shows nothing [s].
     """
 
-    def __init__(self, total: int, stream: TextIO | None = None) -> None:
+    def __init__(self, total: int, stream: TextIO | None = None, after: float = 0.0) -> None:
         self._total = max(1, total)
+        self._from = time.monotonic() + after
         self._stream = sys.stderr if stream is None else stream
         self._terminal = self._stream.isatty()
         self._done = 0
@@ -57,6 +60,8 @@ class Progress:
     def step(self, what: str, count: int = 1) -> None:
         """Go on."""
         self._done = min(self._total, self._done + count)
+        if time.monotonic() < self._from:
+            return
         tenths = 10 * self._done // self._total
         if self._terminal:
             bar = "#" * (3 * tenths) + "." * (30 - 3 * tenths)

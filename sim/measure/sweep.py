@@ -1,16 +1,19 @@
-"""Sweeps: many independent jobs on all cores, or on a cluster, with results kept as they come.
+"""Sweeps: many independent jobs that take long, with results kept as they come.
 
-A sweep is written against `concurrent.futures.Executor`. Every result is one line of a ledger file, keyed by the job's
-parameters: a sweep that was interrupted goes on where it stopped, and one that is complete is only read.
+Every result is one line of a ledger file, keyed by the job's parameters: a sweep that was interrupted goes on where it stopped,
+and one that is complete is only read. Where the jobs run is `sim.measure.jobs`'.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
+
+from sim.measure.jobs import done_by
 
 Row = dict[str, Any]
 Job = Callable[[Mapping[str, Any]], Row]
@@ -35,11 +38,6 @@ def read_ledger(path: Path) -> dict[str, Row]:
     return found
 
 
-def run_chunk(job: Job, chunk: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """Do some jobs one after another, in one process."""
-    return [job(parameters) for parameters in chunk]
-
-
 def sweep(
     job: Job,
     jobs: Sequence[Mapping[str, Any]],
@@ -55,25 +53,14 @@ def sweep(
         step(f"{len(jobs) - len(left)} of {len(jobs)} were done before", len(jobs) - len(left))
     ledger.parent.mkdir(parents=True, exist_ok=True)
     whole = not ledger.exists() or ledger.read_bytes().endswith(b"\n") or not ledger.stat().st_size
-    pending: dict[Future[list[Row]], Sequence[Mapping[str, Any]]] = {}
-    with open(ledger, "a", encoding="utf-8") as file:
+    with open(ledger, "a", encoding="utf-8") as file, contextlib.closing(done_by(pool, job, left, chunk)) as found:
         if not whole:
             file.write("\n")
-        for first in range(0, len(left), chunk):
-            part = left[first : first + chunk]
-            pending[pool.submit(run_chunk, job, part)] = part
-        try:
-            for future in as_completed(pending):
-                did = pending[future]
-                for parameters, row in zip(did, future.result(), strict=True):
-                    file.write(json.dumps({"job": dict(parameters), "row": row}) + "\n")
-                    done[key_of(parameters)] = row
-                file.flush()
-                if step is not None:
-                    step(f"{len(done)} of {len(jobs)}", len(did))
-        except BaseException:
-            # Ctrl-C too: what has not begun need not begin; the ledger holds what is done.
-            for future in pending:
-                future.cancel()
-            raise
+        for part, rows in found:
+            for i, row in zip(part, rows, strict=True):
+                file.write(json.dumps({"job": dict(left[i]), "row": row}) + "\n")
+                done[key_of(left[i])] = row
+            file.flush()
+            if step is not None:
+                step(f"{len(done)} of {len(jobs)}", len(rows))
     return [done[key_of(parameters)] for parameters in jobs]

@@ -124,10 +124,12 @@ def steepest_descent(
 
 def survey(targets: Targets, taps: int, rate: float, steps: int, starts: int, terms: int = 2) -> list[Descent]:
     """Run the descent from a grid of starts: unit gains, all pairs of orders."""
+    return [steepest_descent(np.ones(terms), orders, targets, taps, rate, steps) for orders in starting(starts, terms)]
+
+
+def starting(starts: int, terms: int) -> list[Vector]:
+    """List the orders that a survey starts from: all combinations of a grid."""
     from itertools import combinations
 
     axis = 4.0 * (np.arange(starts) + 0.5) / starts
-    return [
-        steepest_descent(np.ones(terms), np.array(orders), targets, taps, rate, steps)
-        for orders in combinations(axis.tolist(), terms)
-    ]
+    return [np.array(orders) for orders in combinations(axis.tolist(), terms)]

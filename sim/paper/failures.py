@@ -69,15 +69,19 @@ class FailureEdge:
         return self.inside < 1.0 < self.outside and self.settled_inside and not self.settled_outside
 
 
-def edges() -> Iterator[FailureEdge]:
-    """Look at every boundary from both sides."""
+Boundary = tuple[str, CompiledLaw, Plant]
+"""Name of a law, its derivative part, and the device."""
+
+
+def boundaries() -> list[Boundary]:
+    """List the boundaries that are looked at."""
     spring = CompiledLaw((0.0,))
     recursive = without_spring(
         PDAlpha(stiffness=1.0, damping=2.0, order=0.8, taps=6, gains="paper", derivative="oustaloup_matched"),
         PERIOD,
     )
     short = without_spring(PDAlpha(stiffness=1.0, damping=2.0, order=1.5, taps=8, gains="paper"), PERIOD)
-    cases = [
+    return [
         ("spring", spring, Plant(PERIOD, 0.1, 1.0)),
         ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0)),
         ("PD, B 2 N s/m", without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0, 1.0)),
@@ -90,16 +94,25 @@ def edges() -> Iterator[FailureEdge]:
         ("paper's optimum, B 30 N s/m", optimum(30.0), Plant(PERIOD, 0.1, 1.0)),
         ("paper's optimum, B 3 N s/m, hand 300 N/m", optimum(3.0), Plant(PERIOD, 0.1, 1.0, 0.0, 300.0)),
     ]
-    for name, derivative, device in cases:
-        limit = k_max(derivative, device).k_max_n_per_m
-        if limit is None or not math.isfinite(limit):
-            continue
-        laws = [with_spring(derivative, limit * share) for share in (1.0 - MARGIN, 1.0 + MARGIN)]
-        inside, outside = (pole_radius(law, device) for law in laws)
-        settled = settles(free_scene(model(device), PERIOD), laws, Criterion(HORIZON))
-        yield FailureEdge(
-            f"{name}, m {device.mass:g} kg, d {device.delay:g} ticks", limit, inside, outside, settled[0], settled[1]
-        )
+
+
+def both_sides(boundary: Boundary) -> FailureEdge | None:
+    """Look at a boundary from both sides; None where there is no limit."""
+    name, derivative, device = boundary
+    limit = k_max(derivative, device).k_max_n_per_m
+    if limit is None or not math.isfinite(limit):
+        return None
+    laws = [with_spring(derivative, limit * share) for share in (1.0 - MARGIN, 1.0 + MARGIN)]
+    inside, outside = (pole_radius(law, device) for law in laws)
+    settled = settles(free_scene(model(device), PERIOD), laws, Criterion(HORIZON))
+    return FailureEdge(
+        f"{name}, m {device.mass:g} kg, d {device.delay:g} ticks", limit, inside, outside, settled[0], settled[1]
+    )
+
+
+def edges() -> Iterator[FailureEdge]:
+    """Look at every boundary from both sides."""
+    yield from filter(None, map(both_sides, boundaries()))
 
 
 def traps() -> list[Claim]:

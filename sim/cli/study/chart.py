@@ -7,11 +7,13 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from sim.cli.arguments import add_answer
+from sim.cli.sweeps import add_spread, spread
+from sim.measure.jobs import Spread, call
 from sim.results import fresh
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="which comparisons, separated by commas (default: %(default)s); rates starts real processes",
     )
     parser.add_argument("--quick", action="store_true", help="fewer lengths, rates and rounds: a first look")
+    add_spread(parser, "none; times are of this machine in any case")
     add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -46,7 +49,11 @@ def run(arguments: argparse.Namespace) -> int:
     start = time.monotonic()
     # What is done of a run that is stopped; figures of time are of one machine, so a finished run leaves none.
     diary = arguments.out / ("chart.quick.part" if arguments.quick else "chart.part")
-    groups, failures = _measured(parts, arguments.quick, diary)
+
+    def beside(jobs: list[Callable[[], Any]], step: Callable[[str, int], None]) -> list[Any]:
+        return spread(arguments, call, jobs, step=step)
+
+    groups, failures = _measured(parts, arguments.quick, diary, beside)
     seconds, where = time.monotonic() - start, machine()
     files = save(groups, where, seconds, arguments.out)
     for group in groups:
@@ -64,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if failures else 0
 
 
-def _measured(parts: list[str], quick: bool, diary: Path) -> tuple[list[Group], list[str]]:
+def _measured(parts: list[str], quick: bool, diary: Path, beside: Spread) -> tuple[list[Group], list[str]]:
     """Measure each part, or take it from the diary of a run that was stopped; and say which parts are missing."""
     from sim.chart.derivatives import derivative_groups, derivative_steps
     from sim.chart.equal_demand import demand_groups, demand_steps
@@ -78,8 +85,8 @@ def _measured(parts: list[str], quick: bool, diary: Path) -> tuple[list[Group], 
 
     makers: dict[str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]] = {
         # The weight is about how many tenths of a second one step takes, so that the bar moves evenly.
-        "derivatives": (derivative_groups, derivative_steps, 1),
-        "demand": (demand_groups, demand_steps, 1),
+        "derivatives": (partial(derivative_groups, spread=beside), derivative_steps, 1),
+        "demand": (partial(demand_groups, spread=beside), demand_steps, 1),
         "integrators": (integrator_groups, integrator_steps, 1),
         "kmax": (kmax_groups, kmax_steps, 1),
         "rates": (rate_groups, rate_steps, 30),

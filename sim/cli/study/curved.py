@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from messages.errors import UsageError
 from nodes.cli.main import add_json, answer
 from nodes.cli.quantities import declare, not_negative, positive
+from sim.cli.sweeps import add_spread, spread
+from sim.measure.jobs import call
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--launched", action="store_true", help="confirm each K_max by two launches, 2 %% below it and above"
     )
+    add_spread(parser)
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -55,22 +59,22 @@ def run(arguments: argparse.Namespace) -> int:
     one_axis = theory(period)
     lines += ["", f"K_max of a contact that slides over a sphere of 35 mm; in one axis {one_axis:.5g} N/m"]
     edges: list[dict[str, Any]] = []
-    for speed in slides:
-        for frame in FRAMES:
-            edge = sliding_k_max(launch, speed, frame)
-            row: dict[str, Any] = {
-                "speed_m_per_s": speed,
-                "frame": frame,
-                "k_max_n_per_m": edge,
-                "over": edge / one_axis,
-            }
-            text = f"at {speed:g} m/s, {frame:8}{edge:10.5g} N/m, {edge / one_axis:.4f} of it"
-            if arguments.launched:
-                below, above = (growth_launched(launch, part * edge, speed, frame) for part in (0.98, 1.02))
-                row["growth_below"], row["growth_above"] = below, above
-                text += f"; launched, the ripple grows {below:.3f} times at 0.98 of that, {above:.3f} times at 1.02"
-            lines.append(text)
-            edges.append(row)
+    ways = [(speed, frame) for speed in slides for frame in FRAMES]
+    limits = spread(arguments, call, [partial(sliding_k_max, launch, speed, frame) for speed, frame in ways])
+    for (speed, frame), edge in zip(ways, limits, strict=True):
+        row: dict[str, Any] = {
+            "speed_m_per_s": speed,
+            "frame": frame,
+            "k_max_n_per_m": edge,
+            "over": edge / one_axis,
+        }
+        text = f"at {speed:g} m/s, {frame:8}{edge:10.5g} N/m, {edge / one_axis:.4f} of it"
+        if arguments.launched:
+            below, above = (growth_launched(launch, part * edge, speed, frame) for part in (0.98, 1.02))
+            row["growth_below"], row["growth_above"] = below, above
+            text += f"; launched, the ripple grows {below:.3f} times at 0.98 of that, {above:.3f} times at 1.02"
+        lines.append(text)
+        edges.append(row)
     figures = {"ways": [asdict(row) for row in found], "one_axis_n_per_m": one_axis, "edges": edges}
     answer(arguments.json, figures, "\n".join(lines))
     return 0

@@ -7,6 +7,7 @@ import itertools
 import math
 import sys
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
 from sim.chart.rest_map import rest_map
 from sim.cli import arguments as shared
+from sim.cli.sweeps import add_spread, spread
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.families import (
     Tuned,
@@ -37,6 +39,7 @@ from sim.design.passive import Passive, stiffest_passive
 from sim.design.recorded_loop import Measured
 from sim.design.replay_delays import replayed_radius
 from sim.experiments.terms import RESOLUTION
+from sim.measure.jobs import call
 from sim.results import fresh
 
 _REPLAYED = 2000
@@ -83,6 +86,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--margins", type=not_negative, nargs="+", default=[0.0, 0.5], help="delay margins of --compare [ticks]"
     )
+    add_spread(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -330,28 +334,30 @@ def _line(row: dict[str, Any]) -> str:
 
 def _compare(arguments: argparse.Namespace, demand: Demand) -> int:
     rows, lines = [], []
-    for margin in arguments.margins:
-        for delay in arguments.delays:
-            case = replace(demand, delay=(delay, delay + margin))
-            lines.append(_describe(case))
-            laws = []
-            _say(lines[-1])
-            for one in compare(case, arguments.taps, _say):
-                laws.append(_row(one, case))
-                lines.append(f"  {_line(laws[-1])}")
-            rows.append(_verdict(case, laws, lines))
-            _say("PD with a windowed velocity, by drops")
-            windowed = best_pd_windowed(case, arguments.resolution or RESOLUTION)
-            rows[-1]["pd_windowed"] = windowed
-            tuned = (
-                "no stiffness"
-                if windowed is None
-                else "K {stiffness:.0f} N/m, B {damping:.3g} N s/m".format(**windowed)
-            )
-            lines.append(f"  pd_windowed has no poles, so no radius: {tuned} by its drops alone, all of which settle")
+    cases = [
+        replace(demand, delay=(delay, delay + margin)) for margin in arguments.margins for delay in arguments.delays
+    ]
+    done = spread(
+        arguments, call, [partial(_tuned, case, arguments.taps, arguments.resolution or RESOLUTION) for case in cases]
+    )
+    for case, (laws, windowed) in zip(cases, done, strict=True):
+        lines += [_describe(case), *(f"  {_line(law)}" for law in laws)]
+        rows.append(_verdict(case, laws, lines) | {"pd_windowed": windowed})
+        tuned = (
+            "no stiffness" if windowed is None else "K {stiffness:.0f} N/m, B {damping:.3g} N s/m".format(**windowed)
+        )
+        lines.append(f"  pd_windowed has no poles, so no radius: {tuned} by its drops alone, all of which settle")
     figures = {"demand": _wanted(demand), "cases": rows}
     answer(arguments.json, figures, "\n".join(lines))
     return 0
+
+
+def _tuned(case: Demand, taps: int, resolution: float) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
+    """Tune every law to one demand; and PD with a windowed velocity, by its drops."""
+    _say(_describe(case))
+    laws = [_row(one, case) for one in compare(case, taps, _say)]
+    _say("PD with a windowed velocity, by drops")
+    return laws, best_pd_windowed(case, resolution)
 
 
 def _verdict(demand: Demand, laws: list[dict[str, Any]], lines: list[str]) -> dict[str, Any]:

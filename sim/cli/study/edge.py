@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,10 @@ from nodes.laws.parse import LawRefusedError, parse_law
 from nodes.recording.figure_style import COLOURS, INK, MARKERS, save_figure, styled, threshold
 from nodes.recording.writer import RecordError
 from nodes.stability.k_max import edge_of, k_max, without_spring
+from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
+from sim.cli.sweeps import add_spread, spread
+from sim.measure.jobs import call
 
 LAWS: dict[str, dict[str, Any]] = {
     "pd": {"kind": "pd", "stiffness": 1.0},
@@ -46,6 +50,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="of the recorded device, when it is real [N s/m]; narrows the interval",
     )
     shared.add_device(parser)
+    add_spread(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -61,13 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--gain {low:g}..{high:g} --points {arguments.points}: needs 0 < LOW < HIGH and 2 points")
     device, period = shared.device(arguments), 1.0 / arguments.rate
     gains = [low * (high / low) ** (i / (arguments.points - 1)) for i in range(arguments.points)]
-    rows = []
-    for name, law in LAWS.items():
-        for gain in gains:
-            derivative = without_spring(parse_law({**law, "damping": gain}), period)
-            limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
-            if limit is not None and edge is not None:
-                rows.append({"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)})
+    found = spread(arguments, call, [partial(_ring, name, gain, device) for name in LAWS for gain in gains], 4)
+    rows = [row for row in found if row is not None]
     if not rows:
         raise UsageError(f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains")
     ratios = [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in rows]
@@ -91,17 +91,23 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _ring(name: str, gain: float, device: Plant) -> dict[str, Any] | None:
+    """Find where a law rings on a device; None where it has no limit."""
+    derivative = without_spring(parse_law({**LAWS[name], "damping": gain}), device.period)
+    limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
+    return (
+        None if limit is None or edge is None else {"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)}
+    )
+
+
 def _drops(arguments: argparse.Namespace) -> int:
-    from sim.measure.stopwatch import Progress
     from sim.paper.swing_drops import counted, dropped
 
     if not 1 <= arguments.drops <= 100_000:
         raise UsageError(f"--drops {arguments.drops}: between 1 and 100000")
-    progress, rows = Progress(arguments.drops), []
-    for number in range(arguments.drops):
-        name = list(LAWS)[number % len(LAWS)]
-        rows.append(dropped(number, name, LAWS[name], 1.0 / arguments.rate))
-        progress.step(name, 1)
+    named = [list(LAWS)[number % len(LAWS)] for number in range(arguments.drops)]
+    jobs = [partial(dropped, number, name, LAWS[name], 1.0 / arguments.rate) for number, name in enumerate(named)]
+    rows = spread(arguments, call, jobs)
     laws = {name: counted([row for row in rows if row["law"] == name]) for name in LAWS}
     lines = [f"{'law':20} {'drops':>6} {'told':>6} {'hold K_max':>11} {'worst miss':>11} {'median width':>13}"]
     for name, one in {**laws, "all": counted(rows)}.items():

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from nodes.cli.main import answer
 from nodes.recording.figure_style import COLOURS, GREY, styled, threshold
 from sim.cli import arguments as shared
+from sim.cli.sweeps import add_spread, spread
+from sim.measure.jobs import call
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
+    add_spread(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -26,18 +29,16 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Look at all boundaries, spring all traps."""
     from sim.paper.claims import save, table
-    from sim.paper.failures import MARGIN, edges, traps
+    from sim.paper.failures import MARGIN, both_sides, boundaries, traps
     from sim.paper.traps import euler_bias
 
-    found = []
-    for edge in edges():
-        found.append(edge)
-        if sys.stderr.isatty():
-            print(f"\r{len(found)} boundaries  {edge.name:50.50}", end="", file=sys.stderr, flush=True)
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
-    claims = traps()
-    bias = {n: euler_bias(n) for n in (2, 3, 4, 5, 7, 10, 20, 50)}
+    cases, steps = boundaries(), (2, 3, 4, 5, 7, 10, 20, 50)
+    jobs: list[partial[Any]] = [partial(both_sides, case) for case in cases]
+    jobs += [partial(traps), *(partial(euler_bias, n) for n in steps)]
+    done = spread(arguments, call, jobs)
+    found: list[FailureEdge] = [edge for edge in done[: len(cases)] if edge is not None]
+    claims = done[len(cases)]
+    bias = dict(zip(steps, done[len(cases) + 1 :], strict=True))
     figures = {
         "margin": MARGIN,
         "edges": [asdict(edge) | {"agreed": edge.agreed} for edge in found],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ from nodes.cli.quantities import declare, not_negative, positive
 from nodes.driver.passivity import PassivityParameters
 from nodes.laws.pd import PD
 from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, save_figure, styled, threshold
+from sim.cli.sweeps import add_spread, spread
 from sim.device.model import DeviceModel
 from sim.experiments.guarded_drop import Drop, compare
+from sim.measure.jobs import call
 from sim.results import fresh
 
 LEAST = 1e-6
@@ -36,6 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--high", type=positive, default=16000.0, help="stiffest wall [N/m] (default: %(default)s)")
     parser.add_argument("--points", type=int, default=21, help="walls between them (default: %(default)s)")
     parser.add_argument("--duration", type=positive, default=6.0, help="length of a drop [s] (default: %(default)s)")
+    add_spread(parser)
     parser.add_argument("--out", type=Path, default=Path("studies"), help="folder (default: %(default)s)")
     add_json(parser)
     parser.set_defaults(run=run)
@@ -50,14 +54,16 @@ def run(arguments: argparse.Namespace) -> int:
     period = 1.0 / arguments.rate
     ratio = (arguments.high / arguments.low) ** (1.0 / (arguments.points - 1))
     walls = [arguments.low * ratio**i for i in range(arguments.points)]
-    drops = compare(
-        DeviceModel(mass=arguments.mass, damping=arguments.damping, gravity=9.81, position=arguments.height),
-        {stiffness: PD(stiffness=stiffness, damping=arguments.gain).compile(period) for stiffness in walls},
+    device = DeviceModel(mass=arguments.mass, damping=arguments.damping, gravity=9.81, position=arguments.height)
+    rest = (
         period,
         PassivityParameters(damping=arguments.guard_damping),
         arguments.next_tick,
         round(arguments.duration * arguments.rate),
     )
+    laws = [{wall: PD(stiffness=wall, damping=arguments.gain).compile(period)} for wall in walls]
+    found = spread(arguments, call, [partial(compare, device, law, *rest) for law in laws])
+    drops = [drop for pair in found for drop in pair]
     plot = _draw(arguments, drops)
     lines = [
         "            ----- without the guard -----   ------ with the guard -------",

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import argparse
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from nodes.cli.quantities import Interval, declare, declare_law
-from nodes.laws import CompiledLaw
+from nodes.laws import CompiledLaw, Law
 from nodes.recording.figure_style import label_ends, save_figure, styled
 from nodes.stability.k_max import KMax, k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
+from sim.cli.sweeps import add_spread, spread
 from sim.device.model import DeviceModel, Hand
+from sim.measure.jobs import call
 from sim.results import fresh
 
 if TYPE_CHECKING:
@@ -50,6 +53,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     declare_law(parser)
     shared.add_device(parser)
+    add_spread(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -91,12 +95,20 @@ def _loop(arguments: argparse.Namespace, gain: float | None, device: Plant, gain
 
 
 def _k_max(arguments: argparse.Namespace, gain: float | None, device: Plant) -> KMax:
-    law = shared.law(arguments, arguments.law, gain)
+    return _found(_method(arguments), shared.law(arguments, arguments.law, gain), device)
+
+
+def _method(arguments: argparse.Namespace) -> argparse.Namespace:
+    """Take of the arguments what a worker needs."""
+    return argparse.Namespace(**{name: getattr(arguments, name) for name in ("method", "scene", "history", "horizon")})
+
+
+def _found(method: argparse.Namespace, law: Law, device: Plant) -> KMax:
     try:
         derivative = without_spring(law, device.period)
-        if arguments.method == "simulation":
-            return _simulated(arguments, derivative, device)
-        return k_max(derivative, device, arguments.method)
+        if method.method == "simulation":
+            return _simulated(method, derivative, device)
+        return k_max(derivative, device, method.method)
     except ValueError as error:
         raise UsageError(str(error)) from error
 
@@ -190,7 +202,9 @@ def _boundary(arguments: argparse.Namespace, device: Plant) -> int:
     if arguments.points < 2:
         raise UsageError(f"--points {arguments.points}: a range needs at least 2")
     gains = [low + (high - low) * i / (arguments.points - 1) for i in range(arguments.points)]
-    points = [{"gain": gain, **_figures(_k_max(arguments, gain, device))} for gain in gains]
+    laws = [shared.law(arguments, arguments.law, gain) for gain in gains]
+    found = spread(arguments, call, [partial(_found, _method(arguments), law, device) for law in laws])
+    points = [{"gain": gain, **_figures(one)} for gain, one in zip(gains, found, strict=True)]
     stable = [point for point in points if point["k_max_n_per_m"] is not None]
     if not stable:
         answer(arguments.json, {"points": points, "plot": None}, "no stiffness is stable anywhere in this range")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from sim.cli.arguments import add_answer
+from sim.cli.sweeps import add_spread, spread
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,6 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rounds", type=int, default=5, help="interleaved rounds of timing; 0 times nothing (default: %(default)s)"
     )
+    add_spread(parser)
     add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -47,9 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
         step = Progress(arguments.rounds).step
         scene = from_launch(launch) if len(launch.run.axes) == 1 else None
         found = (
-            spatial_needs(launch, arguments.rounds, step)
+            spatial_needs(launch, arguments.rounds, step, partial(spread, arguments))
             if scene is None
-            else needs(scene, launch.model, arguments.rounds, step)
+            else needs(scene, launch.model, arguments.rounds, step, partial(spread, arguments))
         )
     except ParameterError as error:
         raise UsageError(str(error)) from error

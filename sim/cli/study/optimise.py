@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,9 @@ from nodes.recording.figure_style import COLOURS, OMEGA, save_figure, styled
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
-from sim.paper.descent import Descent, Targets, cost, damping_curve, paper_targets, survey
+from sim.cli.sweeps import add_spread, spread
+from sim.measure.jobs import call
+from sim.paper.descent import Descent, cost, damping_curve, paper_targets, starting, steepest_descent
 from sim.paper.shaping import Shaping, best_orders, free_taps, measured
 from sim.results import fresh
 
@@ -40,6 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--nyquist", type=positive, nargs="+", default=[1.0, 2.0, 3.05, 4.0], help="bounds on f at Nyquist"
     )
     shared.add_device(parser)
+    add_spread(parser)
     shared.add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -51,15 +54,28 @@ def run(arguments: argparse.Namespace) -> int:
     if not all(0.0 < at < 1.0 for at in arguments.at) or arguments.band[1] >= 1.0:
         raise UsageError("--at and --band are fractions of ω_N: above 0 and below 1")
     targets = paper_targets(tuple(arguments.at))
-    descents = {rate: _survey(arguments, targets, rate) for rate in arguments.rates}
+    starts = starting(arguments.starts, arguments.terms)
+    # The searches first: each takes as long as many descents.
+    jobs: list[partial[Any]] = [
+        partial(best_orders, arguments.terms, arguments.band, bound, arguments.taps) for bound in arguments.nyquist
+    ]
+    jobs += [partial(free_taps, arguments.taps, arguments.band, bound) for bound in arguments.nyquist]
+    jobs += [
+        partial(steepest_descent, np.ones(arguments.terms), orders, targets, arguments.taps, rate, arguments.steps)
+        for rate in arguments.rates
+        for orders in starts
+    ]
+    try:
+        done = spread(arguments, call, jobs)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    count = len(arguments.nyquist)
+    runs = done[2 * count :]
+    descents = {rate: runs[i * len(starts) :][: len(starts)] for i, rate in enumerate(arguments.rates)}
     rows = [_row("paper_optimum", None, _paper(arguments.band), arguments)] if arguments.terms == 2 else []
-    for bound in arguments.nyquist:
-        _say(f"global search over orders, |f(ω_N)| ≤ {bound:g}")
-        try:
-            shape, programmes = best_orders(arguments.terms, arguments.band, bound, arguments.taps)
-            taps, least = free_taps(arguments.taps, arguments.band, bound)
-        except ValueError as error:
-            raise UsageError(str(error)) from error
+    for bound, (shape, programmes), (taps, least) in zip(
+        arguments.nyquist, done[:count], done[count : 2 * count], strict=True
+    ):
         rows.append(_row("best orders", bound, shape, arguments) | {"programmes": programmes})
         rows.append(_free_row(bound, taps, least, arguments))
     figures = {
@@ -70,16 +86,6 @@ def run(arguments: argparse.Namespace) -> int:
     }
     answer(arguments.json, figures, _text(figures))
     return 0
-
-
-def _survey(arguments: argparse.Namespace, targets: Targets, rate: float) -> list[Descent]:
-    _say(f"steepest descent at rate {rate:g}")
-    return survey(targets, arguments.taps, rate, arguments.steps, arguments.starts, arguments.terms)
-
-
-def _say(what: str) -> None:
-    if sys.stderr.isatty():
-        print(f"{what} ...", file=sys.stderr, flush=True)
 
 
 def _paper_terms() -> tuple[np.ndarray[Any, np.dtype[np.float64]], np.ndarray[Any, np.dtype[np.float64]]]:

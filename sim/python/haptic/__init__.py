@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sim.api.loops import drop, k_max, play, poles
     from sim.api.python_runs import LaunchError, Run, connect, launch
     from sim.api.recordings import plot, read
-    from sim.api.verbs import design, identify, tune
+    from sim.api.verbs import design, identify, study, tune
 
 __all__ = [
     "HapticError",
@@ -39,6 +39,7 @@ __all__ = [
     "poles",
     "read",
     "scenarios",
+    "study",
     "tune",
 ]
 
@@ -61,6 +62,7 @@ _HOME = {
     "poles": "sim.api.loops",
     "read": "sim.api.recordings",
     "scenarios": "sim.api.catalogue",
+    "study": "sim.api.verbs",
     "tune": "sim.api.verbs",
 }
 

@@ -7,9 +7,7 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -21,7 +19,7 @@ import pytest
 from messages.errors import RefusedError, UsageError
 from sim.cli.sweeps import add_sweep, check_cluster, executor
 from sim.measure.sweep import key_of, read_ledger, sweep
-from tests.support import ROOT
+from tests.support.dask_cluster import DaskCluster, dask_cluster, own_address
 from tests.support.launching import wait_for
 
 
@@ -121,22 +119,6 @@ def test_tls_files_are_handed_on(tmp_path: Path) -> None:
     assert security["tls_ca_file"] == str(files["tls-ca-file"])
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def own_address() -> str:
-    """Find an address of this machine that is not loopback, where it has one: what the kernel would send from."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))
-        except OSError:
-            return "127.0.0.1"
-        return str(probe.getsockname()[0])
-
-
 def certificate(folder: Path) -> list[str]:
     """Make a certificate that is its own authority, and give the options of scheduler and workers."""
     key, signed = folder / "key.pem", folder / "cert.pem"
@@ -145,38 +127,13 @@ def certificate(folder: Path) -> list[str]:
     return ["--tls-ca-file", str(signed), "--tls-cert", str(signed), "--tls-key", str(key)]
 
 
-Cluster = tuple[list[str], list[subprocess.Popen[bytes]]]
-
-
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    """Start a real scheduler and two workers with certificates, off loopback: the options for it, and the workers."""
+def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
+    """Start a real scheduler and two workers with certificates, off loopback."""
     if shutil.which("openssl") is None:
         pytest.skip("no openssl here, which makes the certificates")
-    tls = certificate(tmp_path)
-    host, port = own_address(), free_port()
-    address = f"tls://{host}:{port}"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "3"}
-
-    def start(what: str, *words: str) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.dask_{what}", *words, "--no-dashboard", *tls],
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            cwd=tmp_path,
-        )
-
-    started = [start("scheduler", "--protocol", "tls", "--host", host, "--port", str(port))]
-    for _ in range(2):
-        words = (address, "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
-        started.append(start("worker", *words))
-    try:
-        yield ["--cluster", address, *tls], started[1:]
-    finally:
-        for process in started:
-            process.kill()
-            process.wait()
+    with dask_cluster(tmp_path, own_address(), certificate(tmp_path)) as found:
+        yield found
 
 
 def open_when_there(options: list[str]) -> Any:
@@ -191,9 +148,9 @@ def open_when_there(options: list[str]) -> Any:
 
 
 def test_a_cluster_with_tls_of_which_one_worker_is_killed_and_the_sweep_interrupted(
-    cluster: Cluster, tmp_path: Path
+    cluster: DaskCluster, tmp_path: Path
 ) -> None:
-    options, workers = cluster
+    options, workers = cluster.options(), cluster.workers
     opened, pool = open_when_there(options)
     assert isinstance(pool, Executor)
     (tmp_path / "marks").mkdir()

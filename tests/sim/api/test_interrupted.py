@@ -1,0 +1,105 @@
+"""A cell that is interrupted, and a kernel that is killed, leave nothing behind; an interrupt is never lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jupyter_client.manager import KernelManager
+
+from sim.api.interrupts import whole
+from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
+
+pytestmark = pytest.mark.filterwarnings("default")  # of the kernel client's own libraries
+
+
+def in_a_kernel(folder: Path, code: str, then: Callable[[KernelManager], None]) -> list[dict[str, Any]]:
+    """Run a cell in a kernel, do something to it once it says ``ready``, and collect what it says until it is idle."""
+    manager = KernelManager(kernel_name="python3")
+    manager.start_kernel(cwd=str(folder), env={**os.environ, "HAPTIC_RUNTIME_DIR": str(folder)})
+    client = manager.blocking_client()
+    told: list[dict[str, Any]] = []
+    try:
+        client.start_channels()
+        client.wait_for_ready(timeout=60)
+        request = client.execute(code)
+        while manager.is_alive():
+            message = client.get_iopub_msg(timeout=120)
+            if message["parent_header"].get("msg_id") != request:
+                continue
+            told.append(message)
+            if message["msg_type"] == "stream" and "ready" in message["content"]["text"]:
+                then(manager)
+            if message["msg_type"] == "status" and message["content"]["execution_state"] == "idle":
+                break
+    finally:
+        client.stop_channels()
+        manager.shutdown_kernel(now=True)
+    return told
+
+
+LAUNCH = """
+import haptic
+run = haptic.launch("wall_press", duration=0)
+assert run.ticks > 0
+print("ready", flush=True)
+run.wait()
+"""
+
+STUDY = """
+import haptic, threading
+threading.Timer(2.0, lambda: print("ready", flush=True)).start()
+haptic.study("relatives", mass=0.1, fresh=True)
+"""
+
+
+@pytest.mark.parametrize("code", [LAUNCH, STUDY], ids=["launch", "study"])
+def test_an_interrupted_cell_leaves_nothing(code: str) -> None:
+    with private_runtime_dir() as folder:
+        told = in_a_kernel(folder, code, KernelManager.interrupt_kernel)
+        (error,) = (message["content"] for message in told if message["msg_type"] == "error")
+        assert error["ename"] == "KeyboardInterrupt"
+        wait_for(lambda: not processes_of(folder), "the end of all that it had started", 60.0)
+        assert_nothing_left(folder)
+        if code == LAUNCH:
+            assert any(message["msg_type"] == "display_data" for message in told), "no progress bar"
+
+
+def test_a_killed_kernel_takes_its_launch_with_it() -> None:
+    def kill(manager: KernelManager) -> None:
+        manager.provisioner.process.send_signal(signal.SIGKILL)  # type: ignore[union-attr]
+        wait_for(lambda: not manager.is_alive(), "the end of the kernel")
+
+    with private_runtime_dir() as folder:
+        in_a_kernel(folder, LAUNCH, kill)
+        wait_for(lambda: not processes_of(folder), "the end of the launch", 60.0)
+        assert_nothing_left(folder)
+
+
+class Finalised:
+    """Interrupts while it is destroyed, where Python swallows what is raised."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_an_interrupt_in_a_finaliser_is_not_lost() -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    done = []
+
+    def request() -> None:
+        with whole():
+            Finalised()
+            done.append("the rest of the block")
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            request()
+        assert done
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
