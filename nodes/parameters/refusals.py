@@ -1,10 +1,14 @@
-"""What msgspec refuses, in words: which parameter, what was given, what could have been, and what was probably meant."""
+"""What msgspec refuses, in words: which parameter, what was given, what could have been, and what was probably meant.
+
+Of msgspec's own text only the path and the names of fields are read; the rest is said by the type and the value found there.
+"""
 
 from __future__ import annotations
 
 import difflib
+import operator
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from msgspec import inspect
@@ -13,22 +17,40 @@ _AT = re.compile(r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<
 _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+|\.\.\.)\]")
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<name>.*)`", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<name>.*)`", re.DOTALL)
-_ENUM = re.compile(r"Invalid enum value (?P<value>.*)", re.DOTALL)
-_PATTERN = re.compile(r"Expected `str` matching regex (?P<pattern>.*)", re.DOTALL)
-_BOUND = re.compile(r"Expected `(?P<wanted>[a-z |]+)`(?P<length> of length)? (?P<sign>[<>]=?) (?P<limit>\S+)")
-_TYPE = re.compile(r"Expected `(?P<wanted>[a-z |]+)`, got `(?P<given>[a-z]+)`")
 
-_SIGNS = {">": "above", ">=": "of at least", "<": "below", "<=": "of at most"}
-
-_WORDS = {
-    "float": "a number",
-    "int": "a whole number",
-    "str": "text",
-    "bool": "true or false",
-    "null": "nothing",
-    "array": "a list",
-    "object": "a mapping",
+_NAMES: dict[type[inspect.Type], str] = {
+    inspect.BoolType: "true or false",
+    inspect.IntType: "a whole number",
+    inspect.FloatType: "a number",
+    inspect.StrType: "text",
+    inspect.ListType: "a list",
+    inspect.VarTupleType: "a list",
+    inspect.TupleType: "a list",
+    inspect.DictType: "a mapping",
+    inspect.StructType: "a mapping",
+    inspect.NoneType: "nothing",
 }
+"""What a type is called, in the order in which alternatives are named."""
+
+_KINDS: dict[type[inspect.Type], tuple[type, ...]] = {
+    inspect.IntType: (int,),
+    inspect.FloatType: (int, float),
+    inspect.StrType: (str,),
+    inspect.ListType: (list, tuple),
+    inspect.VarTupleType: (list, tuple),
+    inspect.DictType: (dict,),
+}
+"""Values that are of a type, and may still break its bounds."""
+
+_BOUNDS: tuple[tuple[str, str, Callable[[Any, Any], bool]], ...] = (
+    ("gt", "above", operator.gt),
+    ("ge", "of at least", operator.ge),
+    ("lt", "below", operator.lt),
+    ("le", "of at most", operator.le),
+    ("min_length", "of length at least", lambda value, limit: len(value) >= limit),
+    ("max_length", "of length at most", lambda value, limit: len(value) <= limit),
+)
+"""Each bound of a type: how it is called, in words, and whether a value keeps it."""
 
 
 def choices(given: object, known: Iterable[str]) -> str:
@@ -53,38 +75,62 @@ def worded(told: str, data: Any, target: Any) -> tuple[str, str]:
         return f"{path}.{unknown['name']}", f"no such parameter; {choices(unknown['name'], fields)}"
     if missing := _MISSING.fullmatch(reason):
         return f"{path}.{missing['name']}", "is missing, and has no default"
-    value = _look_up(data, path)
-    shown = "" if value is None else f", got {short(value)}"
-    if enum := _ENUM.fullmatch(reason):
-        known = [str(one) for info in _types_at(target, path) for one in getattr(info, "values", ())]
-        close = difflib.get_close_matches(str(value), known, 1)
-        hint = "".join(f"; did you mean {name}?" for name in close)
-        shown = shown or f", got {enum['value']}"
-        return path, f"expected one of {', '.join(known)}{shown}{hint}"
-    if bound := _BOUND.fullmatch(reason):
-        sign = _SIGNS[bound["sign"]]
-        sign = f"of length {sign.removeprefix('of ')}" if bound["length"] else sign
-        words = f"{_said(bound['wanted'])} {sign} {float(bound['limit']):.12g}"
+    value, known = _look_up(data, path)
+    shown = f", got {_called(value)}" if known else ""
+    # What a type checks by itself says its own words.
+    types = _types_at(target, path) if reason.startswith(("Expected ", "Invalid enum value ")) else []
+    for info in types:
+        if isinstance(info, inspect.DictType) and isinstance(value, dict):
+            for key in value:
+                if words := "".join(_broken(inner, key) for inner in _members(info.key_type)):
+                    return path, f"expected {words}, got {short(key)}"
+        if words := _broken(info, value):
+            length = f" of length {len(value)}" if isinstance(value, list | tuple) else ""
+            return path, f"expected {words}{shown}{length}"
+    if choice := [str(one) for info in types for one in getattr(info, "values", ())]:
+        close = difflib.get_close_matches(str(value), choice, 1)
+        return path, f"expected one of {', '.join(choice)}{shown}" + "".join(
+            f"; did you mean {name}?" for name in close
+        )
+    if words := " or ".join(
+        dict.fromkeys(name for kind, name in _NAMES.items() for info in types if type(info) is kind)
+    ):
         return path, f"expected {words}{shown}"
-    if pattern := _PATTERN.fullmatch(reason):
-        return path, f"expected a name that matches {pattern['pattern']}{shown}"
-    if kinds := _TYPE.fullmatch(reason):
-        shown = shown or f", got {_said(kinds['given'])}"
-        return path, f"expected {_said(kinds['wanted'])}{shown}"
-    return path, f"{reason.replace('`', '')}{shown}"
+    scalar = isinstance(value, str | int | float)
+    return path, f"{reason.replace('`', '')}{shown if scalar else ''}"
 
 
-def _said(types: str) -> str:
-    return " or ".join(_WORDS.get(word, word) for word in types.split(" | "))
+def _broken(info: inspect.Type, value: Any) -> str:
+    """Word the bound of a type that a value of it breaks; empty where it is of another type, or keeps them all."""
+    if isinstance(info, inspect.TupleType) and isinstance(value, list | tuple) and len(value) != len(info.item_types):
+        return f"a list of length {len(info.item_types)}"
+    if isinstance(value, bool) or not isinstance(value, _KINDS.get(type(info), ())):
+        return ""
+    for name, words, kept in _BOUNDS:
+        limit = getattr(info, name, None)
+        if limit is not None and not kept(value, limit):
+            return f"{_NAMES[type(info)]} {words} {limit:.12g}"
+    pattern = info.pattern if isinstance(info, inspect.StrType) else None
+    if pattern is not None and not re.search(pattern, str(value)):
+        return f"a name that matches {pattern!r}"
+    return ""
 
 
-def _look_up(data: Any, path: str) -> Any:
+def _called(value: Any) -> str:
+    if isinstance(value, str | int | float):
+        return short(value)
+    kinds = {dict: "a mapping", list: "a list", tuple: "a list", type(None): "nothing"}
+    return kinds.get(type(value), type(value).__name__)
+
+
+def _look_up(data: Any, path: str) -> tuple[Any, bool]:
+    """Follow a path; the value, and whether it is known: msgspec does not say which of a mapping's values it means."""
     for name, index in _STEP.findall(path):
         try:
             data = data[name] if name else data[int(index)]
         except (KeyError, IndexError, TypeError, ValueError):
-            return None
-    return data if isinstance(data, str | int | float | bool) else None
+            return None, False
+    return data, True
 
 
 def _types_at(target: Any, path: str) -> list[inspect.Type]:
