@@ -35,6 +35,7 @@ SHORTER = {
     "haptic study proxies": "--finest 3 --ticks 300 --steps 20000",
     "haptic bench listeners": "--rounds 1 --seconds 0.3",
     "haptic bench ros2": "--rounds 1 --seconds 0.4",
+    "haptic bench loop --scenes": "--rounds 1 --seconds 0.5 --finest 3",
     "haptic bench swaps": "--swaps 4 --sets 4 --duration 0.5 --blocks 1",
     "haptic bench simulator": "--rounds 1",
     "haptic bench taps": "--rounds 1 --taps 4,10",

@@ -154,6 +154,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "tick": supervisor.tick,
         "tick_by_node": {name: tick for name, report in supervisor.reports.items() if (tick := report.get("tick"))},
         "ticks_compiled": {name: report.get("ticks_compiled", 0) for name, report in supervisor.reports.items()},
+        "spent_us": {name: spent for name, report in supervisor.reports.items() if (spent := report.get("spent_us"))},
         "recording": recordings[0] if recordings else None,
         "recordings": recordings,
         "plot": None,

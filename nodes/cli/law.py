@@ -11,10 +11,9 @@ from nodes.cli.ask import add_run, chosen_run
 from nodes.cli.main import answer
 from nodes.cli.param import FORCE, forced, told
 from nodes.cli.quantities import declare as declare_quantities
-from nodes.cli.quantities import declare_law
+from nodes.cli.quantities import declare_law, positive
 from nodes.client.launches import ask, node_name
 from nodes.parameters.store import ParameterError
-from nodes.stability.plant import Plant
 
 if TYPE_CHECKING:
     from nodes.launcher.runs import RunInfo
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
 OFFLINE = (
     "rate",
     "mass",
+    "heaviest",
     "damping",
     "delay",
     "hand",
@@ -79,6 +79,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     show.add_argument("--launch", metavar="SCENARIO", help="law, rate and device of a launch file")
     declare_quantities(show, rate=None, mass=None, damping=None, delay=None, hand=None, gain=None)
     declare_law(show)
+    show.add_argument("--heaviest", type=positive, help="greatest mass of the device, where --mass is the least [kg]")
 
 
 def _list(arguments: argparse.Namespace) -> int:
@@ -145,6 +146,7 @@ def _show(arguments: argparse.Namespace) -> int:
     except ParameterError as error:
         raise UsageError(str(error)) from error
     skipped = {"run", "law", "kind", "rate_hz", "taps_n_per_m", "sections", "plant", *(key for key, _, _ in ROWS)}
+    skipped |= {"worst_mass_kg", "masses_kg"}
     parameters = ", ".join(
         f"{key} {_short(value)}"
         for key, value in figures.items()
@@ -157,6 +159,7 @@ def _show(arguments: argparse.Namespace) -> int:
         + (f", {figures['sections']} recursive sections" if figures["sections"] else ""),
         *_table({"": figures}),
     ]
+    lines += _worst_mass(figures)
     if figures["h_nyquist_n_per_m"] is None:
         lines.append("  its own code is left out of H(1), which is that of its taps; the other figures need taps alone")
     if arguments.damping is not None and arguments.gain is None and "damping" in figures:
@@ -165,6 +168,17 @@ def _show(arguments: argparse.Namespace) -> int:
         )
     answer(arguments.json, figures, "\n".join(lines))
     return 0
+
+
+def _worst_mass(figures: dict[str, Any]) -> list[str]:
+    """Say with which mass the figures are, where it depends on the device's position."""
+    if "masses_kg" not in figures:
+        return []
+    low, high = figures["masses_kg"]
+    return [
+        f"  with {figures['worst_mass_kg']:.4g} kg, the worst for this loop of the device's {low:g} to {high:g} kg over its "
+        "workspace"
+    ]
 
 
 def _describes(arguments: argparse.Namespace) -> bool:
@@ -185,10 +199,11 @@ def _live(run: RunInfo, arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _described(arguments: argparse.Namespace) -> dict[str, Any]:
+    from nodes.coupling.law_book import worst_figures
+    from nodes.coupling.parameters import PlantParameters
     from nodes.launcher.launch_file import parse_assignments
     from nodes.laws.parse import compile_law, law_to_dict, parse_law
     from nodes.parameters.yaml_io import parse_yaml
-    from nodes.stability.closed_loop import law_figures
 
     data = parse_yaml(arguments.law, "law") if arguments.law.lstrip().startswith("{") else {"kind": arguments.law}
     renamed = {"stiffness": "stiffness", "gain": "damping"}
@@ -201,12 +216,13 @@ def _described(arguments: argparse.Namespace) -> dict[str, Any]:
         name: value if (value := getattr(arguments, name)) is not None else usual for name, usual in DEFAULTS.items()
     }
     period = 1.0 / loop["rate"]
-    figures = law_figures(
-        compile_law(law, period), Plant(period, loop["mass"], loop["damping"], loop["delay"], loop["hand"])
+    plant = PlantParameters(
+        mass=loop["mass"], damping=loop["damping"], stiffness=loop["hand"], heaviest=arguments.heaviest
     )
-    plant = {"mass": loop["mass"], "damping": loop["damping"], "stiffness": loop["hand"]}
+    figures = worst_figures(compile_law(law, period), plant, period, loop["delay"])
+    told = {name: getattr(plant, name) for name in ("mass", "damping", "stiffness")}
     name = arguments.law if not isinstance(data, dict) or "{" not in arguments.law else law.kind
-    return {"law": name, "rate_hz": loop["rate"], **law_to_dict(law), "plant": plant, **figures}
+    return {"law": name, "rate_hz": loop["rate"], **law_to_dict(law), "plant": told, **figures}
 
 
 def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -224,7 +240,9 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
         launch.nodes[arguments.node].parameters, CouplingParameters, arguments.node
     )
     given = {
-        name: getattr(arguments, name) for name in ("mass", "damping", "delay") if getattr(arguments, name) is not None
+        name: getattr(arguments, name)
+        for name in ("mass", "heaviest", "damping", "delay")
+        if getattr(arguments, name) is not None
     }
     if arguments.hand is not None:
         given["stiffness"] = arguments.hand

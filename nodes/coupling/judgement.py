@@ -50,10 +50,8 @@ class Judgement:
             return None
         from nodes.stability.judge import judge
 
-        verdict = judge(law, parameters.plant.at(self._period, measured_delay))
-        heaviest = parameters.plant.heaviest_at(self._period, measured_delay)
-        other = None if heaviest is None else judge(law, heaviest)
-        return other if verdict and other and other.pole_radius > verdict.pole_radius else verdict
+        found = [judge(law, plant) for plant in parameters.plant.over_workspace(self._period, measured_delay)]
+        return max((one for one in found if one is not None), key=lambda one: one.pole_radius, default=None)
 
     def why_not(self, parameters: CouplingParameters) -> str:
         """Say why there is no verdict."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.parameters import CouplingParameters, PlantParameters
 from nodes.laws import CompiledLaw, law_names, load_law
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.laws.presets import PRESETS, expand, preset_names
@@ -89,10 +89,12 @@ class LawBook:
         self, parameters: CouplingParameters, compiled: CompiledLaw, measured_delay: float
     ) -> dict[str, Any]:
         """Tell what a compiled law really renders."""
-        from nodes.stability.closed_loop import law_figures
-
         plant = parameters.plant
-        return law_figures(compiled, self._period if plant is None else plant.at(self._period, measured_delay))
+        if plant is None:
+            from nodes.stability.closed_loop import law_figures
+
+            return law_figures(compiled, self._period)
+        return worst_figures(compiled, plant, self._period, measured_delay)
 
     def unfit(self, parameters: CouplingParameters) -> list[str]:
         """List the laws that cannot be rendered as they are: nothing to refuse until one is switched to."""
@@ -129,6 +131,17 @@ class LawBook:
         for name in FIXED:
             if getattr(now, name) != getattr(wanted, name):
                 raise ParameterError(f"{self._node}.{name}: is fixed while the node runs; set it in the launch file")
+
+
+def worst_figures(compiled: CompiledLaw, plant: PlantParameters, period: float, delay: float) -> dict[str, Any]:
+    """Tell what a law renders on a device; where its mass depends on its position, with the mass that is worst for the loop."""
+    from nodes.stability.closed_loop import law_figures
+
+    found = [law_figures(compiled, device) for device in plant.over_workspace(period, delay)]
+    if plant.heaviest is None:
+        return found[0]
+    worst = max(range(len(found)), key=lambda i: found[i]["pole_radius"] or 0.0)
+    return {**found[worst], "worst_mass_kg": plant.masses[worst], "masses_kg": [plant.mass, plant.heaviest]}
 
 
 def _fields(name: str) -> tuple[str, ...]:

@@ -49,6 +49,10 @@ class Fallback(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return CompiledLaw((self.damping / period, -self.damping / period))
 
 
+MASSES = 9
+"""With so many masses a law is judged where the mass depends on the position."""
+
+
 class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The device that a law's pole radius is computed for.
 
@@ -65,7 +69,8 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     device_delay : float
         Delay of the device itself, which the loop cannot measure: comes on top of the measured one [ticks].
     heaviest : float or None
-        The greatest mass where it depends on where the device is, and ``mass`` is the least: a law is judged with both [kg].
+        The greatest mass where it depends on where the device is, and ``mass`` is the least: a law is judged with both and
+        with some between [kg].
     tool_mass : float or None
         Mass of what the coupling holds the device to, where that moves (kind ``mujoco``) [kg]; None for a wall.
     """
@@ -84,9 +89,20 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         plant = Plant(period, self.mass, self.damping, delay, self.stiffness)
         return plant if self.tool_mass is None else plant.with_tool(self.tool_mass)
 
-    def heaviest_at(self, period: float, measured: float) -> Plant | None:
-        """Give it where it is heaviest; None where it is always the same."""
-        return None if self.heaviest is None else msgspec.structs.replace(self, mass=self.heaviest).at(period, measured)
+    @property
+    def masses(self) -> list[float]:
+        """The masses that a law is judged with [kg]: one, or several in equal ratios from the least to the greatest.
+
+        Between both a loop may die down more slowly than at either end.
+        """
+        if self.heaviest is None:
+            return [self.mass]
+        between = [self.mass * (self.heaviest / self.mass) ** (k / (MASSES - 1)) for k in range(1, MASSES - 1)]
+        return [self.mass, *between, self.heaviest]
+
+    def over_workspace(self, period: float, measured: float) -> list[Plant]:
+        """Give it with each of its masses."""
+        return [msgspec.structs.replace(self, mass=mass).at(period, measured) for mass in self.masses]
 
 
 class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

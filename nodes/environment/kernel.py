@@ -16,11 +16,13 @@ from nodes.compiled.kernels.sources import kernel, record_of
 from nodes.compiled.layout import TEXTS
 from nodes.compiled.message_fields import fields_of, slot
 from nodes.environment.meet import meet_flat, meet_plane
+from nodes.environment.spent import note_spent
 from nodes.environment.state import EnvironmentState
 
 kernel(plane_distance)
 kernel(meet_plane)
 kernel(meet_flat)
+kernel(note_spent)
 _look = record_at(record_of(EnvironmentState))
 _scan = make_scan(DeviceState)
 # In a fault the position is no new one. A message without the word is of an active driver.
@@ -45,7 +47,10 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
         done = 0
         taken, out = s.reals, s.out_reals
         while done < s.most:
-            if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, taken, s.wholes):
+            if not receive(s, 0):
+                break
+            begin = monotonic(s) if s.realtime != 0 else 0.0
+            if not _scan(s.payload, s.payload + s.payload_size, taken, s.wholes):
                 break
             seq = s.wholes[_SEQ]
             if not in_order(s, seq) or (s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)):
@@ -65,7 +70,11 @@ def make_ticks(meet: Callable[[int, Any, Any, float, float, float, Any], bool]) 
                 out[_TO_NORMAL + i] = s.met[3 + i]
             out[_TO_DISTANCE] = s.met[6]
             out[_TO_DELAY] = taken[_DELAY]
-            out[_TO_STAMP] = monotonic(s) + s.clock_offset if s.realtime != 0 else taken[_STAMP]
+            out[_TO_STAMP] = taken[_STAMP]
+            if s.realtime != 0:
+                end = monotonic(s)
+                out[_TO_STAMP] = end + s.clock_offset
+                note_spent(s.spent, end - begin)
             # Before it is sent: whoever has the answer and asks for the count finds it there.
             s.ticks += 1
             at = out_at(s)

@@ -17,11 +17,15 @@ from nodes.environment.state import ANCHOR, MET, PLANE, SHAPES
 
 
 class Numbers(NamedTuple):
-    """A surface as `meet` takes it: FREE, PLANE (axis, coordinate, side), ANCHOR (point) or SHAPES (see shapes/tables.py)."""
+    """A surface as `meet` takes it: FREE, PLANE (axis, coordinate, side), ANCHOR (point) or SHAPES (see shapes/tables.py).
+
+    What was repaired of it is said in words.
+    """
 
     kind: int
     table: array[float]
     memory: array[float]
+    repairs: tuple[str, ...] = ()
 
 
 def meet_plane(position: float, surface: float, side: float) -> tuple[float, float, bool]:
@@ -70,7 +74,7 @@ def meet(
 
 def meeting_of(numbers: Numbers) -> Callable[[Vector], tuple[Vector, Vector, float, bool]]:
     """Build the question of the plain tick: from a device position [m] to proxy, normal, distance and contact."""
-    kind, table, memory = numbers
+    kind, table, memory = numbers.kind, numbers.table, numbers.memory
     met = [0.0] * MET
 
     def ask(position: Vector) -> tuple[Vector, Vector, float, bool]:

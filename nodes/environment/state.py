@@ -6,6 +6,7 @@ from ctypes import Structure, c_double, c_int64
 from typing import Final
 
 from nodes.compiled.layout import LOOP
+from nodes.environment.spent import BINS
 
 FREE: Final = 0
 PLANE: Final = 1
@@ -32,4 +33,6 @@ class EnvironmentState(Structure):
         ("memory", c_int64),
         ("memory_count", c_int64),
         ("met", c_double * MET),
+        # ticks by the time that they took (nodes/environment/spent.py)
+        ("spent", c_int64 * BINS),
     ]

@@ -63,6 +63,8 @@ class RecordedBodies:
     ----------
     world : MovingScene
         The scene.
+    begun : bool
+        Whether it has followed a first tick.
 
     Raises
     ------
@@ -72,14 +74,16 @@ class RecordedBodies:
 
     def __init__(self, parameters: dict[str, Any], period: float, name: str) -> None:
         self.world: MovingScene = load_world(convert(parameters, MujocoParameters, name), period, name)
-        self._first = True
+        self.begun = False
 
     def follow(self, state: DeviceState) -> None:
         """Step the scene to a tick."""
         if state.safety == "fault":
             return
-        self.world.follow(state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay, self._first)
-        self._first = False
+        self.world.follow(
+            state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay, not self.begun
+        )
+        self.begun = True
 
     def poses(self) -> NDArray[np.float64]:
         """Tell where they are."""

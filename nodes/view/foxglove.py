@@ -1,4 +1,6 @@
-"""Foxglove and Lichtblick, live: topics with their schemas, at most 60 messages a second each, and parameters to read.
+"""Foxglove and Lichtblick, live: topics with their schemas (at most 60 messages a second each), the scene, and parameters.
+
+The scene in three dimensions is topic ``/scene``, of Foxglove's own type: its shape once for each who subscribes, then poses.
 
 An optional extra: ``pip install 'haptic-nodes[foxglove]'``. It is off unless asked for, because Foxglove's protocol knows no
 token, and its library does not tell the Origin: any page in a browser of this machine could connect to the port. So nothing can
@@ -15,10 +17,11 @@ import msgspec
 
 from messages.schema import schema_json
 from messages.topics import LOOP
-from messages.types import Message
+from messages.types import DeviceState, Message, Proxy
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import ParameterError
 from nodes.view.commands import CommandError
+from nodes.view.foxglove_scene import SCENE, SCHEMA, DrawnScene
 
 MOST = 60.0
 """Most messages per second and topic: Lichtblick warns beyond."""
@@ -69,10 +72,22 @@ class Bridge:
         self._channels: dict[str, Any] = {}
         self._next: dict[str, float] = {}
         self.sent = 0
+        setups = run.nodes.values()
+        self._scene = DrawnScene(
+            {name: setup.parameters for name, setup in run.nodes.items()}, next(setup.period for setup in setups)
+        )
+        schema = library.Schema(name=SCHEMA["title"], encoding="jsonschema", data=msgspec.json.encode(SCHEMA))
+        # Advertised from the beginning: who subscribes is told the shape, which is not sent again.
+        self._drawn = library.Channel(SCENE, schema=schema, message_encoding="json", context=self._context)
+        self._asked = True
         bridge = self
 
         class Listener(library.ServerListener):  # type: ignore[misc, name-defined]
             """Answers what a client asks, on the library's thread."""
+
+            def on_subscribe(self, client: Any, channel: Any) -> None:
+                del client
+                bridge.subscribed(channel.topic)
 
             def on_get_parameters(
                 self, client: Any, param_names: list[str], request_id: str | None = None
@@ -99,8 +114,26 @@ class Bridge:
             raise ParameterError(f"view.foxglove: port {port}: {error}") from error
         self.port: int = self._server.port
 
+    def subscribed(self, topic: str) -> None:
+        """Have the shape sent again for one who sees the scene from now on."""
+        self._asked = self._asked or topic == SCENE
+
+    def _draw(self, topic: str, message: DeviceState | Proxy) -> None:
+        at = self._wall(message)
+        entities = list(self._scene.moving(topic, message, at))
+        if self._asked:
+            self._asked = False
+            entities += self._scene.still(at)
+        if entities:
+            self._drawn.log(msgspec.json.encode({"deletions": [], "entities": entities}), log_time=at)
+
+    def _wall(self, message: Message) -> int:
+        return max(0, round((message.stamp + self._run.wall_minus_monotonic) * 1e9))
+
     def take(self, topic: str, message: Message) -> None:
         """Pass a message on, unless the topic has had its share."""
+        if isinstance(message, DeviceState | Proxy):
+            self._draw(topic, message)
         now = time.monotonic()
         if now < self._next.get(topic, 0.0):
             return
@@ -113,8 +146,7 @@ class Bridge:
             channel = self._channels[topic] = self._library.Channel(
                 topic, schema=schema, message_encoding="json", context=self._context
             )
-        wall = message.stamp + self._run.wall_minus_monotonic
-        channel.log(msgspec.json.encode(message), log_time=max(0, round(wall * 1e9)))
+        channel.log(msgspec.json.encode(message), log_time=self._wall(message))
         self.sent += 1
 
     def parameters(self, wanted: list[str]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""A recording for Foxglove and Lichtblick with its scene in three dimensions: everything that was recorded, and ``/scene``.
+"""The scene in three dimensions for Foxglove and Lichtblick, live (nodes/view/foxglove.py) and as a recording with ``/scene``.
 
 The scene is of Foxglove's own type, ``foxglove.SceneUpdate`` as JSON: what is touched once, as triangles, then device, proxy
 and force as they move, at most 60 times a second. Bodies that move are no part of a recording: their scene is stepped again by
@@ -7,7 +7,7 @@ what was recorded, as the node stepped it, where MuJoCo and the file are there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,9 @@ SCENE, FRAME = "/scene", "haptic"
 
 MOST = 60.0
 """Updates of the scene per second of the run."""
+
+LATE = 50
+"""Ticks that bodies which move may have been at before they are first seen: a hand has not reached them."""
 
 PER_NEWTON = 0.01
 """Length at which a force of 1 N is drawn [m]."""
@@ -59,7 +62,8 @@ SCHEMA: dict[str, Any] = {
 }
 """The part of Foxglove's schema that is used here."""
 
-_STATE, _PROXY = msgspec.json.Decoder(DeviceState), msgspec.json.Decoder(Proxy)
+_STATE: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(DeviceState)
+_PROXY: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(Proxy)
 
 Colour = tuple[float, float, float, float]
 # Okabe and Ito's blue, orange, green and grey: they are told apart by all eyes, as in the project's figures.
@@ -132,53 +136,79 @@ class _Bodies(RecordedBodies):
         return _entity(at, name, **found)
 
 
-class _Scene:
-    """What is drawn of the chains of a run."""
+class DrawnScene:
+    """What is drawn of the chains of a run, recorded or live.
 
-    def __init__(self, recording: Recording) -> None:
+    Parameters
+    ----------
+    nodes : mapping
+        Parameters of all nodes, by name.
+    period : float
+        Sampling period T [s].
+
+    Attributes
+    ----------
+    left_out : list of str
+        What cannot be drawn, and why.
+    """
+
+    def __init__(self, nodes: Mapping[str, Mapping[str, Any]], period: float) -> None:
         self.left_out: list[str] = []
         self._surfaces: dict[str, list[float]] = {}
         self._radius: dict[str, float] = {}
         self._bodies: dict[str, _Bodies] = {}
         self._next: dict[str, float] = {}
-        self._begun = False
-        period = 1.0 / float(recording.metadata.get(MANIFEST, {}).get("rate_hz", 500.0))
-        for node, text in recording.metadata.get(PARAMETERS, {}).items():
+        for node, parameters in nodes.items():
             chain = node.rpartition("/")[0]
-            parameters: dict[str, Any] = msgspec.json.decode(text)
             try:
                 if "surface" in parameters:
                     shape = shape_of(parameters)
                     self._surfaces[node] = shape.get("triangles", [])
                     self._radius[chain] = shape.get("tool_radius", 0.0)
                 elif "scene" in parameters:
-                    self._bodies[chain] = _Bodies(parameters, period, node)
+                    self._bodies[chain] = _Bodies(dict(parameters), period, node)
             except (ParameterError, OSError) as error:
                 self.left_out.append(f"{node}: {error}")
 
-    def updates(self, topic: str, data: bytes, at: int) -> Iterator[dict[str, Any]]:
-        """Turn a recorded message into what changes of the scene."""
-        if not self._begun:
-            self._begun = True
-            yield from (_surface(at, node, found) for node, found in self._surfaces.items() if found)
-            if self.left_out:
-                yield _entity(at, "left out", texts=[_text("; ".join(self.left_out))])
+    def still(self, at: int) -> list[dict[str, Any]]:
+        """Draw what does not move, and say what is left out, at a time [ns]."""
+        drawn = [_surface(at, node, found) for node, found in self._surfaces.items() if found]
+        return [*drawn, *self._words(at)]
+
+    def _words(self, at: int) -> list[dict[str, Any]]:
+        return [_entity(at, "left out", texts=[_text("; ".join(self.left_out))])] if self.left_out else []
+
+    def moving(self, topic: str, message: DeviceState | Proxy, at: int) -> Iterator[dict[str, Any]]:
+        """Turn a message at a time [ns] into what moves in the scene, as often as it is due; each state must come by."""
         chain = topic.removesuffix(DEVICE_STATE).removesuffix(PROXY).strip("/")
         before = f"{chain}/" if chain else ""
-        if topic.endswith(DEVICE_STATE):
-            state = _STATE.decode(data)
-            bodies = self._bodies.get(chain)
-            if bodies is not None:
-                bodies.follow(state)
-            if self._is_due(topic, state.stamp):
-                yield _entity(at, f"{before}device", spheres=[_ball(state.position, 0.0, _DEVICE)])
-                yield _entity(at, f"{before}force", lines=[_line(state.position, state.force)])
-                if bodies is not None:
-                    yield bodies.entity(at, f"{before}bodies")
-        elif topic.endswith(PROXY):
-            message = _PROXY.decode(data)
+        if isinstance(message, Proxy):
             if self._is_due(topic, message.stamp):
                 yield _entity(at, f"{before}proxy", spheres=[_ball(message.proxy, self._radius.get(chain, 0.0), _TOOL)])
+            return
+        told = len(self.left_out)
+        bodies = self._follow(chain, message)
+        if len(self.left_out) > told:
+            yield from self._words(at)
+        if self._is_due(topic, message.stamp):
+            yield _entity(at, f"{before}device", spheres=[_ball(message.position, 0.0, _DEVICE)])
+            yield _entity(at, f"{before}force", lines=[_line(message.position, message.force)])
+            if bodies is not None:
+                yield bodies.entity(at, f"{before}bodies")
+
+    def _follow(self, chain: str, state: DeviceState) -> _Bodies | None:
+        """Step the bodies of a chain; who has not seen its first ticks does not know where they are."""
+        bodies = self._bodies.get(chain)
+        if bodies is None:
+            return None
+        if not bodies.begun and state.seq > LATE:
+            del self._bodies[chain]
+            self.left_out.append(
+                f"{chain or 'bodies'}: where they are is known to who heard the run from its beginning: launch it with --view"
+            )
+            return None
+        bodies.follow(state)
+        return bodies
 
     def _is_due(self, topic: str, stamp: float) -> bool:
         """Tell whether a topic has not had its share."""
@@ -232,7 +262,10 @@ def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = 
     out = Path(out)
     if out.exists() and out.samefile(recording.path):
         raise RecordError(f"{out}: is the recording itself; give another name")
-    scene = _Scene(recording)
+    period = 1.0 / float(recording.metadata.get(MANIFEST, {}).get("rate_hz", 500.0))
+    told = recording.metadata.get(PARAMETERS, {})
+    scene = DrawnScene({node: msgspec.json.decode(text) for node, text in told.items()}, period)
+    begun = False
     output = Output(out, overwrite)
     try:
         writer = mcap_writer(output, f"haptic-nodes {versions()['haptic-nodes']}")
@@ -245,7 +278,11 @@ def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = 
         channel = writer.register_channel(SCENE, "json", schema)
         for topic, raw, _ in recording.raw():
             copy.message(raw)
-            entities = list(scene.updates(topic, raw.data, raw.publish_time))
+            entities = [] if begun else scene.still(raw.publish_time)
+            begun = True
+            decoder = _STATE if topic.endswith(DEVICE_STATE) else _PROXY if topic.endswith(PROXY) else None
+            if decoder is not None:
+                entities += scene.moving(topic, decoder.decode(raw.data), raw.publish_time)
             if entities:
                 update = msgspec.json.encode({"deletions": [], "entities": entities})
                 writer.add_message(channel, raw.log_time, update, raw.publish_time)

@@ -7,7 +7,7 @@ runs in the view's process, off the chain's core: a map takes some 50 ms.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from nodes.coupling.parameters import PlantParameters
 from nodes.laws import Law
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import KMax, k_max, without_spring
+from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 
 NEAR, FAR = 33, 24
@@ -43,37 +43,51 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None
     if not isinstance(device, Mapping) or "mass" not in device:
         return None
     hand = device.get("hand") or {}
-    mass, damping = (float(device.get(part, 0.0)) + float(hand.get(part, 0.0)) for part in ("mass", "damping"))
+    damping = float(device.get("damping", 0.0)) + float(hand.get("damping", 0.0))
+    masses = [float(mass) for _, mass in device.get("mass_by_position", ())] or [float(device["mass"])]
+    least, most = (end + float(hand.get("mass", 0.0)) for end in (min(masses), max(masses)))
     stiffness, delay = float(hand.get("stiffness", 0.0)), float(device.get("delay", 0.0))
-    return PlantParameters(mass=mass, damping=damping, stiffness=stiffness, device_delay=delay)
+    return PlantParameters(
+        mass=least,
+        heaviest=most if most > least else None,
+        damping=damping,
+        stiffness=stiffness,
+        device_delay=delay,
+    )
 
 
-def _edge(law: Law, device: Plant) -> KMax:
-    return k_max(without_spring(law, device.period), device)
+def _edges(law: Law, devices: Sequence[Plant]) -> tuple[float, float] | None:
+    """Least and largest K that every one of these devices bears, in the first stretch of each; None for no such K."""
+    low, high = -math.inf, math.inf
+    for device in devices:
+        edge = k_max(without_spring(law, device.period), device)
+        if not edge.stable:
+            return None
+        low, high = max(low, edge.stable[0][0]), min(high, edge.stable[0][1])
+    return (low, high) if low < high else None
 
 
 def _at(law: Law, damping: float) -> Law:
     return msgspec.structs.replace(law, damping=damping)
 
 
-def _bounds(law: Law, device: Plant, dampings: list[float]) -> list[list[float | None]]:
+def _bounds(law: Law, devices: Sequence[Plant], dampings: list[float]) -> list[list[float | None]]:
     found: list[list[float | None]] = []
     for damping in dampings:
-        edge = _edge(_at(law, damping), device)
-        low, high = edge.stable[0] if edge.stable else (None, None)
+        low, high = _edges(_at(law, damping), devices) or (None, None)
         found.append([damping, low, high if high is None or math.isfinite(high) else None])
     return found
 
 
-def _end(law: Law, device: Plant, near: float) -> float:
+def _end(law: Law, devices: Sequence[Plant], near: float) -> float:
     """Largest B with any stable K, from `near` on; at most so many times as far."""
     inside = near
     while inside < near * FARTHEST:
         outside = 2.0 * inside
-        if not _edge(_at(law, outside), device).stable:
+        if _edges(_at(law, outside), devices) is None:
             for _ in range(10):
                 middle = 0.5 * (inside + outside)
-                if _edge(_at(law, middle), device).stable:
+                if _edges(_at(law, middle), devices) is not None:
                     inside = middle
                 else:
                     outside = middle
@@ -82,43 +96,38 @@ def _end(law: Law, device: Plant, near: float) -> float:
     return inside
 
 
-def delay_margin(law: Law, device: Plant) -> float | None:
-    """How much longer the loop's delay may get until a stable loop is no longer stable."""
-    compiled = law.compile(device.period)
+def delay_margin(law: Law, devices: Sequence[Plant]) -> float | None:
+    """How much longer the loop's delay may get until a loop that is stable with all these devices is so no longer."""
+    compiled, begin = law.compile(devices[0].period), devices[0].delay
 
     def stable(delay: float) -> bool:
-        return pole_radius(compiled, replace(device, delay=delay)) < 1.0
+        return all(pole_radius(compiled, replace(device, delay=delay)) < 1.0 for device in devices)
 
-    if not stable(device.delay):
+    if not stable(begin):
         return 0.0
-    inside = device.delay
-    for delay in np.arange(1, round(MOST_DELAY / 0.1) + 1) * 0.1 + device.delay:
+    inside = begin
+    for delay in np.arange(1, round(MOST_DELAY / 0.1) + 1) * 0.1 + begin:
         if not stable(float(delay)):
             outside = float(delay)
             for _ in range(30):
                 middle = 0.5 * (inside + outside)
                 inside, outside = (middle, outside) if stable(middle) else (inside, middle)
-            return inside - device.delay
+            return inside - begin
         inside = float(delay)
     return None
 
 
-def _over_delay(law: Law, device: Plant, margin: float | None) -> list[list[float | None]]:
+def _over_delay(law: Law, devices: Sequence[Plant], margin: float | None) -> list[list[float | None]]:
     """Give the edge over the delay, to beyond where the present stiffness meets it: rows of delay, least and largest K."""
-    meets = device.delay + (MOST_DELAY if margin is None else margin)
+    meets = devices[0].delay + (MOST_DELAY if margin is None else margin)
     # In powers of two, as with B.
     far = min(MOST_DELAY, 2.0 ** math.ceil(math.log2(max(1.1 * meets, 2.0))))
     found: list[list[float | None]] = []
     for delay in np.linspace(0.0, far, DELAYS).tolist():
-        (row,) = _bounds(law, replace(device, delay=delay), [law.damping])  # type: ignore[attr-defined]
+        late = [replace(device, delay=delay) for device in devices]
+        (row,) = _bounds(law, late, [law.damping])  # type: ignore[attr-defined]
         found.append([delay, *row[1:]])
     return found
-
-
-def _badness(law: Law, device: Plant) -> tuple[bool, float]:
-    """How bad a device is to a law, to find the worse of two: unstable before stable, then by its edge."""
-    edge = _edge(law, device).k_max_n_per_m
-    return pole_radius(law.compile(device.period), device) >= 1.0, -math.inf if edge is None else -edge
 
 
 def with_inertia(declared: PlantParameters | None, seen: Mapping[str, Any] | None) -> PlantParameters | None:
@@ -136,38 +145,37 @@ def with_inertia(declared: PlantParameters | None, seen: Mapping[str, Any] | Non
 
 
 def stability_map(law: Law, period: float, plant: PlantParameters, delay: float) -> dict[str, Any]:
-    """Draw the (B, K) plane of a law's kind."""
+    """Draw the (B, K) plane of a law's kind: what is stable with every mass that the device has."""
     compiled = law.compile(period)
     if compiled.evaluate is not None:
         raise ValueError("the law has code of its own beside its taps, and so no poles.")
-    device, heaviest = plant.at(period, delay), plant.heaviest_at(period, delay)
-    if heaviest is not None:
-        device = max(device, heaviest, key=lambda one: _badness(law, one))
-    radius = pole_radius(compiled, device)
-    edge = _edge(law, device)
+    devices = plant.over_workspace(period, delay)
+    radii = [pole_radius(compiled, device) for device in devices]
+    ends = [_edges(law, [device]) for device in devices]
+    # The worst mass: unstable before stable, then by its edge.
+    worst = max(range(len(devices)), key=lambda i: (radii[i] >= 1.0, -(0.0 if (end := ends[i]) is None else end[1])))
+    radius, edge = max(radii), _edges(law, devices)
     k = float(getattr(law, "stiffness", compiled.h1))
     found: dict[str, Any] = {
-        "delay_ticks": device.delay,
+        "delay_ticks": devices[0].delay,
         "plant": msgspec.to_builtins(plant),
-        "mass_kg": device.mass,
+        "mass_kg": plant.masses[worst],
         "pole_radius": radius,
         "stable": radius < 1.0,
         "k_n_per_m": k,
-        "k_max_n_per_m": edge.k_max_n_per_m
-        if edge.k_max_n_per_m is None or math.isfinite(edge.k_max_n_per_m)
-        else None,
-        "delay_margin_ticks": delay_margin(law, device),
+        "k_max_n_per_m": edge[1] if edge is not None and math.isfinite(edge[1]) else None,
+        "delay_margin_ticks": delay_margin(law, devices),
     }
     b = getattr(law, "damping", None)
     if not isinstance(b, float) or not hasattr(law, "stiffness"):
         return found
     # In powers of two, so that the picture stays where it is while a slider moves within it.
     near = 2.0 ** math.ceil(math.log2(max(2.0 * b, plant.damping, 1e-3)))
-    rows = _bounds(law, device, np.linspace(0.0, near, NEAR).tolist())
-    end = _end(law, device, near)
+    rows = _bounds(law, devices, np.linspace(0.0, near, NEAR).tolist())
+    end = _end(law, devices, near)
     if end > near:
-        rows += _bounds(law, device, np.geomspace(near, end, FAR)[1:].tolist())
-    over = _over_delay(law, device, found["delay_margin_ticks"])
+        rows += _bounds(law, devices, np.geomspace(near, end, FAR)[1:].tolist())
+    over = _over_delay(law, devices, found["delay_margin_ticks"])
     return found | {"b_n_s_per_m": b, "near": near, "edge": rows, "over_delay": over}
 
 

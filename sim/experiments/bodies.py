@@ -99,6 +99,7 @@ def body_error(
         max_n=float(size.max()),
         noise_n=float(np.sqrt(np.mean(np.sum(np.diff(error, axis=0) ** 2, axis=1)) / 2.0)),
         proxy_um=float(1e6 * size.max() / stiffness),
+        polyhedron_um=None,
         drag=abs(work) / float(np.linalg.norm(pull[1:], axis=1) @ np.linalg.norm(way, axis=1)),
         call_us=float(np.median(times) / 1e3),
         call_p99_us=float(np.percentile(times, 99) / 1e3),

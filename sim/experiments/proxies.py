@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Solid, box, capsule, mesh, plane, sphere
+from sim.experiments.polyhedron import off_polyhedron
 from sim.scene.touch import Touched, call_times, touch
 
 Array = NDArray[np.float64]
@@ -50,6 +51,8 @@ class ProxyError:
         What of it changes from tick to tick: root mean square of its differences over √2 [N].
     proxy_um : float
         Largest distance of the proxy from the closed form [µm].
+    polyhedron_um : float or None
+        Largest distance of the proxy on a mesh from where it is on the flat triangles, exactly [µm]; None for other shapes.
     drag : float
         Work lost on a closed way there and back, over force times way: the apparent coefficient of friction.
     call_us, call_p99_us : float
@@ -64,6 +67,7 @@ class ProxyError:
     max_n: float
     noise_n: float
     proxy_um: float
+    polyhedron_um: float | None
     drag: float
     call_us: float
     call_p99_us: float
@@ -204,6 +208,9 @@ def compared(way: Way, stiffness: float) -> ProxyError:
         max_n=float(size.max()),
         noise_n=float(np.sqrt(np.mean(np.sum(np.diff(error, axis=0) ** 2, axis=1)) / 2.0)),
         proxy_um=float(1e6 * size.max() / stiffness),
+        polyhedron_um=None
+        if solids[0].mesh is None
+        else 1e6 * off_polyhedron(solids[0].mesh.corners, path[inside], found.proxy[inside], tool_radius),
         drag=drag(solids, path[ticks // 10 :], tool_radius, period, found),
         call_us=math.nan,
         call_p99_us=math.nan,

@@ -10,6 +10,7 @@ from scipy.optimize import nnls
 
 from nodes.environment.shapes.scene import Solid, rotation
 from nodes.environment.shapes.tables import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE
+from sim.experiments.polyhedron import nearest_on
 
 Array = NDArray[np.float64]
 
@@ -51,29 +52,6 @@ def distance_to(solid: Solid, point: Array) -> float:
     assert solid.kind == MESH
     assert solid.mesh is not None
     return float(np.linalg.norm(point - nearest_on(solid.mesh.corners, point), axis=1).min())
-
-
-def nearest_on(corners: Array, point: Array) -> Array:
-    """Nearest point of each triangle, by the corners, the edges and the face, whichever is nearest; shape (n, 3)."""
-    best = corners[:, 0].copy()
-    least = np.linalg.norm(best - point, axis=1)
-
-    def take(candidates: Array, valid: Any = True) -> None:
-        away = np.where(valid, np.linalg.norm(candidates - point, axis=1), np.inf)
-        nearer = away < least
-        best[nearer], least[nearer] = candidates[nearer], away[nearer]
-
-    for k in range(3):
-        a, b = corners[:, k], corners[:, (k + 1) % 3]
-        along = np.einsum("ij,ij->i", point - a, b - a) / np.einsum("ij,ij->i", b - a, b - a)
-        take(a + np.clip(along, 0.0, 1.0)[:, None] * (b - a))
-    u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], point - corners[:, 0]
-    normal = np.cross(u, v)
-    area = np.einsum("ij,ij->i", normal, normal)
-    beta = np.einsum("ij,ij->i", np.cross(w, v), normal) / area
-    gamma = np.einsum("ij,ij->i", np.cross(u, w), normal) / area
-    take(corners[:, 0] + beta[:, None] * u + gamma[:, None] * v, (beta >= 0.0) & (gamma >= 0.0) & (beta + gamma <= 1.0))
-    return best
 
 
 def out_of_balance(solids: list[Solid], radius: float, proxy: Array, device: Array) -> float:

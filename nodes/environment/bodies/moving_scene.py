@@ -7,8 +7,11 @@ body that is led by a constraint (a mocap body and a weld) would be a coupling o
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +19,12 @@ from messages.types import Vector
 from nodes.parameters.store import ParameterError
 
 EXTRA = "pip install 'haptic-nodes[mujoco]'"
+LARGEST = 64_000_000
+"""Largest MJCF file that is read [bytes]."""
+
+WIDEST = 1.0
+"""Largest radius around a geom of the tool [m]: what is larger was probably drawn in millimetres."""
+
 _MOST_STEPS = 1000
 _LIGHTEST = 1e-6
 
@@ -91,9 +100,20 @@ class MovingScene:
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
         try:
             # Opened here: the words of the operating system are clearer.
-            with open(file, "rb"):
-                pass
-            self.model = _held(mujoco, file, tool) if held else mujoco.MjModel.from_xml_path(str(file))
+            with open(file, "rb") as opened:
+                size = opened.seek(0, os.SEEK_END)
+            if size > LARGEST:
+                raise ParameterError(
+                    f"{where}.scene: {file} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; meshes and textures "
+                    "belong in files of their own"
+                )
+            with _heard(mujoco) as warnings:
+                self.model = _held(mujoco, file, tool) if held else mujoco.MjModel.from_xml_path(str(file))
+            if warnings:
+                # MuJoCo would go on without the value: a mass that is not a number becomes that of water.
+                raise ParameterError(f"{where}.scene: {file}: {' '.join(' '.join(warnings).split())}")
+        except ParameterError:
+            raise
         except OSError as error:
             raise ParameterError(f"{where}.scene: {file} cannot be read: {error.strerror}") from error
         except ValueError as error:
@@ -104,6 +124,14 @@ class MovingScene:
         if self.mass < _LIGHTEST:
             raise ParameterError(
                 f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg"
+            )
+        widest = max(
+            (float(self.model.geom_rbound[i]) for i in range(self.model.ngeom) if self._of_tool(i)), default=0.0
+        )
+        if widest > WIDEST:
+            raise ParameterError(
+                f"{where}.scene: {file}: a geom of body {tool!r} reaches {widest:.4g} m, expected at most {WIDEST:g} m; "
+                "MJCF is in metres"
             )
         self.steps = max(1, math.ceil(period / float(self.model.opt.timestep) - 1e-9))
         if self.steps > _MOST_STEPS:
@@ -139,6 +167,9 @@ class MovingScene:
                 "and z: the device has three axes, and its own workspace"
             )
         return body, [int(model.jnt_qposadr[i]) for i in slides]
+
+    def _of_tool(self, geom: int) -> bool:
+        return int(self.model.body_rootid[self.model.geom_bodyid[geom]]) == self.tool
 
     @property
     def tool_position(self) -> Vector:
@@ -237,7 +268,7 @@ class MovingScene:
         let come to rest: what both give is the pair's static stiffness with that geom held.
         """
         model, mujoco = self.model, self._mujoco
-        of_tool = [i for i in range(model.ngeom) if int(model.body_rootid[model.geom_bodyid[i]]) == self.tool]
+        of_tool = [i for i in range(model.ngeom) if self._of_tool(i)]
         tip = next((i for i in of_tool if model.geom_contype[i] or model.geom_conaffinity[i]), None)
         if tip is None:
             return []
@@ -279,6 +310,18 @@ class MovingScene:
             self._mujoco.mj_step(model, data, round(1.0 / model.opt.timestep))
             depths.append(-float(data.qpos[0]))
         return (_LOADS[1] - _LOADS[0]) / max(depths[1] - depths[0], 1e-12)
+
+
+@contextlib.contextmanager
+def _heard(mujoco: Any) -> Iterator[list[str]]:
+    """Collect what MuJoCo warns of, which it writes to the terminal otherwise."""
+    found: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(found.append)
+    try:
+        yield found
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _held(mujoco: Any, file: Path, tool: str) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -16,6 +17,7 @@ from nodes.base.node import Node
 from nodes.base.setup import Axis, Setup
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.poses import RATE, Poses, poses_file
+from nodes.environment.spent import SpentCounters, note_spent, spent_us
 from nodes.parameters.store import ParameterError, convert
 
 
@@ -61,6 +63,10 @@ class MujocoEnvironment(Node):
         del parameters, name
         return ("x", "y", "z")
 
+    def make_counters(self) -> SpentCounters:
+        """Make its counters."""
+        return SpentCounters()
+
     def configure(self) -> None:
         """Load the scene, measure its contacts, and say what the stability figures have to know."""
         self._world = load_world(self.store.current, self.setup.period, self.setup.name)
@@ -77,12 +83,16 @@ class MujocoEnvironment(Node):
         simulated, world, seq = self.clock.simulated, self._world, state.seq
         if state.safety == "fault" and not simulated:
             return None
+        begin = 0.0 if simulated else time.monotonic()
         first = self.counters.answered < 0
         if world.follow(seq, state.position, state.force, seq - 1 - state.age, state.delay, first):
             self.events.emit(
                 "bodies",
                 "the scene diverged and was put back to its beginning; a smaller option timestep may help",
             )
+        at = world.tool_position
+        if not simulated:
+            note_spent(self.counters.spent, time.monotonic() - begin)
         if seq % self._every == 0:
             self._poses.write(world.data.geom_xpos, world.data.geom_xmat)
         return encode(
@@ -90,7 +100,7 @@ class MujocoEnvironment(Node):
                 seq=seq,
                 stamp=state.stamp if simulated else self.clock.now(),
                 position=state.position,
-                proxy=world.tool_position,
+                proxy=at,
                 # The coupling holds the tool from all sides: no normal, and nothing to clamp.
                 normal=ZERO,
                 distance=0.0,
@@ -98,6 +108,10 @@ class MujocoEnvironment(Node):
                 delay=state.delay,
             )
         )
+
+    def report(self) -> dict[str, Any]:
+        """Tell how long its ticks took."""
+        return {"spent_us": spent_us(self.counters.spent)}
 
     def loop(self) -> None:
         """Answer until stopped; asked again (lockstep), the scene is not stepped twice."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from array import array
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -94,27 +93,13 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Refuse what could not be touched."""
         self.solids(where)
 
-    def tables(self, where: str, period: float) -> tuple[array[float], array[float]]:
-        """Make the tables that the geometry works on.
-
-        Parameters
-        ----------
-        where : str
-            Path of the surface, for errors.
-        period : float
-            Sampling period [s].
-
-        Returns
-        -------
-        tuple of array
-            The scene, and the memory of a proxy that has touched nothing yet (nodes/environment/shapes/tables.py).
-        """
-        solids = self.solids(where)
-        return scene.scene_table(solids, self.tool_radius, period), scene.new_memory(len(solids))
-
     def numbers(self, period: float) -> Numbers:
-        """Describe the surface by numbers."""
-        return Numbers(SHAPES, *self.tables("surface", period))
+        """Describe the surface by numbers: the scene, and the memory of a proxy that has touched nothing yet."""
+        solids = self.solids("surface")
+        repairs = tuple(repair for solid in solids if solid.mesh is not None for repair in solid.mesh.repairs)
+        return Numbers(
+            SHAPES, scene.scene_table(solids, self.tool_radius, period), scene.new_memory(len(solids)), repairs
+        )
 
     def pushes(self) -> tuple[Axis, ...]:
         """Tell along which axes it can push."""
@@ -281,10 +266,11 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
         from nodes.environment.shapes.mesh import prepare_mesh
         from nodes.environment.shapes.mesh_file import read_triangles
 
-        corners = read_triangles(Path(self.file).expanduser(), f"{where}.file")
+        file = Path(self.file).expanduser()
+        corners = read_triangles(file, f"{where}.file")
         with np.errstate(over="ignore", invalid="ignore"):
             corners = self.scale * corners @ np.array(scene.rotation(self.rotation)).T + self.position
-        return [scene.mesh(prepare_mesh(corners, self.sides == "both", f"{where}.file"), self.rubs)]
+        return [scene.mesh(prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}"), self.rubs)]
 
 
 class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):

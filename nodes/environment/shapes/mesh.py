@@ -84,9 +84,13 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
         raise ParameterError(f"{where}: triangle {bad} has a coordinate that is not finite")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
+        hint = (
+            "a file in millimetres takes scale: 0.001"
+            if extent > LARGEST
+            else "its scale is too small, or its unit is not m"
+        )
         raise ParameterError(
-            f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m; a file in millimetres takes "
-            "scale: 0.001"
+            f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m; {hint}"
         )
     corner, ids = _merged(corners)
     corners = corner[ids]
@@ -101,7 +105,7 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
             "clean the mesh"
         )
     if not good.all():
-        repairs.append(f"{int((~good).sum())} triangles of fewer than three corners left out")
+        repairs.append(f"{where}: {int((~good).sum())} triangles of fewer than three corners left out")
     corners, ids, across, twice_area = corners[good], ids[good], across[good], twice_area[good]
     if not len(corners):
         raise ParameterError(f"{where}: no triangle has an area")
@@ -115,7 +119,7 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
         normals = across / twice_area[:, None]
         if float(np.einsum("ij,ij->", corners[:, 0] - corner[0], across)) < 0.0:
             corners, ids, normals = corners[:, ::-1], ids[:, ::-1], -normals
-            repairs.append("all faces looked inwards, and were turned")
+            repairs.append(f"{where}: all faces looked inwards, and were turned")
     order, leaves = _order(corners)
     corners, ids, normals = corners[order], ids[order], normals[order]
     return PreparedMesh(

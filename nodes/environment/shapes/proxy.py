@@ -58,6 +58,9 @@ _STILL = 1e-14
 
 _MOST_ROUNDS = 200
 
+_TRUSTED = 50
+"""Rounds in which a leap may lead away from the device, as it does deep in a round part; what takes more goes in circles."""
+
 _FAR = 1e3
 """A device that says it is further away than this is lost [m]: it touches nothing, and is met anew when it returns."""
 
@@ -162,6 +165,8 @@ def _descend(
     x, y, z = memory[AT], memory[AT + 1], memory[AT + 2]
     count, sliding, slid, idle = int(memory[TOUCHED]), memory[SLIDING] == 1.0, 0.0, 0
     covered, nx, ny, nz, shape, face = 1.0, 0.0, 0.0, 1.0, -1.0, -1.0
+    # Where the last leap began, how far from the device that was (squared; −1 for none under way), and whether to leap now.
+    bx, by, bz, had_slid, before_leap, leaping = x, y, z, 0.0, -1.0, True
     for turn in range(_MOST_ROUNDS):
         memory[ROUNDS] += 1.0
         before = count
@@ -185,6 +190,13 @@ def _descend(
                 coat += share * scene[row + VISCOUS]
                 pressed += share
         held = carrying > 0
+        if held and before_leap >= 0.0:
+            if turn > _TRUSTED and vx * vx + vy * vy + vz * vz > before_leap:
+                # It goes in circles: what the leap led to is not the round part that it was made for. Again, without a leap.
+                x, y, z, slid = bx, by, bz, had_slid
+                count, covered, shape, before_leap, leaping = 0, 1.0, -1.0, -1.0, False
+                continue
+            before_leap = -1.0
         if rough and held and length > _STILL:
             behind = coat / (pressed * scene[PERIOD])
             if not sliding and length > cone:
@@ -200,11 +212,14 @@ def _descend(
                 part = left / (length * (1.0 + behind))
         if length <= _STILL or idle > 2 or turn == _MOST_ROUNDS - 1:
             break
-        if carrying == 1:
+        if held and leaping and carrying < 3:
+            bx, by, bz, had_slid, before_leap = x, y, z, slid, vx * vx + vy * vy + vz * vz
+        if carrying == 1 and leaping:
             at = CONTACTS + CONTACT * carrier
             sx, sy, sz = _around(scene, memory, at, x, y, z, dx, dy, dz, sx, sy, sz)
-        elif carrying == 2:
+        elif carrying == 2 and leaping:
             sx, sy, sz = _along_crease(scene, memory, count, x, y, z, sx, sy, sz)
+        leaping = leaping or held
         sx, sy, sz = part * sx, part * sy, part * sz
         go, nx, ny, nz, shape, face = _first_hit(scene, x, y, z, sx, sy, sz)
         if go > 1.0 and not held:

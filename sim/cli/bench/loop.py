@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from messages.errors import UsageError
 from nodes.base.realtime import awake, quietest_processor
 from nodes.base.setup import Tick
 from nodes.cli.main import add_json, answer
@@ -67,6 +68,14 @@ def add(parser: argparse.ArgumentParser) -> None:
         choices=loop_cases.CASES,
         default=list(loop_cases.CASES),
         help=f"beside the ordinary launch (default all; stand_in at {loop_cases.SERVO_RATE} Hz, where that is a rate)",
+    )
+    parser.add_argument(
+        "--scenes",
+        action="store_true",
+        help="scenes in three axes against the floor at 500 Hz, in place of that: missed, response, the environment's time",
+    )
+    parser.add_argument(
+        "--finest", type=int, default=7, help="of --scenes: a ball of 20·4ⁿ triangles (default 7, 327 680)"
     )
     add_json(parser)
     parser.set_defaults(run=run)
@@ -216,6 +225,8 @@ def text(figures: dict[str, Any]) -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
+    if arguments.scenes:
+        return _run_scenes(arguments)
     rounds = arguments.rounds
     tick = choose("compiled", KERNELS, lambda text: print(text, file=sys.stderr))
     # Like the bare loop in C, the stand-in needs a compiler.
@@ -227,4 +238,20 @@ def run(arguments: argparse.Namespace) -> int:
         figures.update(realtime(rounds, arguments.seconds, arguments.rates, tick, launches, progress))
     figures["machine"] = machine()
     answer(arguments.json, figures, text(figures))
+    return 0
+
+
+def _run_scenes(arguments: argparse.Namespace) -> int:
+    """Compare scenes with the floor."""
+    from sim.experiments.scene_costs import FINEST, compare_scenes
+    from sim.experiments.scene_costs import text as told
+
+    if not 2 <= arguments.finest <= FINEST:
+        raise UsageError(f"--finest {arguments.finest}: 2 to {FINEST}")
+    if arguments.rounds < 1 or arguments.seconds <= 0.0:
+        raise UsageError(f"--rounds {arguments.rounds}, --seconds {arguments.seconds:g}: at least 1, and above 0")
+    kernels = (*KERNELS, "nodes.environment.shapes.kernel")
+    tick = choose("compiled", kernels, lambda text: print(text, file=sys.stderr))
+    figures = compare_scenes(arguments.rounds, arguments.seconds, arguments.finest, tick)
+    answer(arguments.json, figures, "\n".join([figures["machine"], *told(figures["rows"])]))
     return 0

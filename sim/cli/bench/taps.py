@@ -37,11 +37,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--rounds {arguments.rounds}: at least 1")
     from sim.measure.stopwatch import Progress, machine
     from sim.measure.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps
+    from sim.measure.turning import time_turning
 
     found = time_taps(arguments.taps or LENGTHS, arguments.rounds, Progress(arguments.rounds).step)
     laws = time_laws(arguments.rounds, lambda _: None)
     figures = as_json(found, machine())
     figures["laws_us"] = {name: 1e6 * timing.median for name, timing in laws.items()}
+    turning = time_turning(arguments.rounds, lambda _: None)
+    figures["turning_ns"] = {frame: 1e9 * timing.median for frame, timing in turning.items()}
+    figures["turning_ns_per_axis"] = (figures["turning_ns"]["surface"] - figures["turning_ns"]["world"]) / 3.0
     if arguments.out is not None:
         figures["files"] = [str(path) for path in _write(figures, arguments.out)]
     lines = ["   taps" + "".join(f"{way:>12}" for way in WAYS) + "   fastest with the kernel's bits   [µs per tick]"]
@@ -51,6 +55,11 @@ def run(arguments: argparse.Namespace) -> int:
     for pair, taps in figures["crossover_taps"].items():
         lines.append(f"{pair.replace('_', ' ')}: {'never' if taps is None else f'from {taps:.0f} taps on'}")
     lines.append("a tick of " + ", ".join(f"{name} {us:.3g} µs" for name, us in figures["laws_us"].items()))
+    lines.append(
+        "a compiled tick of pd on three axes, in ns: "
+        + ", ".join(f"history in the axes of the {frame} {ns:.3g}" for frame, ns in figures["turning_ns"].items())
+        + f"; turning with the surface costs {figures['turning_ns_per_axis']:.3g} ns per tick and axis"
+    )
     cost = figures["import_s"]
     lines.append(
         f"the coupling changes from the written-out sum to numpy beyond {figures['unrolled_taps']} taps; importing numpy costs "

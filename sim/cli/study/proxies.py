@@ -54,11 +54,12 @@ def run(arguments: argparse.Namespace) -> int:
     )
     found = [timed(row, way) for row, way in zip(reversed(rows), ways, strict=True)]
     lines = [
-        f"{'':28}{'force error [mN]':>24}{'':>12}{'proxy':>10}{'drag':>10}{'µs a call':>18}",
-        f"{'':28}{'rms':>12}{'max':>12}{'noise':>12}{'[µm]':>10}{'':>10}{'median':>9}{'p99':>9}",
+        f"{'':28}{'force error [mN]':>24}{'':>12}{'proxy [µm] off':>24}{'drag':>10}{'µs a call':>18}",
+        f"{'':28}{'rms':>12}{'max':>12}{'noise':>12}{'closed form':>12}{'triangles':>12}{'':>10}{'median':>9}{'p99':>9}",
     ]
     lines += [
-        f"{row.name:28}{1e3 * row.rms_n:12.4g}{1e3 * row.max_n:12.4g}{1e3 * row.noise_n:12.4g}{row.proxy_um:10.4g}"
+        f"{row.name:28}{1e3 * row.rms_n:12.4g}{1e3 * row.max_n:12.4g}{1e3 * row.noise_n:12.4g}{row.proxy_um:12.4g}"
+        f"{'' if row.polyhedron_um is None else format(row.polyhedron_um, '.2g'):>12}"
         f"{row.drag:10.2g}{row.call_us:9.3g}{row.call_p99_us:9.3g}"
         for row in found
     ]

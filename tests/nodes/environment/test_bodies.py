@@ -100,6 +100,9 @@ def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_pa
         (TOOL.replace('"0 1 0"', '"1 0 0"'), "three slide joints"),
         (TOOL.replace('axis="0 0 1"', 'axis="0 0 1" range="0 1"'), "without limits"),
         (TOOL.replace('mass="0.05"', 'mass="1e-9"'), "weighs 1e-09 kg"),
+        # MuJoCo warns, and takes the mass of water.
+        (TOOL.replace('mass="0.05"', 'mass="nan"'), "environment.scene: .*contains a 'NaN'"),
+        (TOOL.replace('size="0.005"', 'size="5"'), "a geom of body 'tool' reaches 5 m, .* MJCF is in metres"),
         ('<geom type="sph"/>', "environment.scene: .*invalid keyword: 'sph'"),
         (
             '</worldbody><asset><texture name="t" type="2d" file="no.png"/></asset><worldbody>',
@@ -115,6 +118,10 @@ def test_a_scene_without_a_tool_is_refused(bodies: str, told: str, tmp_path: Pat
 def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ParameterError, match=r"environment.scene: .*none.xml cannot be read: No such file"):
         MovingScene(tmp_path / "none.xml", "tool", PERIOD, "environment")
+    with open(tmp_path / "huge.xml", "wb") as file:
+        file.truncate(10_000_000_000)
+    with pytest.raises(ParameterError, match=r"^environment.scene: \S*huge.xml has 10000 MB, more than 64"):
+        MovingScene(tmp_path / "huge.xml", "tool", PERIOD, "environment")
     with pytest.raises(ParameterError, match="at most 1000; raise option timestep"):
         world(tmp_path, TOOL, 'timestep="1e-6"')
     monkeypatch.setitem(sys.modules, "mujoco", None)

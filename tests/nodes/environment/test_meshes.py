@@ -8,13 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from messages.topics import event
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.mesh_file import LARGEST, read_triangles
 from nodes.environment.shapes.scene import mesh
 from nodes.environment.surfaces import parse_surface
 from nodes.parameters.store import ParameterError
+from nodes.recording.reader import Recording
 from sim.experiments.proxies import icosphere
 from sim.scene.touch import touch
+from tests.support.launching import launch_json
 from tests.support.shapes import Array, box_triangles
 
 CUBE = box_triangles((0.02, 0.02, 0.02))
@@ -99,14 +102,14 @@ def test_a_file_of_ten_gigabytes_is_refused_unread(tmp_path: Path) -> None:
 
 def test_a_mesh_turned_inside_out_is_turned_back_and_told() -> None:
     prepared = prepare_mesh(CUBE[:, ::-1], False, "file")
-    assert prepared.repairs == ("all faces looked inwards, and were turned",)
+    assert prepared.repairs == ("file: all faces looked inwards, and were turned",)
     outward = np.einsum("ij,ij->i", prepared.normals, prepared.corners.mean(axis=1))
     assert (outward > 0.0).all()
 
 
 def test_a_triangle_without_three_corners_is_left_out_and_told() -> None:
     squeezed = np.concatenate([CUBE, CUBE[:1, [0, 0, 1]]])
-    assert prepare_mesh(squeezed, False, "file").repairs == ("1 triangles of fewer than three corners left out",)
+    assert prepare_mesh(squeezed, False, "file").repairs == ("file: 1 triangles of fewer than three corners left out",)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +120,7 @@ def test_a_triangle_without_three_corners_is_left_out_and_told() -> None:
         (np.concatenate([CUBE, CUBE]), "edges have more than two triangles"),
         (np.where(np.arange(12)[:, None, None] == 5, np.nan, CUBE), "triangle 5 has a coordinate that is not finite"),
         (1000.0 * CUBE, "the mesh is 20 m wide.*scale: 0.001"),
-        (1e-3 * CUBE, "the mesh is 2e-05 m wide"),
+        (1e-3 * CUBE, "the mesh is 2e-05 m wide.*its scale is too small"),
         (np.array([[[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.02, 0.0, 0.0]]]), "triangle 0 is flat"),
     ],
 )
@@ -188,3 +191,18 @@ def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: f
     assert prepared is not None
     above = np.einsum("tij,ij->ti", found.proxy[:, None] - prepared.corners[None, :, 0], prepared.normals).max(axis=1)
     assert above.min() > 0.0
+
+
+def test_a_launch_tells_what_was_repaired(tmp_path: Path) -> None:
+    """On the terminal and in the recording: what is felt is not what stands in the file."""
+    ball = icosphere(2, 0.035)[:, ::-1]
+    (tmp_path / "ball.stl").write_bytes(binary_stl(np.concatenate([ball, ball[:1, [0, 0, 1]]])))
+    (tmp_path / "given.yaml").write_text(
+        f"environment: {{surface: {{kind: mesh, file: {tmp_path}/ball.stl}}}}", encoding="utf-8"
+    )
+    figures = launch_json(tmp_path, "sphere_feel", "pace:=lockstep", "duration:=0.1", "--params", "given.yaml")
+    (told,) = [
+        one for one in Recording(tmp_path / figures["recording"]).messages(event("environment")) if one.kind == "mesh"
+    ]
+    assert "1 triangles of fewer than three corners left out" in told.reason
+    assert "ball.stl: all faces looked inwards, and were turned" in told.reason

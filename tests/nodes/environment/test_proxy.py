@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Friction, Solid, box, capsule, cylinder, mesh, plane, sphere
 from nodes.environment.shapes.tables import SKIN
+from sim.experiments.polyhedron import ideal_proxy
 from sim.experiments.proxies import icosphere
 from sim.scene.touch import Touched, touch
 from tests.support.shapes import (
@@ -200,12 +201,13 @@ def test_compiled_and_interpreted_give_the_same_bits(seed: int, tool: float, fri
         assert np.array_equal(np.asarray(one), np.asarray(other))
 
 
-def test_a_frictionless_loop_has_no_drag() -> None:
+@pytest.mark.parametrize("tool", [0.0, 1e-3])
+def test_a_frictionless_loop_has_no_drag(tool: float) -> None:
     """There and back in a mesh of 20 480 triangles, 4 mm deep: what the way costs comes back, to 1e-6 of force times way."""
     faces = mesh(prepare_mesh(turned(icosphere(5, RADIUS), 0.1, 0.2, 0.3), False, "ball"))
     there = around(4e-3, 3000)[20:]
     path = np.concatenate([around(4e-3, 1)[:20], there, there[::-1]])
-    found = led([faces], path)
+    found = led([faces], path, tool)
     force = (found.proxy - path)[20:]
     step = np.diff(path[20:], axis=0)
     work = np.einsum("ij,ij->", 0.5 * (force[1:] + force[:-1]), step)
@@ -259,6 +261,27 @@ def test_on_a_mesh_it_is_the_nearest_point_of_the_mesh() -> None:
         ideal = nearest[inside] + (tool + SKIN) * outward / np.linalg.norm(outward, axis=1, keepdims=True)
         assert np.abs(found.proxy[inside] - ideal).max() < EXACT
         assert inside.sum() > 2900
+
+
+@pytest.mark.parametrize(("halvings", "tool"), [(4, 2e-3), (5, 1e-3), (6, 1e-3)])
+def test_a_ball_that_is_larger_than_the_triangles_comes_to_rest_in_few_rounds(halvings: int, tool: float) -> None:
+    """It rolls over corners and edges that are closer together than it is large, less deep than its radius.
+
+    What holds it is the rounded polyhedron; its nearest point is known by brute force over all triangles.
+    """
+    triangles = turned(icosphere(halvings, 0.035), 0.1, 0.2, 0.3)
+    # 0.23 mm a tick, as in a launch, at depths up to 0.7 of the tool's radius.
+    angle = 0.23e-3 / 0.035 * np.arange(600)
+    deep = tool * (0.35 - 0.35 * np.cos(7.0 * angle))
+    ring = np.stack([np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)], axis=1)
+    found = led([mesh(prepare_mesh(triangles, False, "ball"))], (0.035 + tool - deep)[:, None] * ring, tool)
+    assert found.contact.mean() > 0.9
+    worst = 0.0
+    for k in np.flatnonzero(found.contact)[::6]:
+        ideal = ideal_proxy(triangles, found.path[k], tool, inside=False)
+        worst = max(worst, float(np.linalg.norm(found.proxy[k] - ideal)))
+    assert worst < EXACT
+    assert found.rounds.max() < 100
 
 
 def test_the_distance_from_outside_is_that_of_the_textbook() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,17 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from messages.topics import DEVICE_STATE
+from nodes.cli.main import main
 from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import LawBook
-from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.parameters import CouplingParameters, PlantParameters
 from nodes.launcher import launch_file
 from nodes.laws.pd import PD
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
-from nodes.stability.judge import judge
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.plant import Plant
+from nodes.view.stability_map import plant_of, stability_map
 from sim.device.model import DeviceModel, Hand
 from sim.device.state import VirtualDevice
 from sim.experiments.spatial_terms import spatial_scene, with_device
@@ -79,7 +83,8 @@ def test_corners_must_increase() -> None:
         DeviceModel(mass=0.1, mass_by_position=[(0.1, 0.1), (0.1, 0.2)])
 
 
-def test_a_law_is_judged_with_the_least_and_the_greatest_mass() -> None:
+def test_a_law_is_judged_with_all_the_masses_of_the_workspace() -> None:
+    """Nine of them, the ends included, are as bad as the worst of two hundred."""
     period, book = 0.002, LawBook("coupling", 0.002)
     plant = {"mass": 0.05, "heaviest": 0.5, "damping": 0.5}
     told = set()
@@ -88,15 +93,75 @@ def test_a_law_is_judged_with_the_least_and_the_greatest_mass() -> None:
         parameters = msgspec.convert({"law": "pd", "laws": laws, "plant": plant}, CouplingParameters)
         law = PD(stiffness=stiffness, damping=damping).compile(period)
         verdict = Judgement("coupling", period, book).verdict(parameters, law, 0.5)
-        assert parameters.plant is not None
-        ends = [parameters.plant.at(period, 0.5), parameters.plant.heaviest_at(period, 0.5)]
-        found = [judge(law, end) for end in ends if end is not None]
-        radii = [one.pole_radius for one in found if one is not None]
         assert verdict is not None
-        assert verdict.pole_radius == max(radii)
-        told.add(radii.index(max(radii)))
+        assert parameters.plant is not None
+        fine = [Plant(period, float(m), 0.5, 0.5) for m in np.geomspace(0.05, 0.5, 200)]
+        radii = [pole_radius(law, device) for device in fine]
+        # To a fiftieth of what the loop loses or gains in a tick.
+        assert verdict.pole_radius == pytest.approx(max(radii), abs=0.02 * abs(max(radii) - 1.0))
+        told.add(round(verdict.plant.mass, 6))
+        figures = book.figures(parameters, "pd", 0.5)
+        assert figures["pole_radius"] == verdict.pole_radius
+        assert figures["worst_mass_kg"] == verdict.plant.mass
+        assert figures["masses_kg"] == [0.05, 0.5]
     # Now the light end is worse, and now the heavy one.
-    assert told == {0, 1}
+    assert {0.05, 0.5} <= told
+
+
+def test_law_show_says_which_mass_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        "law",
+        "show",
+        "pd",
+        "--stiffness",
+        "1500",
+        "--gain",
+        "5",
+        "--mass",
+        "0.05",
+        "--damping",
+        "0.5",
+        "--delay",
+        "0.5",
+    ]
+    assert main([*words, "--heaviest", "0.5"]) == 0
+    told = capsys.readouterr().out
+    assert "the worst for this loop of the device's 0.05 to 0.5 kg over its workspace" in told
+    assert main([*words, "--heaviest", "0.5", "--json"]) == 0
+    worst = json.loads(capsys.readouterr().out)
+    ends = []
+    for mass in ("0.05", "0.5"):
+        words[words.index("--mass") + 1] = mass
+        assert main([*words, "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert "worst_mass_kg" not in found
+        ends.append(found["pole_radius"])
+    assert worst["pole_radius"] >= max(ends) > min(ends)
+    assert worst["worst_mass_kg"] == (0.05, 0.5)[ends.index(max(ends))]
+
+
+def test_the_map_is_of_all_masses() -> None:
+    law, period = PD(stiffness=300.0, damping=2.0), 0.002
+    both = stability_map(law, period, PlantParameters(mass=0.05, heaviest=0.5, damping=0.5), 1.0)
+    ends = [stability_map(law, period, PlantParameters(mass=mass, damping=0.5), 1.0) for mass in (0.05, 0.5)]
+    assert both["pole_radius"] >= max(end["pole_radius"] for end in ends)
+    assert both["k_max_n_per_m"] <= min(end["k_max_n_per_m"] for end in ends)
+    assert both["delay_margin_ticks"] <= min(end["delay_margin_ticks"] for end in ends)
+    rows = {row[0]: row[1:] for row in both["edge"]}
+    for end in ends:
+        for damping, low, high in end["edge"]:
+            if damping in rows:
+                mine_low, mine_high = rows[damping]
+                # What is stable with all is stable with each.
+                assert mine_low is None or (low is not None and low <= mine_low and (high is None or mine_high <= high))
+
+
+def test_a_device_that_is_not_declared_is_taken_from_the_driver_with_all_its_masses() -> None:
+    device = {"mass": 0.1, "damping": 0.5, "hand": {"mass": 0.05}, "mass_by_position": [list(corner) for corner in ARM]}
+    found = plant_of(None, {"device": device})
+    assert found is not None
+    assert found.mass == pytest.approx(0.15)
+    assert found.heaviest == pytest.approx(0.35)
 
 
 def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:

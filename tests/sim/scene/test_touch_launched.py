@@ -1,62 +1,108 @@
-"""Scenes in three axes, launched: to the bit what one process plays, and its proxies those of one process on the same way."""
+"""Every scenario in three axes, with either tick: to the bit what one process plays, its proxies those of its shapes."""
 
 from __future__ import annotations
 
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from messages.topics import DEVICE_STATE, PROXY
+from messages.topics import DEVICE_STATE, FORCE, PROXY
+from nodes.compiled.choose_tick import choose
 from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.surfaces import parse_surface
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.scene.spatial import play
+from sim.cli.bench.loop import KERNELS
+from sim.scene.spatial import SpatialTrace, play
 from sim.scene.touch import touch
 from tests.support.launching import launch_json
 
-SCENES = {"sphere_feel": (), "box_edges": (), "mesh_pebble": (), "rough_plane": ("friction:=0.4",)}
+pytestmark = pytest.mark.timeout(900)  # the kernels are compiled once, which takes minutes on a busy machine
+
+WORDS = {"rough_plane": ("friction:=0.4",), "knob_turn": ("apply:=next_tick",)}
+"""Beyond each scenario as it stands."""
+
+LAUNCHES = {name: launch_file.read(name, {}) for name in launch_file.scenarios()}
+SHAPES = [
+    name
+    for name, one in LAUNCHES.items()
+    if "environment" in one.nodes and one.nodes["environment"].kind == "environment" and len(one.run.axes) == 3
+]
+MOVING = [
+    name for name, one in LAUNCHES.items() if "environment" in one.nodes and one.nodes["environment"].kind == "mujoco"
+]
+TICKS = pytest.mark.parametrize("tick", ["plain", "compiled"])
 
 
-@pytest.mark.parametrize("scenario", SCENES)
-def test_one_process_plays_the_same(scenario: str, tmp_path: Path) -> None:
-    words = [*SCENES[scenario], "pace:=lockstep", "duration:=1.6"]
-    figures = launch_json(tmp_path, scenario, *words)
-    recording = Recording(tmp_path / figures["recording"])
-    found, states = recording.messages(PROXY), recording.messages(DEVICE_STATE)
-    launch = launch_file.read(scenario, launch_file.parse_assignments(words))
+def test_no_scenario_is_left_out() -> None:
+    assert {"sphere_feel", "box_edges", "mesh_pebble", "rough_plane"} <= set(SHAPES)
+    assert {"puck_push", "knob_turn", "stack_boxes"} <= set(MOVING)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_before() -> None:
+    """Compile the ticks before the clock of a launch runs."""
+    told: list[str] = []
+    assert choose("compiled", (*KERNELS, "nodes.environment.shapes.kernel"), told.append) == "compiled", told
+
+
+def words(scenario: str) -> list[str]:
+    return [*WORDS.get(scenario, ()), "pace:=lockstep", "duration:=1.6"]
+
+
+@cache
+def played(scenario: str) -> SpatialTrace:
+    """Play a scenario in one process: its states and rules are the nodes' own."""
+    return play(launch_file.read(scenario, launch_file.parse_assignments(words(scenario))))
+
+
+def launched(folder: Path, scenario: str, tick: str, compiled: set[str]) -> dict[str, list[Any]]:
+    """Launch a scenario; its messages, after a comparison with those of one process."""
+    figures = launch_json(folder, scenario, *words(scenario), "--tick", tick)
+    ran = {name for name, one in figures["tick_by_node"].items() if one == "compiled"}
+    assert ran & {"driver", "environment", "coupling"} == (compiled if tick == "compiled" else set())
+    recording = Recording(folder / figures["recording"])
+    found = {topic: recording.messages(topic) for topic in (DEVICE_STATE, PROXY, FORCE)}
+    states, proxies, alone = found[DEVICE_STATE], found[PROXY], played(scenario)
+    assert [state.seq for state in states] == list(range(figures["ticks"] + 1))
+    assert np.array_equal(alone.position, [state.position for state in states[:-1]])
+    assert np.array_equal(alone.force, [state.force for state in states[1:]])
+    assert np.array_equal(alone.contact, [message.contact for message in proxies[:-1]])
+    assert np.array_equal(alone.proxy, [message.proxy for message in proxies[:-1]])
+    # Something was felt.
+    assert np.abs(alone.force).max() > 0.1
+    return found
+
+
+@TICKS
+@pytest.mark.parametrize("scenario", SHAPES)
+def test_one_process_plays_the_same(scenario: str, tick: str, tmp_path: Path) -> None:
+    found = launched(tmp_path, scenario, tick, {"driver", "environment", "coupling"})[PROXY]
+    launch = launch_file.read(scenario, launch_file.parse_assignments(words(scenario)))
     surface = parse_surface(launch.nodes["environment"].parameters["surface"], "surface")
     assert isinstance(surface, Touchable)
     path = np.array([message.position for message in found])
-    # Interpreted here too: tests/nodes/environment/test_proxy.py holds that the compiled one gives the same bits.
-    alone = touch(surface.solids("surface"), path, surface.tool_radius, launch.run.period, interpreted=True)
     contact = np.array([message.contact for message in found])
     assert 0.1 < contact.mean() < 0.95
+    # Led aside by what it touches: more than one axis moves.
+    assert (np.ptp(path[contact], axis=0) > 1e-3).sum() >= 2
+    # Interpreted here too: tests/nodes/environment/test_proxy.py holds that the compiled one gives the same bits.
+    alone = touch(surface.solids("surface"), path, surface.tool_radius, launch.run.period, interpreted=True)
     assert np.array_equal(alone.contact, contact)
     assert np.array_equal(np.where(contact[:, None], alone.proxy, path), [message.proxy for message in found])
     assert np.array_equal(alone.normal, [message.normal for message in found])
     assert np.array_equal(alone.distance, [message.distance for message in found])
-    # Led aside by what it touches: more than one axis moves.
-    assert (np.ptp(path[contact], axis=0) > 1e-3).sum() >= 2
-    # The whole loop in one process: its states and rules are the nodes' own.
-    played = play(launch)
-    assert np.array_equal(played.position, [state.position for state in states[:-1]])
-    assert np.array_equal(played.force, [state.force for state in states[1:]])
-    assert np.array_equal(played.contact, contact[:-1])
-    assert np.array_equal(played.proxy, [message.proxy for message in found[:-1]])
 
 
-@pytest.mark.parametrize("words", [("puck_push",), ("knob_turn", "apply:=next_tick")], ids=lambda words: words[0])
-def test_one_process_plays_what_moves(words: tuple[str, ...], tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
-    given = [*words[1:], "pace:=lockstep", "duration:=1.6"]
-    figures = launch_json(tmp_path, words[0], *given)
-    recording = Recording(tmp_path / figures["recording"])
-    states, found = recording.messages(DEVICE_STATE), recording.messages(PROXY)
-    played = play(launch_file.read(words[0], launch_file.parse_assignments(given)))
-    assert np.array_equal(played.position, [state.position for state in states[:-1]])
-    assert np.array_equal(played.force, [state.force for state in states[1:]])
-    assert np.array_equal(played.proxy, [message.proxy for message in found[:-1]])
-    # Something was pushed.
-    assert np.abs(played.force).max() > 0.1
+@TICKS
+@pytest.mark.parametrize("scenario", MOVING)
+@pytest.mark.skipif(
+    find_spec("mujoco") is None, reason="the extra is not installed: pip install 'haptic-nodes[mujoco]'"
+)
+def test_one_process_plays_what_moves(scenario: str, tick: str, tmp_path: Path) -> None:
+    """MuJoCo is called from Python: of its environment the tick is the plain one, whatever the others take."""
+    launched(tmp_path, scenario, tick, {"driver", "coupling"})
