@@ -123,7 +123,7 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
             swings = [f.frequency_hz or float("nan") for f in curve.found]
             frequency.plot(gains, swings, **color, ls="-", marker=MARKERS[i], ms=3.5)
         stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles  [N/m]")
-        stiffness.set_title(f"delay of {delay:g} ticks")
+        stiffness.set_title(f"delay of {delay:g} tick{'' if delay == 1 else 's'}")
         edge = 2.0 * setting.damping / setting.period
         threshold(stiffness, edge, f"2b/T = {edge:.4g} N/m: passive for any hand")
         plain_log(stiffness.yaxis, *stiffness.get_ylim())
