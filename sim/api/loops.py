@@ -178,7 +178,7 @@ def k_max(law: LawLike, plant: Plant) -> KMaxResult:
     Examples
     --------
     >>> k_max(made("pd", stiffness=1, damping=3), Plant(period=0.002, mass=0.1, damping=1.0)).k_max_n_per_m
-    3781.8660...
+    3781.8664...
     """
     from nodes.laws import CompiledLaw
 

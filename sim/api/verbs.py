@@ -187,7 +187,7 @@ def study(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
     Examples
     --------
     >>> study("kmax", law="pd", gain=3)["k_max_n_per_m"]
-    3781.8660...
+    3781.8664...
     """
     return _run("study", name, *words, *_words(options | _cluster(client)))
 
