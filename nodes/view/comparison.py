@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import multiprocessing
+import os
 import signal
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -18,6 +19,7 @@ from typing import Any
 
 from messages.errors import HapticError
 from messages.types import DeviceState, Message
+from nodes.base.realtime import die_with_parent
 from nodes.base.setup import AXIS_INDEX
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.registry import Registry
@@ -36,6 +38,12 @@ LONGEST = 30.0
 
 SHOWN = 1.0
 """How much of B each message holds: a page that is slow loses none [s]."""
+
+
+def _begin(view: int) -> None:
+    """Leave Ctrl-C to the view, which ends the player; one that was killed takes it along."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with_parent(view)
 
 
 class Comparison:
@@ -160,8 +168,7 @@ class Comparison:
     def _workers(self) -> ProcessPoolExecutor:
         if self._pool is None:
             context = multiprocessing.get_context("spawn")
-            # Ctrl-C is for the view, which ends it.
-            self._pool = ProcessPoolExecutor(1, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+            self._pool = ProcessPoolExecutor(1, context, _begin, (os.getpid(),))
         return self._pool
 
     async def close(self) -> None:
