@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -30,7 +30,8 @@ HOLD = 0.05
 
 LIMIT = max(WATCHDOG + DAMPING_TICKS + math.ceil(PEAK * RATE / SLEW), math.ceil(HOLD * RATE)) + 2
 """Longest time to safe [ticks]: watchdog, damping and the way down, or the device's own deadline; two for the tick in which
-the fault strikes and for the message that tells it."""
+the fault strikes and for the message that tells it. A driver that has no processor while it damps leaves that force to the
+device's deadline: such ticks come on top (`driven_to_safe`)."""
 
 CALM = 25
 """So many ticks in order, one after the other, are a recovery."""
@@ -157,21 +158,33 @@ def scene() -> dict[str, Any]:
     }
 
 
-def time_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
-    """Find the longest time for which an old force, or damping, acted."""
-    longest = 0
+def _acting(states: Sequence[DeviceState], hold_ticks: float) -> Iterator[tuple[int, int]]:
+    """Tell at each tick for how long an old force, or damping, has acted, and how much of that a damping driver was away."""
     since = states[0].seq if states else 0
+    away = 0
     for before, state in pairwise(states):
         gap = state.seq - before.seq
+        renewed = before.force != ZERO and before.safety not in ("active", "ramp")
         if before.force != ZERO and gap > 1:
             # While the driver was away nobody renewed the force; the device lets go so long after the last one written.
-            written = since if before.safety in ("active", "ramp") else before.seq
-            longest = max(longest, math.ceil(min(state.seq, max(written + hold_ticks, before.seq)) - since))
+            written = before.seq if renewed else since
+            ended = math.ceil(min(state.seq, max(written + hold_ticks, before.seq)))
+            away += ended - before.seq - 1 if renewed else 0
+            yield ended - since, away
         if state.force_seq > before.force_seq or state.force == ZERO or gap >= hold_ticks:
-            since = state.seq
+            since, away = state.seq, 0
         else:
-            longest = max(longest, state.seq - since)
-    return longest
+            yield state.seq - since, away
+
+
+def time_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
+    """Find the longest time for which an old force, or damping, acted."""
+    return max((ticks for ticks, _ in _acting(states, hold_ticks)), default=0)
+
+
+def driven_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
+    """Find the same, ticks apart for which the driver had no processor while it damped: only the device ends that force."""
+    return max((ticks - away for ticks, away in _acting(states, hold_ticks)), default=0)
 
 
 def energy_given_out(states: Sequence[DeviceState]) -> float:
@@ -253,7 +266,7 @@ def drill(fault: Fault, patience: float = 15.0) -> DrillOutcome:
     outcome.energy_j = energy_given_out(window)
     outcome.left = rig.left
     wrong = []
-    if outcome.safe_ticks > LIMIT:
+    if driven_to_safe(window, HOLD * RATE) > LIMIT:
         wrong.append(f"safe after {outcome.safe_ticks} ticks, limit {LIMIT}")
     if not outcome.recovered:
         wrong.append(f"not recovered: {errors[-1000:]}")

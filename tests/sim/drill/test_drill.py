@@ -72,6 +72,19 @@ def test_a_driver_that_hangs_is_safe_when_the_device_lets_go() -> None:
     assert drill.time_to_safe([state(1, 0, 0.0), state(200, 0, 0.0)], 25) == 0
 
 
+def test_ticks_that_a_damping_driver_slept_through_are_the_device_s() -> None:
+    # Held from 2 on, damped from 12, away from 19 to 33: the device would hold that force until 44.
+    run = [state(1, 0), *(state(k, 1) for k in range(2, 12)), *(state(k, 1, 0.1, "damping") for k in range(12, 20))]
+    run += [state(33, 1, 0.0, "zero")]
+    assert drill.time_to_safe(run, 25) == 31
+    assert drill.driven_to_safe(run, 25) == 31 - 13
+    # No excuse for a driver that was there, nor for one that left an active force.
+    late = [*run[:-1], *(state(k, 1, 0.1, "damping") for k in range(20, 33)), run[-1]]
+    assert drill.driven_to_safe(late, 25) == drill.time_to_safe(late, 25) == 30
+    left = [state(1, 0), state(2, 1), state(202, 1, 0.0, "zero")]
+    assert drill.driven_to_safe(left, 25) == 25
+
+
 def test_energy_goes_on_through_a_respawned_driver() -> None:
     run = [state(1, 0, energy=0.5), state(2, 1, energy=0.7), state(9, -1, 0.0, energy=0.0), state(10, 9, energy=0.3)]
     assert drill.energy_given_out(run) == pytest.approx(0.5)
