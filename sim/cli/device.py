@@ -144,7 +144,7 @@ def _presets(arguments: argparse.Namespace) -> int:
 def _identify(arguments: argparse.Namespace) -> int:
     from nodes.launcher.runs import runs
     from sim.identify.identified_text import figures, text
-    from sim.identify.interrupts import interrupted_once
+    from sim.identify.signals_once import interrupted_once
 
     if ":=" in (arguments.scenario or ""):
         arguments.assignments.insert(0, arguments.scenario)

@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     excitation(arguments)
     arguments.out.mkdir(parents=True, exist_ok=True)
     from sim.identify.borrowed import PushedLaunch
-    from sim.identify.interrupts import interrupted_once, undisturbed
+    from sim.identify.signals_once import interrupted_once, undisturbed
     from sim.measure.measured_launch import MeasurementError, launched
 
     arguments.places = arguments.places or [0.0]

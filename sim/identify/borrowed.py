@@ -21,7 +21,7 @@ from nodes.base.node_kinds import load
 from nodes.client.launches import ask
 from nodes.client.listen import listen
 from nodes.launcher.runs import RunInfo
-from sim.identify.interrupts import undisturbed, whole
+from sim.identify.signals_once import undisturbed, whole
 
 RAMP = 100
 """Cross-fade from and to the law that was there [ticks]."""

@@ -16,7 +16,7 @@ from typing import Any
 from messages import topics
 from messages.errors import RefusedError
 from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carried
-from sim.identify.interrupts import undisturbed
+from sim.identify.signals_once import undisturbed
 from sim.measure.measured_launch import beside, within
 
 LAW = "identify"

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from sim.identify.interrupts import SIGNALS, interrupted_once, undisturbed, whole
+from sim.identify.signals_once import SIGNALS, interrupted_once, undisturbed, whole
 
 
 @pytest.mark.parametrize("number", SIGNALS)
