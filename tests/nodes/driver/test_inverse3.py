@@ -56,6 +56,23 @@ def test_a_cold_start_is_waited_for_and_says_why(tmp_path: Path) -> None:
         device.close()
 
 
+def test_a_service_that_does_not_answer_is_told_as_that(stand: Bench) -> None:
+    """It takes the connection, and says nothing: the line must not end in nothing either."""
+    said: list[str] = []
+
+    def heard(text: str) -> None:
+        said.append(text)
+        stand.world.state.slow_ms = 0
+
+    stand.world.state.slow_ms = 5000
+    device = stand.device(start_time=60.0)
+    device.say = heard
+    device.connect()
+    device.open()
+    assert "timed out in 2.0s; a cold start" in said[0]
+    assert said[1].startswith("Inverse3: is there after ")
+
+
 def test_a_launch_waits_for_a_cold_start(stand: Bench, tmp_path: Path) -> None:
     scene = through(stand, tmp_path, start_time=100.0)
     stand.world.state.position[2] = -0.002
