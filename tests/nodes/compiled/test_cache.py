@@ -20,7 +20,7 @@ from nodes.compiled.library import obtain
 from nodes.compiled.message_fields import NotCompilableError
 
 TINY = "tests.support.tiny_kernel"
-SOURCES = {"nodes/arithmetic.py": cache.digest_of(cache.ROOT / "nodes" / "kernels.py")}
+SOURCES = {"nodes/arithmetic.py": cache.digest_of(cache.ROOT / "nodes" / "arithmetic.py")}
 ENTRY = cache.CacheEntry(kind="o", content=b"machine code")
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file to another user")
 
