@@ -50,7 +50,7 @@ def time_turning(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
     kept = []
 
     def job(frame: str) -> Callable[[], object]:
-        renderer = Renderer([0, 1, 2], 64)
+        renderer = Renderer([0, 1, 2], 64, CouplingState())
         begin_turning(renderer.state, frame)
         renderer.law = ActiveLaw("pd", "", law, renderer.histories)
         kept.append(renderer)

@@ -173,7 +173,8 @@ def _draw(arguments: argparse.Namespace, rows: list[dict[str, Any]], damping: fl
         ylabel=r"$2(b-f(\omega_c))/T$ over $K_\mathrm{max}$  [1]",
         title=r"Colgate at $\omega_c$ alone, without R",
     )
-    right.set_ylim(top=right.get_ylim()[1] + 0.15 * (right.get_ylim()[1] - right.get_ylim()[0]))
+    # Room for the name of the threshold, below the title.
+    right.set_ylim(top=1.0 + 0.25 * (1.0 - right.get_ylim()[0]))
     threshold(right, 1.0, "1: as predicted")
     left.legend()
     figure.suptitle(

@@ -229,6 +229,8 @@ def test_a_finger_is_a_hand(browser: Browser, launch: Running) -> None:
 
 
 def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(page: Page, launch: Running) -> None:
+    launch.call("driver", "param.set", values={"device.delay": 0.0})
+    launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
     launch.call("coupling", "law.switch", law="pd")
     wait_for(lambda: page.evaluate("haptic.dial.edge") is not None, "the edge")
     turn(page, 1.0)
@@ -314,6 +316,8 @@ def _act(page: Page, by: str) -> None:
 
 @pytest.mark.parametrize("by", ["mouse", "keyboard"])
 def test_the_tour_goes_on_when_what_it_asks_for_is_done(by: str, page: Page, launch: Running) -> None:
+    launch.call("driver", "param.set", values={"device.delay": 0.0})
+    launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
     launch.call("coupling", "law.switch", law="pd")
     wait_for(lambda: page.evaluate("haptic.dial.edge !== null && haptic.dial.stiffness === 1000"), "the dial")
     page.locator("#tour-begin").focus()
