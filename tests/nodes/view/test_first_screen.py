@@ -359,8 +359,13 @@ def test_the_tour_goes_on_when_what_it_asks_for_is_done(by: str, page: Page, lau
         return bool(within(below, 2.0))
 
     wait_for(calm, "back below the edge")
-    _act(page, by)
-    wait_for(lambda: stands("Put one beside yours", 5), "it answers later")
+
+    def later() -> bool:
+        # As long as it rings or is stopped, the same button calms it first.
+        _act(page, by)
+        return bool(within(lambda: stands("Put one beside yours", 5), 2.0))
+
+    wait_for(later, "it answers later")
     assert launch.call("driver", "param.get", name="device.delay") > 0.0
     # What the page shows goes into its link, and out of it in another page.
     page.evaluate("navigator.clipboard.writeText = () => Promise.resolve()")
