@@ -143,7 +143,8 @@ def _numbers(state: Any) -> dict[str, Any]:
     found: dict[str, Any] = {name: getattr(state, name) for name in ("seq", "answered", "gaps", "skipped", "ticks")}
     for name, _ in type(state)._fields_[len(LOOP) :]:
         if name not in _NOT_ALIKE:
-            value = getattr(state, name)
+            # How long a tick took is measured, not ruled; that it was counted is.
+            value = sum(state.spent) if name == "spent" else getattr(state, name)
             found[name] = value if isinstance(value, int) else repr(list(value) if hasattr(value, "__len__") else value)
     return found
 

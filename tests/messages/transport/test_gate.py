@@ -280,7 +280,7 @@ def test_revoke_on_the_command_line(tmp_path: Path, me: Identity) -> None:
     environment = {**os.environ}
     told = haptic(tmp_path, "keys", "revoke", "robbie", code=2, environment=environment).stderr
     assert "there is: robot" in told
-    assert "no more" in haptic(tmp_path, "keys", "revoke", "robot", environment=environment).stdout
+    assert "no longer allowed" in haptic(tmp_path, "keys", "revoke", "robot", environment=environment).stdout
     assert keys.allowed() == {}
     with pytest.raises(KeyRefusedError, match="none"):
         keys.revoke("../identity")

@@ -106,7 +106,7 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
             assert write(calls.context, force, seq, offset) == 0
             plain.write_force((force[0], 0.0, 0.0), seq, offset)
         away += plain.parts[0].state.is_away
-        assert bytes(plain.parts[0].state.pending) == bytes(compiled.parts[0].state.pending)
+        assert list(plain.parts[0].state.pending) == list(compiled.parts[0].state.pending)
     assert 0 < away < 400
     # More forces under way than there is room for: told by the status, not lost in silence.
     assert any(write(calls.context, force, seq, 0.5) < 0 for _ in range(PENDING + 1))
