@@ -18,6 +18,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
 
 from messages.errors import HapticError, UsageError
+from nodes.base.stderr_queue import last_words
 from nodes.cli.colour import coloured
 from nodes.parameters.registry import NotInstalledError, Registry
 
@@ -88,6 +89,8 @@ def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> None:
 def complain(error: object) -> None:
     """Say on standard error what went wrong."""
     print(coloured("haptic:", "red", sys.stderr), error, file=sys.stderr)
+    # A launch in this process has put a queue in place of standard error: who reads the exit code finds the reason there.
+    last_words()
 
 
 def parser_for(chosen: str | None) -> Parser:
