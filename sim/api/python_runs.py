@@ -16,10 +16,9 @@ import tempfile
 import time
 import weakref
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from messages.errors import HapticError
 from nodes.base.realtime import die_with_parent
@@ -28,13 +27,10 @@ from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive, runs
 from sim.api.controls import Laws, Parameters
 from sim.api.interrupts import whole
-from sim.api.notebook_results import Result, bars
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, read
+from sim.api.run_summary import RunSummary
 from sim.api.values import plain
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 HAPTIC = (*PYTHON, "-m", "nodes.cli.main")
 
@@ -61,55 +57,6 @@ def end(process: subprocess.Popen[Any]) -> None:
 
 class LaunchError(HapticError):
     """A launch did not start, or did not end as asked; the text holds what it wrote."""
-
-
-@dataclass(frozen=True, repr=False)
-class RunSummary(Result):
-    """What a launch reported at its end: the figures of ``haptic launch --json``.
-
-    Attributes
-    ----------
-    scenario, exit_reason : str
-        What was launched, and why it ended.
-    ticks, missed : int
-        Ticks done, and those whose force was late.
-    rate_hz : float
-        Measured [Hz].
-    response_us : dict of str to float
-        Percentiles of the response time [µs].
-    final : dict
-        Position [m], force [N] and motion at the end.
-    recording : str or None
-        Path of the recording.
-    all : dict
-        Everything.
-    """
-
-    scenario: str
-    exit_reason: str
-    ticks: int
-    missed: int
-    rate_hz: float
-    response_us: dict[str, float]
-    final: dict[str, Any]
-    recording: str | None
-    all: dict[str, Any]
-
-    def figures(self) -> dict[str, Any]:
-        """List the figures that fit on a screen."""
-        return {name: value for name, value in super().figures().items() if name != "all"}
-
-    def plot(self) -> Figure:
-        """Draw its recording; without one, the response times.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            Position and force, or the percentiles.
-        """
-        if self.recording is not None and Path(self.recording).exists():
-            return read(self.recording).plot()
-        return bars(self.response_us, "response time [µs]", self.scenario)
 
 
 class Run:
