@@ -1,6 +1,7 @@
 // Draws one axis of the scene on a canvas: wall, trail, hand, coupling, forces. Along the axis u, across it v, in pixels.
 import { colour } from "./theme.js";
 import { digits, fixed, step } from "./format.js";
+import { line } from "./strokes.js";
 
 const ARROW = 110;
 const TRACE_SECONDS = 1.6;
@@ -48,16 +49,6 @@ function text(p, u, v, words, align = "center") {
   g.font = "600 12px system-ui, sans-serif";
   g.fillText(words, 0, 4);
   g.restore();
-}
-
-function line(g, tint, width, points, dash = []) {
-  g.strokeStyle = colour(tint);
-  g.lineWidth = width;
-  g.setLineDash(dash);
-  g.beginPath();
-  points.forEach(([u, v], n) => g[n ? "lineTo" : "moveTo"](u, v));
-  g.stroke();
-  g.setLineDash([]);
 }
 
 function circle(g, tint, u, v, radius, width = 0) {
