@@ -293,6 +293,7 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _play(arguments: argparse.Namespace) -> int:
+    import signal
     import time
 
     from messages.transport.sockets import new_context
@@ -305,12 +306,20 @@ def _play(arguments: argparse.Namespace) -> int:
     if arguments.start_offset > recording.wall_duration:
         raise UsageError(f"--start-offset {arguments.start_offset:g}: it lasts {recording.wall_duration:g} s")
     counts: dict[str, int] = {}
+    interrupts = []
+
+    def interrupt(number: int, _: object) -> None:
+        # One that is raised in a finaliser is lost: the loop looks for it, too.
+        interrupts.append(number)
+        raise KeyboardInterrupt
+
     context = new_context()
     try:
         publisher = local_publisher(context, arguments.endpoint)
     except UsageError:
         context.term()
         raise
+    before = signal.signal(signal.SIGINT, interrupt)
     try:
         print(f"publishing on {arguments.endpoint}; Ctrl-C ends", file=sys.stderr, flush=True)
         while arguments.wait and not publisher.listeners():
@@ -326,11 +335,14 @@ def _play(arguments: argparse.Namespace) -> int:
             ):
                 name = names.get(entry.topic, entry.topic)
                 counts[name] = counts.get(name, 0) + 1
-            if not (arguments.loop and counts):
+                if interrupts:
+                    break
+            if interrupts or not (arguments.loop and counts):
                 break
     except KeyboardInterrupt:
         print(file=sys.stderr)
     finally:
+        signal.signal(signal.SIGINT, before)
         publisher.close()
         context.term()
     pace = "without a pause" if math.isinf(arguments.rate) else f"at {arguments.rate:g} times the original pace"
