@@ -1,7 +1,8 @@
 """How long an environment takes for its part of a tick: counted in bins of equal ratios, compiled and interpreted alike.
 
-In real time only: in lockstep nobody looks at a clock. From the message in hand to the answer's stamp; receiving and sending
-are the transport's.
+In real time only: in lockstep nobody looks at a clock. A compiled tick counts from the message in hand to the answer's stamp,
+decoding included; an interpreted one, and a scene of bodies, from the decoded message to the proxy. Receiving and sending are
+the transport's.
 """
 
 from __future__ import annotations
