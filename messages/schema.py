@@ -37,15 +37,7 @@ _LIMITS = {
 def attributes(docstring: str) -> dict[str, str]:
     """Read the Attributes section of a numpydoc docstring.
 
-    Parameters
-    ----------
-    docstring : str
-        As it stands in the source.
-
-    Returns
-    -------
-    dict of str to str
-        Text of each entry, on one line.
+    Returns: text of each entry, on one line.
     """
     found: dict[str, str] = {}
     names: list[str] = []
@@ -104,22 +96,9 @@ def _schema(message_type: type[Message]) -> dict[str, Any]:
 def schema(message_type: type[Message]) -> dict[str, Any]:
     """Build the flat JSON Schema of a message type.
 
-    Parameters
-    ----------
-    message_type : type of Message
-        Any type of messages.types.
-
-    Returns
-    -------
-    dict
-        JSON Schema (draft 2020-12) of one message as a JSON object: no ``$ref``, no ``anyOf``, vectors as arrays of
-        three numbers, meaning and unit of each field as its description. Fields unknown to this version are allowed, as
-        the evolution rules of messages.types ask.
-
-    Raises
-    ------
-    TypeError
-        When a field's type cannot be told flatly; the text names the field.
+    Returns: JSON Schema (draft 2020-12) of one message as a JSON object: no ``$ref``, no ``anyOf``, vectors as arrays of three
+    numbers, meaning and unit of each field as its description. Fields unknown to this version are allowed, as the evolution
+    rules of messages.types ask. Raises TypeError when a field's type cannot be told flatly; the text names the field.
     """
     return _schema(message_type)
 
@@ -127,14 +106,6 @@ def schema(message_type: type[Message]) -> dict[str, Any]:
 def schema_json(message_type: type[Message]) -> bytes:
     """Encode the schema of a message type as JSON.
 
-    Parameters
-    ----------
-    message_type : type of Message
-        Any type of messages.types.
-
-    Returns
-    -------
-    bytes
-        What an MCAP schema record with encoding ``jsonschema`` holds.
+    Returns: what an MCAP schema record with encoding ``jsonschema`` holds.
     """
     return msgspec.json.encode(_schema(message_type))

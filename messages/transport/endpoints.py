@@ -68,20 +68,8 @@ class EndpointRefusedError(HapticError, ValueError):
 def split(endpoint: str) -> tuple[str, str]:
     """Take an endpoint apart.
 
-    Parameters
-    ----------
-    endpoint : str
-        As above.
-
-    Returns
-    -------
-    tuple of str
-        ZeroMQ's endpoint, and the key; the key is empty for a plain one.
-
-    Raises
-    ------
-    EndpointRefusedError
-        When a tcp endpoint has no key, or the transport is neither ipc nor tcp.
+    Returns: ZeroMQ's endpoint, and the key; the key is empty for a plain one. Raises EndpointRefusedError when a tcp endpoint
+    has no key, or the transport is neither ipc nor tcp.
     """
     bare, sign, key = endpoint.partition("#")
     if sign:
@@ -116,15 +104,7 @@ def _is_loopback(bare: str) -> bool:
 def is_remote(endpoint: str) -> bool:
     """Whether other machines can reach an endpoint.
 
-    Parameters
-    ----------
-    endpoint : str
-        As above.
-
-    Returns
-    -------
-    bool
-        True for tcp off loopback.
+    Returns: True for tcp off loopback.
     """
     bare = endpoint.partition("#")[0]
     return bare.startswith("tcp://") and not _is_loopback(bare)
@@ -146,17 +126,7 @@ def _set_tcp(socket: Socket) -> None:
 def connect(socket: Socket, endpoint: str) -> None:
     """Connect a socket; where the endpoint has a key, as this machine and to that machine only.
 
-    Parameters
-    ----------
-    socket : zmq.Socket
-        Of any kind.
-    endpoint : str
-        As above.
-
-    Raises
-    ------
-    EndpointRefusedError, KeyRefusedError
-        When the endpoint or this machine's keys cannot be used.
+    Raises EndpointRefusedError, KeyRefusedError when the endpoint or this machine's keys cannot be used.
     """
     bare, key = split(endpoint)
     socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
@@ -176,15 +146,7 @@ def connect(socket: Socket, endpoint: str) -> None:
 def is_open_place(endpoint: str) -> bool:
     """Whether an endpoint may be opened to all users of this machine, unencrypted, for them to listen.
 
-    Parameters
-    ----------
-    endpoint : str
-        ZeroMQ's endpoint.
-
-    Returns
-    -------
-    bool
-        True for tcp on loopback without a key.
+    Returns: True for tcp on loopback without a key.
     """
     return endpoint.startswith("tcp://") and "#" not in endpoint and _is_loopback(endpoint)
 
@@ -192,19 +154,9 @@ def is_open_place(endpoint: str) -> bool:
 def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
     """Bind a socket; where the endpoint has a key, as this machine, to machines that the gate lets in.
 
-    Parameters
-    ----------
-    socket : zmq.Socket
-        Of any kind. Plain endpoints are bound before encrypted ones: what is bound keeps the options it was bound with.
-    endpoint : str
-        As above.
-    is_open : bool
-        Whether all users of this machine may come, where `is_open_place`: only for what nobody can command.
-
-    Raises
-    ------
-    EndpointRefusedError, KeyRefusedError
-        When the endpoint or this machine's keys cannot be used, or the address is taken.
+    `socket`: of any kind. Plain endpoints are bound before encrypted ones: what is bound keeps the options it was bound with.
+    `is_open`: whether all users of this machine may come, where `is_open_place`: only for what nobody can command. Raises
+    EndpointRefusedError, KeyRefusedError when the endpoint or this machine's keys cannot be used, or the address is taken.
     """
     bare, key = (endpoint, "") if is_open and is_open_place(endpoint) else split(endpoint)
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_UPSTREAM if socket.type == zmq.XPUB else MAX_MESSAGE)
@@ -234,13 +186,7 @@ def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
 
 
 def remove_ipc(endpoint: str) -> None:
-    """Remove the file of an ipc endpoint, if it has one.
-
-    Parameters
-    ----------
-    endpoint : str
-        Any endpoint.
-    """
+    """Remove the file of an ipc endpoint, if it has one."""
     if endpoint.startswith("ipc://"):
         with contextlib.suppress(FileNotFoundError):
             os.unlink(endpoint.removeprefix("ipc://"))

@@ -62,12 +62,7 @@ def monitored(frames: list[bytes]) -> tuple[int, str]:
 class Reopening:
     """Ends all tcp connections to a socket, and lets come back who may.
 
-    Parameters
-    ----------
-    socket : zmq.Socket
-        As bound.
-    places : sequence of str
-        What it is bound to; only encrypted endpoints are closed.
+    `places`: what it is bound to; only encrypted endpoints are closed.
     """
 
     def __init__(self, socket: Socket, places: Sequence[str]) -> None:
@@ -98,21 +93,10 @@ class Reopening:
 class Gate(threading.Thread):
     """Guards the encrypted sockets of one process.
 
-    Parameters
-    ----------
-    context : zmq.Context
-        Context of the process; start the gate before binding, stop it before terminating.
-    denied : callable
-        Called on the gate's thread with one sentence for every peer that was not let in, or was put out.
-    evict : callable
-        Called on the gate's thread when all connections must be ended, because a key is not allowed any more.
-    begin : callable
-        Called first on the gate's thread, e.g. to take it off the loop's processor.
-
-    Raises
-    ------
-    KeyRefusedError
-        When this machine's keys cannot be used.
+    `context`: context of the process; start the gate before binding, stop it before terminating. `denied`: called on the
+    gate's thread with one sentence for every peer that was not let in, or was put out. `evict`: called on the gate's thread
+    when all connections must be ended, because a key is not allowed any more. `begin`: called first on the gate's thread, e.g.
+    to take it off the loop's processor. Raises KeyRefusedError when this machine's keys cannot be used.
     """
 
     def __init__(

@@ -91,16 +91,8 @@ class _Link:
 class Links:
     """Looks after the links of one process.
 
-    Parameters
-    ----------
-    context : zmq.Context
-        Context of the process.
-    tell : callable
-        Takes one sentence: which link, why, and what is done.
-    denied : callable
-        Takes one sentence for every answer that was not accepted.
-    call : callable
-        Called when `tend` has something to do.
+    `tell`: takes one sentence: which link, why, and what is done. `denied`: takes one sentence for every answer that was not
+    accepted. `call`: called when `tend` has something to do.
     """
 
     def __init__(

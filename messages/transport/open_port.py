@@ -39,19 +39,8 @@ _PAGE = resource.getpagesize()
 class OpenPort:
     """Publishes to whoever listens, and obeys nobody.
 
-    Parameters
-    ----------
-    context : zmq.Context
-        Context of the process.
-    endpoint : str
-        tcp on loopback, or ipc.
-    denied : callable
-        Takes one sentence when the listeners are put out.
-
-    Raises
-    ------
-    EndpointRefusedError
-        When others than this machine's users could reach it, or the address is taken.
+    `denied`: takes one sentence when the listeners are put out. Raises EndpointRefusedError when others than this machine's
+    users could reach it, or the address is taken.
     """
 
     def __init__(self, context: Context, endpoint: str, denied: Callable[[str], None]) -> None:
@@ -72,15 +61,7 @@ class OpenPort:
         return socket
 
     def send(self, topic: bytes, payload: bytes) -> None:
-        """Publish one message: two frames, topic and payload.
-
-        Parameters
-        ----------
-        topic : bytes
-            Full topic name.
-        payload : bytes
-            An encoded message.
-        """
+        """Publish one message: two frames, topic and payload."""
         self._socket.send(topic, zmq.SNDMORE)
         self._socket.send(payload)
 
@@ -104,10 +85,7 @@ class OpenPort:
     def listeners(self) -> int:
         """Take in what listeners have sent, not too much at once, and count the topics that somebody wants.
 
-        Returns
-        -------
-        int
-            Different subscriptions; several listeners may have the same one.
+        Returns: different subscriptions; several listeners may have the same one.
         """
         for _ in range(10_000):
             if not int(self._socket.get(zmq.EVENTS)) & zmq.POLLIN:
@@ -134,10 +112,7 @@ class OpenPort:
     def close(self, linger_ms: int = 500) -> None:
         """Close it.
 
-        Parameters
-        ----------
-        linger_ms : int
-            How long queued messages may take to leave [ms].
+        `linger_ms`: how long queued messages may take to leave [ms].
         """
         self._socket.close(linger=linger_ms)
         remove_ipc(self._endpoint)

@@ -106,23 +106,12 @@ class Publisher:
     def native_handles(self) -> tuple[int, int, int]:
         """Let compiled code of the same thread do what `send` does.
 
-        Returns
-        -------
-        tuple of int
-            ZeroMQ's addresses of the sockets for hop and listeners (0 for none of their own), and messages in a batch.
+        Returns: ZeroMQ's addresses of the sockets for hop and listeners (0 for none of their own), and messages in a batch.
         """
         return self._sockets[0].underlying, self._sockets[1].underlying if self.apart else 0, self._batch
 
     def send(self, topic: bytes, payload: bytes) -> None:
-        """Publish one message to the next hop, then to the listeners: two frames, topic and payload.
-
-        Parameters
-        ----------
-        topic : bytes
-            Full topic name.
-        payload : bytes
-            An encoded message.
-        """
+        """Publish one message to the next hop, then to the listeners: two frames, topic and payload."""
         self._hop(topic, _SNDMORE)
         self._hop(payload)
         if self.apart:
@@ -133,28 +122,12 @@ class Publisher:
                 self.flush()
 
     def send_hop(self, topic: bytes, payload: bytes) -> None:
-        """Publish one message to the next hop only; `send_aside` follows when the tick has its answer.
-
-        Parameters
-        ----------
-        topic : bytes
-            Full topic name.
-        payload : bytes
-            An encoded message.
-        """
+        """Publish one message to the next hop only; `send_aside` follows when the tick has its answer."""
         self._hop(topic, _SNDMORE)
         self._hop(payload)
 
     def send_aside(self, topic: bytes, payload: bytes) -> None:
-        """Publish one message to the listeners only: what no hop needs, or what it has already.
-
-        Parameters
-        ----------
-        topic : bytes
-            Full topic name.
-        payload : bytes
-            An encoded message.
-        """
+        """Publish one message to the listeners only: what no hop needs, or what it has already."""
         self._held.append((topic, payload))
         if len(self._held) >= self._batch:
             self.flush()
@@ -170,10 +143,7 @@ class Publisher:
     def listeners(self) -> int:
         """Count those whose subscriptions have arrived, hops and listeners together.
 
-        Returns
-        -------
-        int
-            Live subscriptions to this publisher; every listener of a launch makes one.
+        Returns: live subscriptions to this publisher; every listener of a launch makes one.
         """
         self.tend(1000)
         return self._subscriptions.total()
@@ -181,15 +151,8 @@ class Publisher:
     def tend(self, most: int = 128) -> bool:
         """Take in what listeners have sent, of which only subscriptions and their ends count, and not too many at once.
 
-        Parameters
-        ----------
-        most : int
-            How many at once; each costs the publishing thread a microsecond, and what is left waits in memory.
-
-        Returns
-        -------
-        bool
-            Whether there is more to take in.
+        `most`: how many at once; each costs the publishing thread a microsecond, and what is left waits in memory. Returns:
+        whether there is more to take in.
         """
         for reopening in self._reopening:
             reopening.tend()
@@ -208,13 +171,7 @@ class Publisher:
             reopening.ask()
 
     def watched_by(self, gate: Gate) -> None:
-        """Let a gate watch who tries to connect to encrypted endpoints.
-
-        Parameters
-        ----------
-        gate : Gate
-            The gate of the process, not yet started.
-        """
+        """Let a gate watch who tries to connect to encrypted endpoints."""
         for socket, places in zip(self._sockets, filter(None, self._endpoints), strict=True):
             if any("#" in place for place in places):
                 gate.watch(socket)
@@ -226,10 +183,7 @@ class Publisher:
     def close(self, linger_ms: int = 500) -> None:
         """Close the sockets and remove their files.
 
-        Parameters
-        ----------
-        linger_ms : int
-            How long queued messages may take to leave [ms].
+        `linger_ms`: how long queued messages may take to leave [ms].
         """
         self.flush()
         self._close_sockets(linger_ms)

@@ -58,14 +58,7 @@ def _watched(path: str) -> WatchedFile:
 class ControlServer(threading.Thread):
     """Serves one node.
 
-    Parameters
-    ----------
-    node : Node
-        The node to serve.
-    context : zmq.Context
-        Context of the process.
-    links : Links
-        The node's connections, to be looked after.
+    `links`: the node's connections, to be looked after.
     """
 
     def __init__(self, node: Node, context: Context, links: Links) -> None:

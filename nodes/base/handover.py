@@ -38,10 +38,7 @@ class Stopwatch:
 class Change:
     """Something prepared off the hot path, to be applied between two ticks.
 
-    Parameters
-    ----------
-    apply : callable
-        Called on the main thread with the tick number; its return value, or what it raises, goes back to whoever asked.
+    `apply`: called on the main thread with the tick number; its return value, or what it raises, goes back to whoever asked.
     """
 
     def __init__(self, apply: Callable[[int], Any]) -> None:
@@ -138,22 +135,10 @@ class Changes:
 
         Should the parameters change in between (a scheduled swap), all is made again from the newer ones.
 
-        Parameters
-        ----------
-        make : callable
-            Makes the node's parameters after the change from those in the store.
-        prepare : callable
-            Prepares the change: from the parameters to what is applied between two ticks.
-
-        Returns
-        -------
-        dict
-            The receipt of the change; its ``changed`` holds, for each path that changed, the value before and after.
-
-        Raises
-        ------
-        ParameterError
-            When they are refused, or the loop does not take them up.
+        `make`: makes the node's parameters after the change from those in the store. `prepare`: prepares the change: from the
+        parameters to what is applied between two ticks. Returns: the receipt of the change; its ``changed`` holds, for each
+        path that changed, the value before and after. Raises ParameterError when they are refused, or the loop does not take
+        them up.
         """
         while True:
             base = self._store.current

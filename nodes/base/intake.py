@@ -11,13 +11,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Intake:
-    """The intake of one node.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    """
+    """The intake of one node."""
 
     def __init__(self, node: Any) -> None:
         self._node = node

@@ -20,15 +20,7 @@ MOST = 16
 
 
 class Leases:
-    """The leases of one node; everything runs on its control thread.
-
-    Parameters
-    ----------
-    node : str
-        Its name, for errors.
-    clock : callable
-        Monotonic time [s].
-    """
+    """The leases of one node; everything runs on its control thread."""
 
     def __init__(self, node: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node

@@ -14,15 +14,7 @@ from nodes.parameters.yaml_io import write_yaml
 
 
 class Debugging:
-    """Says of a launch what it is, and of each process when it is new.
-
-    Parameters
-    ----------
-    launch : Launch
-        With its arguments filled in.
-    say : callable
-        Takes one line for the user.
-    """
+    """Says of a launch what it is, and of each process when it is new."""
 
     def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
         self._say = say

@@ -47,24 +47,13 @@ RUN_NAME = 83
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found about one setting.
+    """What was found about one setting."""
 
-    Attributes
-    ----------
-    name : str
-        The setting.
-    state : {"ok", "limited", "missing"}
-        As it should be; works, but costs punctuality; or essential and not there.
-    found : str
-        Value or refusal.
-    remedy : str
-        What to do; empty when nothing is to be done.
-    """
-
-    name: str
+    name: str  # the setting
+    # As it should be; works, but costs punctuality; or essential and not there.
     state: Literal["ok", "limited", "missing"]
-    found: str
-    remedy: str = ""
+    found: str  # value or refusal
+    remedy: str = ""  # what to do; empty when nothing is to be done
 
 
 def add(parser: argparse.ArgumentParser) -> None:

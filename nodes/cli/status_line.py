@@ -56,13 +56,7 @@ def _meeting(surface: Any) -> Callable[[Vector], Meeting] | None:
 
 
 class StatusLine:
-    """One line on the terminal while the loop runs; nothing where there is no terminal.
-
-    Parameters
-    ----------
-    launch : Launch
-        What runs.
-    """
+    """One line on the terminal while the loop runs; nothing where there is no terminal."""
 
     def __init__(self, launch: Launch) -> None:
         self._launch = launch

@@ -32,23 +32,10 @@ class NoSuchNameError(UsageError):
 def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
     """Find the launch that is meant.
 
-    Parameters
-    ----------
-    name : str, optional
-        Name of the run or of its scenario; left out, the variable HAPTIC_RUN, else the only launch that runs. ``NAME/left`` or
-        ``/left`` means its chain in the namespace ``left`` alone.
-    patience : float
-        How long to wait while nothing runs [s]: a launch that was started a moment ago has not appeared yet.
-
-    Returns
-    -------
-    RunInfo
-        Its nodes and where they listen.
-
-    Raises
-    ------
-    RunError
-        When none is meant, or several are.
+    `name`: name of the run or of its scenario; left out, the variable HAPTIC_RUN, else the only launch that runs.
+    ``NAME/left`` or ``/left`` means its chain in the namespace ``left`` alone. `patience`: how long to wait while nothing runs
+    [s]: a launch that was started a moment ago has not appeared yet. Returns: its nodes and where they listen. Raises RunError
+    when none is meant, or several are.
     """
     told = os.environ.get("HAPTIC_RUN") or None
     until = time.monotonic() + patience
@@ -66,22 +53,7 @@ def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
 def node_name(run: RunInfo, name: str) -> str:
     """Find a node by name, with or without the leading slash.
 
-    Parameters
-    ----------
-    run : RunInfo
-        The launch.
-    name : str
-        Name of the node.
-
-    Returns
-    -------
-    str
-        Its plain name.
-
-    Raises
-    ------
-    NoSuchNameError
-        When there is none; the text has the nearest name.
+    Raises NoSuchNameError when there is none; the text has the nearest name.
     """
     plain = name.removeprefix("/")
     if plain in run.nodes:
@@ -100,22 +72,7 @@ def node_name(run: RunInfo, name: str) -> str:
 def known_topic(run: RunInfo, topic: str) -> str:
     """Check that a topic is published in a run; names are whole names.
 
-    Parameters
-    ----------
-    run : RunInfo
-        The launch.
-    topic : str
-        Name of the topic.
-
-    Returns
-    -------
-    str
-        The same name.
-
-    Raises
-    ------
-    NoSuchNameError
-        When nobody publishes it; the text has the nearest name.
+    Raises NoSuchNameError when nobody publishes it; the text has the nearest name.
     """
     known = list(run.endpoints())
     if topic not in known:
@@ -131,20 +88,8 @@ def _hint(name: str, known: list[str], otherwise: str) -> str:
 def roles(run: RunInfo) -> dict[str, str]:
     """Tell which node has which part in the loop, by what it publishes: its name may be any.
 
-    Parameters
-    ----------
-    run : RunInfo
-        The launch.
-
-    Returns
-    -------
-    dict of str to str
-        ``driver``, ``environment`` and ``coupling`` to the node's name; without those that the launch lacks.
-
-    Raises
-    ------
-    RunError
-        When the launch has several chains.
+    Returns: ``driver``, ``environment`` and ``coupling`` to the node's name; without those that the launch lacks. Raises
+    RunError when the launch has several chains.
     """
     from nodes.base.node_kinds import load
 
@@ -156,28 +101,9 @@ def roles(run: RunInfo) -> dict[str, str]:
 def ask(run: RunInfo, node: str, op: str, timeout: float = TIMEOUT, **args: Any) -> Any:
     """Ask one node.
 
-    Parameters
-    ----------
-    run : RunInfo
-        The launch.
-    node : str
-        Name of the node.
-    op : str
-        What is asked, e.g. ``status`` or ``param.get`` (messages/PROTOCOL.md).
-    timeout : float
-        Longest wait for the answer [s].
-    **args : object
-        Arguments of the request.
-
-    Returns
-    -------
-    object
-        The answer, in plain lists, dicts, strings and numbers.
-
-    Raises
-    ------
-    ControlError
-        When the node refuses, does not answer, or cannot be asked that; the text says why.
+    `op`: what is asked, e.g. ``status`` or ``param.get`` (messages/PROTOCOL.md). Returns: the answer, in plain lists, dicts,
+    strings and numbers. Raises ControlError when the node refuses, does not answer, or cannot be asked that; the text says
+    why.
     """
     context = new_context()
     try:

@@ -22,24 +22,12 @@ QUEUE = 100_000
 
 
 class Heard(NamedTuple):
-    """A message and how it came.
+    """A message and how it came."""
 
-    Attributes
-    ----------
-    topic : str
-        Its topic.
-    message : Message or None
-        The message; None for one that was refused as malformed.
-    size : int
-        Bytes of both frames.
-    time : float
-        When it was received, on the host's monotonic clock [s].
-    """
-
-    topic: str
-    message: Message | None
-    size: int
-    time: float
+    topic: str  # its topic
+    message: Message | None  # the message; None for one that was refused as malformed
+    size: int  # bytes of both frames
+    time: float  # when it was received, on the host's monotonic clock [s]
 
 
 def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iterator[Heard | None]:

@@ -35,10 +35,7 @@ _LINKERS: Final = ("cc", "gcc", "clang")
 def find(module: str) -> cache.CacheEntry | None:
     """Find a kernel that was compiled before, from what is installed now.
 
-    Raises
-    ------
-    CacheRefusedError
-        When it would not be this user's own.
+    Raises CacheRefusedError when it would not be this user's own.
     """
     return cache.read(f"{module}.tick")
 

@@ -202,10 +202,7 @@ def _fresh(sources: Mapping[str, str]) -> bool:
 def read(name: str) -> CacheEntry | None:
     """Find an entry, whole and of today's sources; None when there is none.
 
-    Raises
-    ------
-    CacheRefusedError
-        When somebody else could have written it.
+    Raises CacheRefusedError when somebody else could have written it.
     """
     try:
         at = _enter(name, make=False)
@@ -240,10 +237,7 @@ def read(name: str) -> CacheEntry | None:
 def write(name: str, entry: CacheEntry, sources: Mapping[str, str]) -> None:
     """Put an entry in place, all of it at once; the last one to do so counts.
 
-    Raises
-    ------
-    CacheRefusedError
-        When it cannot be kept: a folder that is not the user's own, read-only, or a full disk.
+    Raises CacheRefusedError when it cannot be kept: a folder that is not the user's own, read-only, or a full disk.
     """
     about = msgspec.json.encode(_About(kind=entry.kind, sources=dict(sources)))
     rest = about + b"\n" + entry.content

@@ -28,27 +28,15 @@ class NotCompilableError(HapticError):
 
 
 class Field(NamedTuple):
-    """One field of a message.
+    """One field of a message."""
 
-    Attributes
-    ----------
-    name : str
-        Its key on the wire.
-    kind : int
-        `REAL`, `VECTOR`, `WHOLE`, `FLAG` or `TEXT`.
-    slot : int
-        Where its value stands: among the reals (a vector takes three), the wholes (flags too) or the texts.
-    low, high : int
-        Bounds of a whole number; `high` is the longest length of a text [characters].
-    default : float or None
-        Value when it is absent; None when it must be there. Texts are checked only, so theirs is 0.
-    """
-
-    name: str
-    kind: int
-    slot: int
+    name: str  # its key on the wire
+    kind: int  # `REAL`, `VECTOR`, `WHOLE`, `FLAG` or `TEXT`
+    slot: int  # where its value stands: among the reals (a vector takes three), the wholes (flags too) or the texts
+    # Bounds of a whole number; `high` is the longest length of a text [characters].
     low: int
     high: int
+    # Value when it is absent; None when it must be there. Texts are checked only, so theirs is 0.
     default: float | None
 
 

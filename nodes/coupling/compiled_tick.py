@@ -14,17 +14,7 @@ STANDBY_TICKS = 64
 
 
 class CouplingTicks(CompiledTicks):
-    """The compiled ticks of a coupling.
-
-    Parameters
-    ----------
-    node : Coupling
-        The node.
-    kernel : callable
-        nodes/coupling/kernel.py, compiled.
-    renderer : Renderer
-        Its laws and histories.
-    """
+    """The compiled ticks of a coupling."""
 
     def __init__(self, node: Any, kernel: Kernel, renderer: Renderer) -> None:
         super().__init__(node, kernel, topics.PROXY, topics.FORCE)

@@ -27,17 +27,7 @@ _DIGITS = 3
 
 
 class Judgement:
-    """Judges the laws of one coupling.
-
-    Parameters
-    ----------
-    node : str
-        Name of the node, for errors.
-    period : float
-        Sampling period T [s].
-    book : LawBook
-        Its laws.
-    """
+    """Judges the laws of one coupling."""
 
     def __init__(self, node: str, period: float, book: LawBook) -> None:
         self._node = node

@@ -19,15 +19,7 @@ MAX_TEXT = 4000
 
 
 class LawBook:
-    """Looks laws up by name.
-
-    Parameters
-    ----------
-    node : str
-        Name of the node, for errors.
-    period : float
-        Sampling period T [s].
-    """
+    """Looks laws up by name."""
 
     def __init__(self, node: str, period: float) -> None:
         self._node = node

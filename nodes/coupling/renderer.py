@@ -21,19 +21,7 @@ from nodes.parameters.store import ParameterError
 
 
 class ActiveLaw:
-    """A law ready to render on all axes.
-
-    Parameters
-    ----------
-    name : str
-        Its name in the parameters.
-    text : str
-        Name and parameters, for receipts.
-    compiled : CompiledLaw
-        What it renders.
-    histories : sequence of History
-        The live ones, one per axis.
-    """
+    """A law ready to render on all axes."""
 
     def __init__(self, name: str, text: str, compiled: CompiledLaw, histories: Sequence[History]) -> None:
         self.name = name

@@ -25,19 +25,12 @@ WRITE = ctypes.CFUNCTYPE(c_int, c_int64, POINTER(c_double), c_int64, c_double)
 
 
 class Calls(NamedTuple):
-    """Two addresses, and what they are called with.
+    """Two addresses, and what they are called with."""
 
-    Attributes
-    ----------
-    read, write : int
-        Where the calls are.
-    context : int
-        Their first argument.
-    """
-
+    # Where the calls are.
     read: int
     write: int
-    context: int
+    context: int  # their first argument
 
 
 @runtime_checkable
@@ -47,10 +40,7 @@ class Compiled(Protocol):
     def calls(self) -> Calls | None:
         """Give its calls.
 
-        Returns
-        -------
-        Calls or None
-            Valid until it is closed; None where they could not be had.
+        Returns: valid until it is closed; None where they could not be had.
         """
         ...
 
@@ -58,22 +48,7 @@ class Compiled(Protocol):
 def numbers_of(position: Any, what: str) -> Vector:
     """Make plain numbers of what a device gave.
 
-    Parameters
-    ----------
-    position : sequence of float, shape (3,)
-        What it gave [m].
-    what : str
-        Which device, for the error.
-
-    Returns
-    -------
-    tuple of float, shape (3,)
-        The same.
-
-    Raises
-    ------
-    TypeError
-        When it is not three numbers.
+    `position`, shape (3,): what it gave [m]. Returns, shape (3,): the same. Raises TypeError when it is not three numbers.
     """
     try:
         x, y, z = position

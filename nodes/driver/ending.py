@@ -13,24 +13,12 @@ _FALL = 1.0
 
 
 class Ending(NamedTuple):
-    """The last samples of one axis in words and figures.
+    """The last samples of one axis in words and figures."""
 
-    Attributes
-    ----------
-    motion : str
-        ``at rest``, ``swinging``, ``falling`` or ``moving``.
-    swing_m : float
-        Largest less smallest sample, in metres.
-    frequency_hz : float
-        How often it swings to and fro, in Hz; 0 for any other motion.
-    velocity_m_per_s : float
-        At the end, in m/s.
-    """
-
-    motion: str
-    swing_m: float
-    frequency_hz: float
-    velocity_m_per_s: float
+    motion: str  # ``at rest``, ``swinging``, ``falling`` or ``moving``
+    swing_m: float  # largest less smallest sample, in metres
+    frequency_hz: float  # how often it swings to and fro, in Hz; 0 for any other motion
+    velocity_m_per_s: float  # at the end, in m/s
 
 
 def ending(samples: Sequence[float], force: float, period: float) -> Ending:

@@ -17,17 +17,7 @@ _STATES: Final = {
 def why_no_force(s: Any, condition: str = "") -> str:
     """Say what keeps a force from the hand, or how much is handed over.
 
-    Parameters
-    ----------
-    s : DriverState
-        The driver's state.
-    condition : str
-        What the device itself says keeps forces off; empty for nothing.
-
-    Returns
-    -------
-    str
-        One sentence.
+    `condition`: what the device itself says keeps forces off; empty for nothing.
     """
     if s.ticks == 0:
         return "the driver has not ticked yet"

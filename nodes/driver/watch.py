@@ -15,14 +15,7 @@ if TYPE_CHECKING:
 class Watch:
     """What the loop's thread is at, and how long it may take.
 
-    Parameters
-    ----------
-    node : Node
-        The driver.
-    limits : DeviceLimits
-        Of its device.
-    last_resort : LastResort or None
-        What ends the process when no other thread can run; None for a device that can wait.
+    `last_resort`: what ends the process when no other thread can run; None for a device that can wait.
     """
 
     def __init__(self, node: Node, limits: DeviceLimits, last_resort: LastResort | None) -> None:

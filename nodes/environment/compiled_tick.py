@@ -13,14 +13,7 @@ from nodes.environment.state import SHAPES, UNKNOWN
 class EnvironmentTicks(CompiledTicks):
     """The compiled ticks of an environment.
 
-    Parameters
-    ----------
-    node : Environment
-        The node.
-    kernel : callable
-        nodes/environment/kernel.py or nodes/environment/shapes/kernel.py, compiled.
-    shapes : bool
-        Which of them.
+    `kernel`: nodes/environment/kernel.py or nodes/environment/shapes/kernel.py, compiled.
     """
 
     def __init__(self, node: Any, kernel: Kernel, shapes: bool) -> None:

@@ -74,20 +74,7 @@ def command(setup: Setup) -> str:
 class ByHand(Child):
     """A node that the launcher waits for instead of starting it.
 
-    Parameters
-    ----------
-    setup : Setup
-        The node.
-    respawns : int
-        How often it may be started again, -1 for ever.
-    delay : float
-        Wait before that [s].
-    required : bool
-        Whether the launch ends when it does.
-    context : zmq.Context
-        The launcher's.
-    say : callable
-        Takes one line for the user.
+    `respawns`: how often it may be started again, -1 for ever. `required`: whether the launch ends when it does.
     """
 
     patience = PATIENCE

@@ -48,23 +48,9 @@ def start_here(run: runs.RunInfo, name: str) -> int:
 class Starter:
     """Waits for the launcher on another machine and takes a node's setup from it.
 
-    Parameters
-    ----------
-    name : str
-        The node that is to be started; a setup for another one is refused.
-    host : str
-        Address of this machine to bind.
-    port : int
-        Port of the node's messages; requests come to the next one.
-    kind : str
-        The one kind of node that it may become; empty for the name.
-    allow_paths : sequence of Path
-        Directories in which its parameters may name files; all others are refused.
-
-    Raises
-    ------
-    ParameterError
-        When no such kind is installed.
+    `name`: the node that is to be started; a setup for another one is refused. `port`: port of the node's messages; requests
+    come to the next one. `kind`: the one kind of node that it may become; empty for the name. `allow_paths`: directories in
+    which its parameters may name files; all others are refused. Raises ParameterError when no such kind is installed.
     """
 
     def __init__(self, name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()) -> None:

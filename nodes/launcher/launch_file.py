@@ -45,10 +45,7 @@ MAX_FILLED_IN = 4096
 def launch_dirs() -> list[Path]:
     """List where launch files are looked up.
 
-    Returns
-    -------
-    list of Path
-        In the wheel, beside the package, then in each installed package named under the entry points ``haptic.launch``.
+    Returns: in the wheel, beside the package, then in each installed package named under the entry points ``haptic.launch``.
     """
     nodes = Path(__file__).resolve().parents[1]
     specs = [find_spec(point.value) for point in COLLECTIONS.points().values()]
@@ -59,10 +56,7 @@ def launch_dirs() -> list[Path]:
 def scenarios() -> dict[str, Path]:
     """List the launch files that are installed.
 
-    Returns
-    -------
-    dict of str to Path
-        Scenario to file, sorted; this project's go before those of other packages.
+    Returns: scenario to file, sorted; this project's go before those of other packages.
     """
     found = {path.stem: path for folder in reversed(launch_dirs()) for path in folder.glob("*.yaml")}
     return dict(sorted(found.items()))
@@ -71,20 +65,8 @@ def scenarios() -> dict[str, Path]:
 def find(name: str) -> Path:
     """Find a launch file.
 
-    Parameters
-    ----------
-    name : str
-        A scenario of the project, or the path of a YAML file.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    ParameterError
-        When there is none; the text lists what there is.
+    `name`: a scenario of the project, or the path of a YAML file. Raises ParameterError when there is none; the text lists
+    what there is.
     """
     known = scenarios()
     if name in known:
@@ -100,15 +82,7 @@ def find(name: str) -> Path:
 def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
     """Read only what a launch file says about itself.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    tuple of str and dict
-        Summary, and arguments by name.
+    Returns: summary, and arguments by name.
     """
     file = convert(read_yaml(path), LaunchText, path.name)
     return file.summary, {**_offered(path, file, Including()), **file.arguments}
@@ -136,20 +110,7 @@ def _beside(path: Path, launch: str) -> str:
 def parse_assignments(words: list[str]) -> dict[str, Any]:
     """Read ``name:=value`` words.
 
-    Parameters
-    ----------
-    words : list of str
-        As typed.
-
-    Returns
-    -------
-    dict of str to object
-        Values as YAML reads them.
-
-    Raises
-    ------
-    ParameterError
-        When a word is not of that form.
+    Returns: values as YAML reads them. Raises ParameterError when a word is not of that form.
     """
     values = {}
     for word in words:
@@ -218,28 +179,11 @@ def read(
 ) -> Launch:
     """Read a launch file, fill in its arguments and lay files of parameters over those of its nodes.
 
-    Parameters
-    ----------
-    name : str
-        Scenario or path.
-    given : mapping of str to object
-        Arguments that differ from their defaults; every launch file has ``tick`` and ``run.NAME`` (see `RunSpec`), and each
-        with a virtual device ``device`` (`nodes.launcher.substitute_device`).
-    laid_over : sequence of Path
-        YAML files, each a mapping from node to parameters, whole or in part, as ``haptic param dump`` and
-        ``haptic study design`` write them; a later one goes before an earlier one.
-    including : Including, optional
-        The files that include this one.
-
-    Returns
-    -------
-    Launch
-        Ready to be started.
-
-    Raises
-    ------
-    ParameterError
-        With the path, the value and the limit of whatever is wrong.
+    `given`: arguments that differ from their defaults; every launch file has ``tick`` and ``run.NAME`` (see `RunSpec`), and
+    each with a virtual device ``device`` (`nodes.launcher.substitute_device`). `laid_over`: YAML files, each a mapping from
+    node to parameters, whole or in part, as ``haptic param dump`` and ``haptic study design`` write them; a later one goes
+    before an earlier one. `including`: the files that include this one. Raises ParameterError with the path, the value and the
+    limit of whatever is wrong.
     """
     path = find(name)
     including = (including or Including()).another(path, name)
@@ -384,22 +328,7 @@ def _axes(
 def without(launch: Launch, left_out: list[str]) -> Launch:
     """Leave nodes out of a launch.
 
-    Parameters
-    ----------
-    launch : Launch
-        The launch.
-    left_out : list of str
-        Names of nodes.
-
-    Returns
-    -------
-    Launch
-        The same launch without them.
-
-    Raises
-    ------
-    ParameterError
-        When a node is not there.
+    Returns: the same launch without them. Raises ParameterError when a node is not there.
     """
     for name in left_out:
         if name not in launch.nodes:

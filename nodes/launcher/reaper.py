@@ -24,17 +24,8 @@ GRACE = 2.0
 class Held:
     """One process, held so that its number cannot become another's.
 
-    Parameters
-    ----------
-    pid : int
-        Process number, of a process that nobody has waited for yet.
-    seconds : float
-        How long it may take to end, beside `GRACE` [s].
-
-    Raises
-    ------
-    ProcessLookupError
-        When it is gone already.
+    `pid`: process number, of a process that nobody has waited for yet. `seconds`: how long it may take to end, beside `GRACE`
+    [s]. Raises ProcessLookupError when it is gone already.
     """
 
     def __init__(self, pid: int, seconds: float) -> None:

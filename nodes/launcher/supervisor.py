@@ -48,15 +48,7 @@ class LaunchFailedError(HapticError):
 
 
 class Supervisor:
-    """Starts and ends the nodes of one launch.
-
-    Parameters
-    ----------
-    launch : Launch
-        What to run.
-    say : callable
-        Takes one line for the user.
-    """
+    """Starts and ends the nodes of one launch."""
 
     def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
         self._launch = launch

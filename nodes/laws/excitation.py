@@ -52,14 +52,7 @@ def faded(load: float, since: int, fade: int) -> float:
 class Telegraph:
     """Pseudo-random telegraph signals, each with its own clock, added in equal shares.
 
-    Parameters
-    ----------
-    amplitude : float
-        Largest sum [N].
-    clocks : sequence of int
-        Ticks after which each may change its sign.
-    seed : int
-        Of the signs.
+    `clocks`: ticks after which each may change its sign.
     """
 
     def __init__(self, amplitude: float, clocks: Sequence[int], seed: int) -> None:

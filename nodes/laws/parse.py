@@ -27,23 +27,10 @@ class LawRefusedError(ParameterError):
 def parse_law(data: object, path: str = "law") -> Law:
     """Read a law's description.
 
-    Parameters
-    ----------
-    data : object
-        A mapping ``{kind: ..., <parameter>: ...}`` as YAML or JSON gives it; ``kind`` is a registered kind or a preset.
-        The bare name of a preset stands for the preset with all its values.
-    path : str
-        Where the description stands, for the errors.
-
-    Returns
-    -------
-    Law
-        The law; its parameters are valid one by one (`compile_law` judges them together).
-
-    Raises
-    ------
-    LawRefusedError
-        When the kind or a parameter is unknown, missing, of the wrong type, out of its limits or not finite.
+    `data`: a mapping ``{kind: ..., <parameter>: ...}`` as YAML or JSON gives it; ``kind`` is a registered kind or a preset.
+    The bare name of a preset stands for the preset with all its values. `path`: where the description stands, for the errors.
+    Returns: the law; its parameters are valid one by one (`compile_law` judges them together). Raises LawRefusedError when the
+    kind or a parameter is unknown, missing, of the wrong type, out of its limits or not finite.
     """
     if isinstance(data, str) and data in PRESETS:
         data = {"kind": data}
@@ -75,15 +62,7 @@ def parse_law(data: object, path: str = "law") -> Law:
 def law_to_dict(law: Law) -> dict[str, Any]:
     """Describe a law so that `parse_law` reads the same law back.
 
-    Parameters
-    ----------
-    law : Law
-        Any law.
-
-    Returns
-    -------
-    dict
-        ``kind`` and every parameter, in plain lists, strings and numbers; parameters that are not set are left out.
+    Returns: ``kind`` and every parameter, in plain lists, strings and numbers; parameters that are not set are left out.
     """
     # Through JSON: tuples become lists, and floats come back with the same bits.
     values: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(law))
@@ -93,24 +72,8 @@ def law_to_dict(law: Law) -> dict[str, Any]:
 def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
     """Compile a law and refuse what must not be rendered.
 
-    Parameters
-    ----------
-    law : Law
-        The law.
-    period : float
-        Sampling period T [s].
-    path : str
-        Where its description stands, for the errors.
-
-    Returns
-    -------
-    CompiledLaw
-        Finite taps, decaying sections, H(1) > 0.
-
-    Raises
-    ------
-    LawRefusedError
-        When the law cannot be realised, is not finite, has a section that does not decay or renders H(1) ≤ 0.
+    `path`: where its description stands, for the errors. Returns: finite taps, decaying sections, H(1) > 0. Raises
+    LawRefusedError when the law cannot be realised, is not finite, has a section that does not decay or renders H(1) ≤ 0.
     """
     if not (math.isfinite(period) and period > 0.0):
         raise LawRefusedError(f"{path}: sampling period {period!r} s is not a positive number")

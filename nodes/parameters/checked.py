@@ -27,10 +27,7 @@ def _plain(value: Any) -> Any:
 def check_fields(made: msgspec.Struct, name: str = "") -> None:
     """Check all fields of a struct that was just made, as `convert` checks a mapping; for ``__post_init__``.
 
-    Raises
-    ------
-    ParameterError
-        With path, value and limit.
+    Raises ParameterError with path, value and limit.
     """
     kind = type(made)
     values = {field: getattr(made, field) for field in kind.__struct_fields__}

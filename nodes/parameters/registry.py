@@ -21,57 +21,25 @@ class NotInstalledError(ParameterError):
 
 
 class Registry:
-    """One group of entry points.
-
-    Parameters
-    ----------
-    group : str
-        E.g. ``haptic.laws``.
-    noun : str
-        What one of them is, for errors.
-    """
+    """One group of entry points."""
 
     def __init__(self, group: str, noun: str) -> None:
         self.group = group
         self._noun = noun
 
     def names(self) -> list[str]:
-        """List what is installed, without importing any.
-
-        Returns
-        -------
-        list of str
-            Names, sorted.
-        """
+        """List what is installed, without importing any."""
         return sorted(self.points())
 
     def points(self) -> dict[str, EntryPoint]:
-        """Find the entry points.
-
-        Returns
-        -------
-        dict of str to EntryPoint
-            By name.
-        """
+        """Find the entry points."""
         return _installed(self.group, tuple(sys.path))
 
     def load(self, name: str) -> Any:
         """Import one.
 
-        Parameters
-        ----------
-        name : str
-            As it is registered.
-
-        Returns
-        -------
-        object
-            What is registered under that name.
-
-        Raises
-        ------
-        NotInstalledError
-            When there is none of that name, or it cannot be imported.
+        Returns: what is registered under that name. Raises NotInstalledError when there is none of that name, or it cannot be
+        imported.
         """
         point = self.points().get(name)
         if point is None:
@@ -88,10 +56,7 @@ class Registry:
     def all(self) -> tuple[dict[str, Any], dict[str, str]]:
         """Import all.
 
-        Returns
-        -------
-        tuple of dict and dict
-            What could be imported, by name and sorted; and why the rest could not.
+        Returns: what could be imported, by name and sorted; and why the rest could not.
         """
         found: dict[str, Any] = {}
         broken: dict[str, str] = {}

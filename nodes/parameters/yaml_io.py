@@ -179,11 +179,6 @@ class WatchedFile:
     A file is read only when size and time have stayed the same for two polls and the kernel confirms, by granting a read
     lease, that no process has it open for writing. A writer that opens it while the lease is held makes the kernel send
     SIGIO, which ends a process that does not ignore it: nodes do (nodes/base/node.py).
-
-    Parameters
-    ----------
-    path : str
-        The file.
     """
 
     def __init__(self, path: str) -> None:

@@ -68,15 +68,7 @@ def _rc() -> Any:
 def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
     """Let a function draw in the project's style.
 
-    Parameters
-    ----------
-    draw : callable
-        Makes and fills figures.
-
-    Returns
-    -------
-    callable
-        The same; no setting of matplotlib's is changed for anybody else.
+    Returns: the same; no setting of matplotlib's is changed for anybody else.
     """
 
     @functools.wraps(draw)
@@ -93,19 +85,7 @@ def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
 def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambda path: path) -> Path:
     """Write a picture as PNG, and beside it as PDF and SVG.
 
-    Parameters
-    ----------
-    figure : Figure
-        The picture.
-    path : Path
-        Its PNG file.
-    room : callable
-        Makes room for a file of that name; see `sim.results.fresh`.
-
-    Returns
-    -------
-    Path
-        The PNG file.
+    `room`: makes room for a file of that name; see `sim.results.fresh`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     for suffix in (".pdf", ".svg", path.suffix):
@@ -116,12 +96,7 @@ def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambd
 def label_ends(axes: Axes, size: float = 8.0) -> None:
     """Write the label of each curve at its right end, in its colour, in place of a legend.
 
-    Parameters
-    ----------
-    axes : Axes
-        With its limits set and its curves labelled.
-    size : float
-        Of the letters [points].
+    `axes`: with its limits set and its curves labelled. `size`: of the letters [points].
     """
     import numpy as np
 
@@ -170,16 +145,7 @@ def _apart(heights: Sequence[float], least: float) -> list[float]:
 def threshold(axes: Axes, value: float, name: str, vertical: bool = False) -> None:
     """Draw a line that decides something, and name it.
 
-    Parameters
-    ----------
-    axes : Axes
-        With its limits set.
-    value : float
-        Where, in the units of the axis.
-    name : str
-        What it is, value and unit included.
-    vertical : bool
-        Whether it stands at a value of x.
+    `name`: what it is, value and unit included.
     """
     from matplotlib.patheffects import withStroke
 

@@ -47,77 +47,44 @@ class CutError(RecordError):
 
 
 class Record(NamedTuple):
-    """One record as it stands in the file.
+    """One record as it stands in the file."""
 
-    Attributes
-    ----------
-    offset : int
-        Where it starts [bytes]; for a record inside a chunk, where the chunk starts.
-    opcode : int
-        Its kind, by the MCAP specification.
-    content : bytes
-        What follows the length.
-    """
-
-    offset: int
-    opcode: int
-    content: bytes
+    offset: int  # where it starts [bytes]; for a record inside a chunk, where the chunk starts
+    opcode: int  # its kind, by the MCAP specification
+    content: bytes  # what follows the length
 
 
 class Channel(NamedTuple):
-    """A channel: one topic with its encoding.
+    """A channel: one topic with its encoding."""
 
-    Attributes
-    ----------
-    number, schema : int
-        Its own number and its schema's.
-    topic, encoding : str
-        Topic name and message encoding.
-    """
-
+    # Its own number and its schema's.
     number: int
     schema: int
+    # Topic name and message encoding.
     topic: str
     encoding: str
 
 
 class Schema(NamedTuple):
-    """A message schema.
+    """A message schema."""
 
-    Attributes
-    ----------
-    number : int
-        Its number.
-    name, encoding : str
-        Name of the type and encoding of the schema.
-    data : bytes
-        The schema itself.
-    """
-
-    number: int
+    number: int  # its number
+    # Name of the type and encoding of the schema.
     name: str
     encoding: str
-    data: bytes
+    data: bytes  # the schema itself
 
 
 class RawMessage(NamedTuple):
-    """A message, still encoded.
+    """A message, still encoded."""
 
-    Attributes
-    ----------
-    channel, sequence : int
-        Number of its channel; its seq modulo 2³².
-    log_time, publish_time : int
-        Receipt and source stamp [ns].
-    data : bytes
-        The encoded message.
-    """
-
+    # Number of its channel; its seq modulo 2³².
     channel: int
     sequence: int
+    # Receipt and source stamp [ns].
     log_time: int
     publish_time: int
-    data: bytes
+    data: bytes  # the encoded message
 
 
 def _string(content: bytes, at: int) -> tuple[str, int]:

@@ -20,12 +20,7 @@ CUBE, SPHERE = 1, 2
 class RosMessages:
     """Builds messages.
 
-    Parameters
-    ----------
-    look_up : callable
-        Gives the class of a type by its name, e.g. ``geometry_msgs/msg/PoseStamped``.
-    frame : str
-        Frame of positions and forces.
+    `look_up`: gives the class of a type by its name, e.g. ``geometry_msgs/msg/PoseStamped``.
     """
 
     def __init__(self, look_up: Callable[[str], Any], frame: str = FRAME) -> None:

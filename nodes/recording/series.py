@@ -30,15 +30,7 @@ _BLOCK = 8192
 
 
 class Line:
-    """Values over time, as one line or several of the same times.
-
-    Parameters
-    ----------
-    start, stop : float
-        Time from and up to which values come [s].
-    columns : int
-        Number of lines.
-    """
+    """Values over time, as one line or several of the same times."""
 
     def __init__(self, start: float, stop: float, columns: int) -> None:
         self._start = start
@@ -86,13 +78,7 @@ class Line:
 
 
 class Spans:
-    """When something was the case, by name, to the width of a line.
-
-    Parameters
-    ----------
-    start, stop : float
-        As of `Line`.
-    """
+    """When something was the case, by name, to the width of a line."""
 
     def __init__(self, start: float, stop: float) -> None:
         self._start = start

@@ -12,10 +12,7 @@ QUEUE = 10
 class RclpyGraph:
     """A node of rclpy.
 
-    Parameters
-    ----------
-    name, namespace : str
-        Of the node, as ``ros2 node list`` shows it.
+    `name`, `namespace`: of the node, as ``ros2 node list`` shows it.
     """
 
     def __init__(self, name: str, namespace: str) -> None:

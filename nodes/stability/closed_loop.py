@@ -21,62 +21,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Rendered:
-    """What a law renders at one sampling period and delay.
+    """What a law renders at one sampling period and delay."""
 
-    Attributes
-    ----------
-    h1_n_per_m : float
-        H(1): the stiffness felt at rest [N/m].
-    h_nyquist_n_per_m : float
-        H(−1): what encoder noise is multiplied with [N/m].
-    f_min_n_s_per_m : float
-        Least f(ω) over 0 < ω ≤ ω_N, of the law without delay [N s/m]; the lower, the more damping (paper, eq. 9).
-    f_min_rad_per_s : float
-        Where that is [rad/s].
-    f_nyquist_n_s_per_m : float
-        f(ω_N), H(1) as the spring unless `nominal` is given; with K, as in the paper, it is larger by the leak D(1)·T/2
-        [N s/m].
-    f_mean_n_s_per_m : float
-        Mean of f over (0, ω_N): T·D(1)/2, the waterbed (THEORY.md §2) [N s/m].
-    damping_needed_n_s_per_m : float
-        Least damping of the device with which the law is passive at this delay (Colgate) [N s/m].
-    passive_scale : float or None
-        Largest factor on the whole law that keeps it passive on this device; None when no damping was declared.
-    pole_radius : float or None
-        Largest pole of the closed loop; None when no mass was declared.
-    """
-
-    h1_n_per_m: float
-    h_nyquist_n_per_m: float
+    h1_n_per_m: float  # H(1): the stiffness felt at rest [N/m]
+    h_nyquist_n_per_m: float  # H(−1): what encoder noise is multiplied with [N/m]
+    # Least f(ω) over 0 < ω ≤ ω_N, of the law without delay [N s/m]; the lower, the more damping (paper, eq. 9).
     f_min_n_s_per_m: float
-    f_min_rad_per_s: float
+    f_min_rad_per_s: float  # where that is [rad/s]
+    # f(ω_N), H(1) as the spring unless `nominal` is given; with K, as in the paper, it is larger by the leak D(1)·T/2 [N s/m].
     f_nyquist_n_s_per_m: float
-    f_mean_n_s_per_m: float
+    f_mean_n_s_per_m: float  # mean of f over (0, ω_N): T·D(1)/2, the waterbed (THEORY.md §2) [N s/m]
+    # Least damping of the device with which the law is passive at this delay (Colgate) [N s/m].
     damping_needed_n_s_per_m: float
+    # Largest factor on the whole law that keeps it passive on this device; None when no damping was declared.
     passive_scale: float | None
-    pole_radius: float | None
+    pole_radius: float | None  # largest pole of the closed loop; None when no mass was declared
 
 
 def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """Characteristic polynomial of taps, delay and device.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        A law without recursive sections.
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    ndarray, shape (n + i + 3,) or, with a fractional delay, (n + i + 4,)
-        Real coefficients, highest power of z first, the first one 1.
-
-    Raises
-    ------
-    ValueError
-        For a law with sections: their poles cluster at z = 1, and an expanded polynomial would lose them
-        (`pole_radius` uses the state matrix instead).
+    Returns, shape (n + i + 3,) or, with a fractional delay, (n + i + 4,): real coefficients, highest power of z first, the
+    first one 1. Raises ValueError for a law with sections: their poles cluster at z = 1, and an expanded polynomial would lose
+    them (`pole_radius` uses the state matrix instead).
     """
     import numpy as np
 
@@ -95,17 +62,7 @@ def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
 def pole_radius(law: CompiledLaw, plant: Plant) -> float:
     """Largest pole of the closed loop: stable iff below 1.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    float
-        Pole radius. A loop decays by this factor per tick.
+    Returns: pole radius. A loop decays by this factor per tick.
     """
     from nodes.stability.roots import largest_root
 
@@ -119,18 +76,8 @@ def pole_radius(law: CompiledLaw, plant: Plant) -> float:
 def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """One tick of the closed loop as a matrix: device, deflection history, sections and forces on their way.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    ndarray, shape (2 + n + 2 s + i + 1,) squared
-        State [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁] times this matrix is the next state; forces are
-        scaled by T²/m to lengths, so that the matrix is balanced.
+    Returns, shape (2 + n + 2 s + i + 1,) squared: state [x, v·T, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁] times this
+    matrix is the next state; forces are scaled by T²/m to lengths, so that the matrix is balanced.
     """
     import numpy as np
 
@@ -156,23 +103,9 @@ def tick_matrix(
 ) -> NDArray[np.float64]:
     """One tick of the closed loop of a law and any linear device whose first state is the position.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    unit : float
-        T²/m, which scales forces to lengths so that the matrix is balanced [m/N].
-    whole : int
-        Whole ticks of the delay, i.
-    device : ndarray, shape (s, s)
-        The device's own matrix.
-    new, old : ndarray, shape (s,)
-        What the force of i ticks ago adds, and the one before.
-
-    Returns
-    -------
-    ndarray, shape (s + n + 2 r + i + 1,) squared
-        Of the device's state, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁.
+    `unit`: T²/m, which scales forces to lengths so that the matrix is balanced [m/N]. `device`, shape (s, s): the device's own
+    matrix. `new`, `old`, shape (s,): what the force of i ticks ago adds, and the one before. Returns, shape (s + n + 2 r + i +
+    1,) squared: of the device's state, x₋₁ … x₋ₙ, (y₋₁, y₋₂) per section, u₋₁ … u₋ᵢ₋₁.
     """
     import numpy as np
 
@@ -206,25 +139,9 @@ def tick_matrix(
 def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None) -> Rendered:
     """Tell what a law really renders.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    loop : Plant or float
-        The device and its loop; a sampling period alone [s] leaves out what needs a device.
-    nominal : float or None
-        K that f(ω) takes as the spring [N/m]. The default is H(1), the spring that is really there; with the law's
-        nominal K, f is the paper's and its mean tells the leak.
-
-    Returns
-    -------
-    Rendered
-        The figures.
-
-    Raises
-    ------
-    ValueError
-        When a parameter of the device is out of its limits.
+    `loop`: the device and its loop; a sampling period alone [s] leaves out what needs a device. `nominal`: K that f(ω) takes
+    as the spring [N/m]. The default is H(1), the spring that is really there; with the law's nominal K, f is the paper's and
+    its mean tells the leak. Raises ValueError when a parameter of the device is out of its limits.
     """
     plant = loop if isinstance(loop, Plant) else None
     period, delay = (loop.period, loop.delay) if isinstance(loop, Plant) else (loop, 0.0)
@@ -248,18 +165,9 @@ def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None
 def law_figures(law: CompiledLaw, loop: Plant | float) -> dict[str, Any]:
     """Tell what a law really renders, for an answer in JSON or on the control socket.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    loop : Plant or float
-        The device and its loop; a sampling period alone [s] leaves out what needs a device.
-
-    Returns
-    -------
-    dict
-        ``taps_n_per_m``, ``sections`` (count), ``delay_ticks`` and the fields of `Rendered`; of a law with code of its own
-        all of these but H(1) are None.
+    `loop`: the device and its loop; a sampling period alone [s] leaves out what needs a device. Returns: ``taps_n_per_m``,
+    ``sections`` (count), ``delay_ticks`` and the fields of `Rendered`; of a law with code of its own all of these but H(1) are
+    None.
     """
     delay = loop.delay if isinstance(loop, Plant) else 0.0
     figures: dict[str, Any] = {"taps_n_per_m": list(law.taps), "sections": len(law.sections), "delay_ticks": delay}

@@ -31,21 +31,8 @@ def effective_damping(
 
     The strict passivity condition is b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (THEORY.md §2).
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-    omega : ndarray
-        Frequencies, 0 ≤ ω ≤ π/T [rad/s]; the value at 0 is the limit.
-    delay : int
-        Whole delay [ticks].
-
-    Returns
-    -------
-    ndarray, shape of omega
-        f [N s/m], with the spring taken as H(1).
+    `omega`: frequencies, 0 ≤ ω ≤ π/T [rad/s]; the value at 0 is the limit. `delay`: whole delay [ticks]. Returns, shape of
+    omega: f [N s/m], with the spring taken as H(1).
     """
     import numpy as np
 
@@ -72,19 +59,7 @@ def damping_needed(law: CompiledLaw, period: float, delay: float = 0.0) -> float
     force and sampled position no longer see the same aliases; with s the interpolation (1−φ)s_d + φ s_{d+1} of the two
     whole delays it becomes ½(Re s + √((Re s)² + φ(1−φ)T²|H|²)), from the eigenvalue of the lifted loop at each ω.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-    delay : float
-        Whole or fractional delay [ticks].
-
-    Returns
-    -------
-    float
-        Damping b [N s/m].
+    `delay`: whole or fractional delay [ticks].
     """
     return -_lowest(law, lambda theta, power_sum: -_needed_at(law, period, delay, theta, power_sum))[1]
 
@@ -92,19 +67,7 @@ def damping_needed(law: CompiledLaw, period: float, delay: float = 0.0) -> float
 def least(law: CompiledLaw, period: float) -> tuple[float, float]:
     """Where f(ω) is least, and how much it is there.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    omega : float
-        Frequency [rad/s].
-    value : float
-        f, with the spring taken as H(1) [N s/m].
+    Returns `omega` (frequency [rad/s]), `value` (f, with the spring taken as H(1) [N s/m]).
     """
     theta, value = _lowest(law, lambda theta, power_sum: _effective(law, period, theta, 0, power_sum))
     return theta / period, value

@@ -39,30 +39,15 @@ _ENOUGH = 1e-6
 
 @dataclass(frozen=True)
 class EveryDelay:
-    """Whether a loop is stable for every sequence of delays.
+    """Whether a loop is stable for every sequence of delays."""
 
-    Attributes
-    ----------
-    stable : bool or None
-        True with a certificate, False with a sequence that grows; None when neither was found.
-    rate : float or None
-        Factor per tick by which every motion shrinks at least, in the norm of the certificate; None without one.
-    words : int
-        Words of the certificate: each is a run of delays over which the norm shrinks.
-    longest : int
-        Longest of them [ticks].
-    growing : tuple of float
-        Delays of a sequence that, repeated, grows [ticks]; empty without one.
-    growth : float
-        Its factor per tick; the largest found, growing or not.
-    """
-
-    stable: bool | None
+    stable: bool | None  # True with a certificate, False with a sequence that grows; None when neither was found
+    # Factor per tick by which every motion shrinks at least, in the norm of the certificate; None without one.
     rate: float | None
-    words: int
-    longest: int
-    growing: tuple[float, ...]
-    growth: float
+    words: int  # words of the certificate: each is a run of delays over which the norm shrinks
+    longest: int  # longest of them [ticks]
+    growing: tuple[float, ...]  # delays of a sequence that, repeated, grows [ticks]; empty without one
+    growth: float  # its factor per tick; the largest found, growing or not
 
 
 def every_delay(
@@ -74,29 +59,11 @@ def every_delay(
 ) -> EveryDelay:
     """Certify a loop for every sequence of delays of a range, or find one that it does not survive.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    plant : Plant or FlexiblePlant
-        The device, with a joint and a lag where it has them; the range takes the place of its delay.
-    delay : tuple of float, shape (2,)
-        Shortest and longest delay, at most one tick apart: then no force overtakes another [ticks].
-    rate : float
-        Factor per tick that every motion must shrink by; 1 asks for stability alone.
-    period : float or None
-        Sampling period of a flexible device [s]; a `Plant` has its own.
-
-    Returns
-    -------
-    EveryDelay
-        Certificate or counterexample.
-
-    Raises
-    ------
-    ValueError
-        When the range is out of order or wider than a tick, the law is too long for a norm to be sought, or the period of a
-        flexible device is missing.
+    `plant`: the device, with a joint and a lag where it has them; the range takes the place of its delay. `delay`, shape (2,):
+    shortest and longest delay, at most one tick apart: then no force overtakes another [ticks]. `rate`: factor per tick that
+    every motion must shrink by; 1 asks for stability alone. `period`: sampling period of a flexible device [s]; a `Plant` has
+    its own. Returns: certificate or counterexample. Raises ValueError when the range is out of order or wider than a tick, the
+    law is too long for a norm to be sought, or the period of a flexible device is missing.
     """
     import numpy as np
 

@@ -22,36 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FlexiblePlant:
-    """What the law is coupled to.
+    """What the law is coupled to."""
 
-    Attributes
-    ----------
-    mass : float
-        All that moves, on both sides of the joint [kg].
-    damping : float
-        Viscous damping against the ground, on the motor's side [N s/m].
-    delay : float
-        From the sample to the force that answers it, the lag not included [ticks].
-    stiffness : float
-        Stiffness of a hand, on the motor's side [N/m].
-    lag : float
-        Time constant of the actuator, first order [s]; 0 for a force that is there at once.
-    share : float
-        Part of the mass that lies beyond the joint, in [0, 1); 0 for a rigid device.
-    frequency : float
-        Of the two masses against each other, undamped [Hz].
-    loss : float
-        Damping ratio of that mode.
-    """
-
-    mass: float
-    damping: float
-    delay: float = 0.0
-    stiffness: float = 0.0
-    lag: float = 0.0
-    share: float = 0.0
-    frequency: float = math.inf
-    loss: float = 0.0
+    mass: float  # all that moves, on both sides of the joint [kg]
+    damping: float  # viscous damping against the ground, on the motor's side [N s/m]
+    delay: float = 0.0  # from the sample to the force that answers it, the lag not included [ticks]
+    stiffness: float = 0.0  # stiffness of a hand, on the motor's side [N/m]
+    lag: float = 0.0  # time constant of the actuator, first order [s]; 0 for a force that is there at once
+    share: float = 0.0  # part of the mass that lies beyond the joint, in [0, 1); 0 for a rigid device
+    frequency: float = math.inf  # of the two masses against each other, undamped [Hz]
+    loss: float = 0.0  # damping ratio of that mode
 
     def __post_init__(self) -> None:
         for name in ("mass", "damping", "delay", "stiffness", "lag", "share", "loss"):
@@ -80,11 +60,8 @@ class FlexiblePlant:
     def continuous(self) -> tuple[Matrix, Matrix]:
         """Equations of motion.
 
-        Returns
-        -------
-        tuple of ndarray, shapes (s, s) and (s,)
-            A and B of the state: position [m] and velocity [m/s] on the motor's side, the same beyond the joint, and
-            the force that the actuator gives [N]; the last three only where the device has them.
+        Returns: a and B of the state: position [m] and velocity [m/s] on the motor's side, the same beyond the joint, and the
+        force that the actuator gives [N]; the last three only where the device has them.
         """
         import numpy as np
 
@@ -113,15 +90,8 @@ class FlexiblePlant:
     def held(self, period: float) -> tuple[int, Matrix, Matrix, Matrix]:
         """One tick with the force held.
 
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        tuple of int and ndarray, shapes (s, s), (s,), (s,)
-            Whole ticks of the delay; the state's own matrix; what the force of that many ticks ago adds, and the one before.
+        Returns: whole ticks of the delay; the state's own matrix; what the force of that many ticks ago adds, and the one
+        before.
         """
         whole = math.floor(self.delay)
         fraction = self.delay - whole
@@ -132,17 +102,7 @@ class FlexiblePlant:
     def pulled(self, period: float, gravity: float) -> Matrix:
         """Motion that gravity adds within one tick.
 
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-        gravity : float
-            Acceleration, against the coordinate [m/s²].
-
-        Returns
-        -------
-        ndarray, shape (s,)
-            Added to the state.
+        `gravity`: acceleration, against the coordinate [m/s²]. Returns, shape (s,): added to the state.
         """
         import numpy as np
 
@@ -166,15 +126,7 @@ class FlexiblePlant:
     def rational(self, period: float) -> tuple[int, Matrix, Matrix]:
         """Position over force as a rational function of z.
 
-        Parameters
-        ----------
-        period : float
-            Sampling period T [s].
-
-        Returns
-        -------
-        tuple of int and ndarray, shapes (s + 1,) and (s + 1,)
-            Whole ticks of the delay; numerator [m/N] over z^(whole + 1) times the denominator, highest power first.
+        Returns: whole ticks of the delay; numerator [m/N] over z^(whole + 1) times the denominator, highest power first.
         """
         import numpy as np
 
@@ -193,22 +145,7 @@ class FlexiblePlant:
 
 
 def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> float:
-    """Largest pole of the loop of a law and a flexible device, as `nodes.stability.closed_loop.pole_radius` of a rigid one.
-
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-    plant : FlexiblePlant
-        The device.
-
-    Returns
-    -------
-    float
-        Pole radius.
-    """
+    """Largest pole of the loop of a law and a flexible device, as `nodes.stability.closed_loop.pole_radius` of a rigid one."""
     import numpy as np
 
     return float(np.abs(np.linalg.eigvals(loop_matrix(law, period, plant))).max())
@@ -217,19 +154,7 @@ def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> fl
 def loop_matrix(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix:
     """One tick of the loop of a law and a flexible device (`nodes.stability.closed_loop.tick_matrix`).
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    period : float
-        Sampling period T [s].
-    plant : FlexiblePlant
-        The device.
-
-    Returns
-    -------
-    ndarray, shape (s + n + 2 r + i + 1,) squared
-        The state of the device first.
+    Returns, shape (s + n + 2 r + i + 1,) squared: the state of the device first.
     """
     whole, step, new, old = plant.held(period)
     return tick_matrix(law, period * period / plant.mass, whole, step, new, old)

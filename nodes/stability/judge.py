@@ -27,37 +27,18 @@ _BISECTIONS = 24
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the stability figures say of a law on a device.
+    """What the stability figures say of a law on a device."""
 
-    Attributes
-    ----------
-    pole_radius : float
-        Largest pole of the closed loop: it decays, or grows, by this factor per tick.
-    plant : Plant
-        What it was computed for, the delay included.
-    stable : bool
-        Whether the loop is stable; without any spring, whether its motion decays.
-    """
-
-    pole_radius: float
-    plant: Plant
-    stable: bool
+    pole_radius: float  # largest pole of the closed loop: it decays, or grows, by this factor per tick
+    plant: Plant  # what it was computed for, the delay included
+    stable: bool  # whether the loop is stable; without any spring, whether its motion decays
 
 
 def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
     """Judge a law on a device.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps and sections.
-    plant : Plant
-        The device and its loop, all in their limits.
-
-    Returns
-    -------
-    Verdict or None
-        None for a law with code of its own: what that adds is not linear, no pole tells whether it is stable.
+    `plant`: the device and its loop, all in their limits. Returns: None for a law with code of its own: what that adds is not
+    linear, no pole tells whether it is stable.
     """
     if law.evaluate is not None:
         return None
@@ -73,18 +54,9 @@ def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
 def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float | None:
     """Find how far one can go on a way that ends in an unstable law.
 
-    Parameters
-    ----------
-    way : callable
-        From a share of the way, 0 to 1, to the law there; a `ValueError` says that there is no law at this point.
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    float or None
-        The largest share at which the loop is stable, to 2⁻²⁴ of the distance between the points that are looked at; None
-        when none of them is stable.
+    `way`: from a share of the way, 0 to 1, to the law there; a `ValueError` says that there is no law at this point. Returns:
+    the largest share at which the loop is stable, to 2⁻²⁴ of the distance between the points that are looked at; None when
+    none of them is stable.
     """
 
     def stable(share: float) -> bool:
@@ -114,17 +86,7 @@ def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float 
 def between(start: float, end: float, share: float) -> float:
     """Take a point between two values: by equal ratios where both are of one sign, else by equal steps.
 
-    Parameters
-    ----------
-    start, end : float
-        The values.
-    share : float
-        0 to 1.
-
-    Returns
-    -------
-    float
-        The point, exactly `start` and `end` at both ends.
+    `share`: 0 to 1. Returns: the point, exactly `start` and `end` at both ends.
     """
     if share in (0.0, 1.0):
         return end if share else start

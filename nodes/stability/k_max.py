@@ -23,40 +23,21 @@ from nodes.stability.plant import Plant, held_plant
 
 @dataclass(frozen=True)
 class KMax:
-    """Where raising the nominal stiffness makes the loop unstable.
+    """Where raising the nominal stiffness makes the loop unstable."""
 
-    Attributes
-    ----------
-    k_max_n_per_m : float or None
-        Upper end of the lowest stable interval of nominal K [N/m]; None when no K is stable, infinite when every one is.
-    h1_max_n_per_m : float or None
-        The stiffness H(1) that is really rendered there [N/m].
-    method : str
-        ``closed_form`` or ``pole_radius``.
-    stable : tuple of (float, float)
-        Stable intervals of nominal K that were found, lowest first [N/m]; the closed form has at most one.
-    """
-
+    # Upper end of the lowest stable interval of nominal K [N/m]; None when no K is stable, infinite when every one is.
     k_max_n_per_m: float | None
-    h1_max_n_per_m: float | None
-    method: str
+    h1_max_n_per_m: float | None  # the stiffness H(1) that is really rendered there [N/m]
+    method: str  # ``closed_form`` or ``pole_radius``
+    # Stable intervals of nominal K that were found, lowest first [N/m]; the closed form has at most one.
     stable: tuple[tuple[float, float], ...]
 
 
 def without_spring(law: Law, period: float) -> CompiledLaw:
     """Take the nominal stiffness out of a law.
 
-    Parameters
-    ----------
-    law : Law
-        Any law. One without a parameter ``stiffness`` (raw taps) has H(1) as its nominal stiffness.
-    period : float
-        Sampling period T [s].
-
-    Returns
-    -------
-    CompiledLaw
-        The derivative part D: the law's taps with K taken from the newest.
+    `law`: any law. One without a parameter ``stiffness`` (raw taps) has H(1) as its nominal stiffness. Returns: the derivative
+    part D: the law's taps with K taken from the newest.
     """
     compiled = law.compile(period)
     spring = getattr(law, "stiffness", None)
@@ -64,45 +45,17 @@ def without_spring(law: Law, period: float) -> CompiledLaw:
 
 
 def with_spring(derivative: CompiledLaw, stiffness: float) -> CompiledLaw:
-    """Add a nominal stiffness to the newest tap.
-
-    Parameters
-    ----------
-    derivative : CompiledLaw
-        Taps and sections.
-    stiffness : float
-        K [N/m].
-
-    Returns
-    -------
-    CompiledLaw
-        The law with K added.
-    """
+    """Add a nominal stiffness to the newest tap."""
     return replace(derivative, taps=(derivative.taps[0] + stiffness, *derivative.taps[1:]))
 
 
 def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> KMax:
     """Find the largest stable nominal stiffness, everything else fixed.
 
-    Parameters
-    ----------
-    derivative : CompiledLaw
-        Derivative part of the law, e.g. from `without_spring`.
-    plant : Plant
-        The device and its loop.
-    method : {"closed_form", "pole_radius"} or None
-        None takes the closed form where there is one.
-
-    Returns
-    -------
-    KMax
-        Boundary and stable intervals. K is looked for where the law is a spring at all: K > 0 and H(1) > 0.
-
-    Raises
-    ------
-    ValueError
-        When the closed form is asked for and there is none: more than two taps, sections, or a delay; and for a law with
-        code of its own, which has no poles.
+    `derivative`: derivative part of the law, e.g. from `without_spring`. `method`: None takes the closed form where there is
+    one. Returns: boundary and stable intervals. K is looked for where the law is a spring at all: K > 0 and H(1) > 0. Raises
+    ValueError when the closed form is asked for and there is none: more than two taps, sections, or a delay; and for a law
+    with code of its own, which has no poles.
     """
     if derivative.evaluate is not None:
         raise ValueError("law: has code of its own and no poles; take --method simulation or lockstep")
@@ -165,37 +118,14 @@ def _between_boundaries(derivative: CompiledLaw, plant: Plant, floor: float) -> 
 
 
 def boundaries(derivative: CompiledLaw, plant: Plant) -> list[float]:
-    """All nominal stiffnesses at which a pole is on the unit circle.
-
-    Parameters
-    ----------
-    derivative : CompiledLaw
-        Derivative part of the law.
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    list of float
-        K, increasing [N/m].
-    """
+    """All nominal stiffnesses at which a pole is on the unit circle."""
     return [stiffness for stiffness, _ in crossings(derivative, plant)]
 
 
 def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
     """Tell which frequency occurs at K_max, and what Colgate's condition says there (THEORY.md §9).
 
-    Parameters
-    ----------
-    derivative : CompiledLaw
-        Derivative part of the law.
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    Edge or None
-        None when there is no K_max, or when it is at ω = 0 or ω_N, where the loop drifts or alternates.
+    Returns: None when there is no K_max, or when it is at ω = 0 or ω_N, where the loop drifts or alternates.
     """
     limit = k_max(derivative, plant).k_max_n_per_m
     if limit is None or not math.isfinite(limit):
@@ -209,17 +139,7 @@ def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
 def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]]:
     """All nominal stiffnesses at which a pole is on the unit circle, and where on it.
 
-    Parameters
-    ----------
-    derivative : CompiledLaw
-        Derivative part of the law.
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    list of (float, float)
-        K [N/m] and ωT, by increasing K.
+    Returns: K [N/m] and ωT, by increasing K.
     """
     from scipy.optimize import brentq
 
@@ -252,43 +172,20 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far one property of the loop may change, the others fixed, until it is unstable. None: no limit was found.
+    """How far one property of the loop may change, the others fixed, until it is unstable. None: no limit was found."""
 
-    Attributes
-    ----------
-    mass_min_kg, mass_max_kg : float or None
-        Limits of the moving mass; searched from 1e-4 to 1e4 of the declared one.
-    damping_min_n_s_per_m : float or None
-        Least damping of the device; None when it is stable without any.
-    hand_stiffness_max_n_per_m : float or None
-        Largest stiffness of a hand; searched up to 1e6 N/m.
-    delay_max_ticks : float or None
-        Largest delay, fractions included; searched up to 100 ticks.
-    """
-
+    # Limits of the moving mass; searched from 1e-4 to 1e4 of the declared one.
     mass_min_kg: float | None
     mass_max_kg: float | None
-    damping_min_n_s_per_m: float | None
-    hand_stiffness_max_n_per_m: float | None
-    delay_max_ticks: float | None
+    damping_min_n_s_per_m: float | None  # least damping of the device; None when it is stable without any
+    hand_stiffness_max_n_per_m: float | None  # largest stiffness of a hand; searched up to 1e6 N/m
+    delay_max_ticks: float | None  # largest delay, fractions included; searched up to 100 ticks
 
 
 def tolerance(law: CompiledLaw, plant: Plant, radius: float = 1.0) -> Tolerance | None:
     """Tell how far mass, damping, a hand and delay may be from what is declared.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        The whole law.
-    plant : Plant
-        What is declared.
-    radius : float
-        Pole radius that counts as the limit.
-
-    Returns
-    -------
-    Tolerance or None
-        None when the loop is beyond the limit as declared.
+    Returns: None when the loop is beyond the limit as declared.
     """
 
     def within(other: Plant) -> bool:

@@ -20,43 +20,19 @@ from nodes.stability.plant import Plant, held_plant
 
 @dataclass(frozen=True)
 class Edge:
-    """What a loop does at its edge of stability.
+    """What a loop does at its edge of stability."""
 
-    Attributes
-    ----------
-    omega_rad_per_s : float
-        ω_c, the frequency that occurs [rad/s]; 0 where the loop drifts rather than rings.
-    f_n_s_per_m : float
-        f(ω_c) of the law with the loop's delay, nominal K taken as the spring [N s/m].
-    damping_factor : float
-        R(ω_c): by how much the held device damps more than b.
-    k_simple_n_per_m : float
-        2 (b − f(ω_c))/T, Colgate's condition at ω_c alone [N/m].
-    k_exact_n_per_m : float
-        2 (b R − f(ω_c))/T: K_max itself [N/m].
-    """
-
-    omega_rad_per_s: float
-    f_n_s_per_m: float
-    damping_factor: float
-    k_simple_n_per_m: float
-    k_exact_n_per_m: float
+    omega_rad_per_s: float  # ω_c, the frequency that occurs [rad/s]; 0 where the loop drifts rather than rings
+    f_n_s_per_m: float  # f(ω_c) of the law with the loop's delay, nominal K taken as the spring [N s/m]
+    damping_factor: float  # R(ω_c): by how much the held device damps more than b
+    k_simple_n_per_m: float  # 2 (b − f(ω_c))/T, Colgate's condition at ω_c alone [N/m]
+    k_exact_n_per_m: float  # 2 (b R − f(ω_c))/T: K_max itself [N/m]
 
 
 def damping_shown(plant: Plant, theta: float) -> float:
     """Damping that a held device shows at one frequency: T Re{−1/((1 − z) P(z))}.
 
-    Parameters
-    ----------
-    plant : Plant
-        The device; its delay plays no part.
-    theta : float
-        ωT, 0 < ωT < π.
-
-    Returns
-    -------
-    float
-        b R [N s/m]; for k = 0 and light damping b (1 + tan²(ωT/2)/3).
+    `theta`: ωT, 0 < ωT < π. Returns: b R [N s/m]; for k = 0 and light damping b (1 + tan²(ωT/2)/3).
     """
     z = cmath.exp(1j * theta)
     return plant.period * (-1.0 / ((1.0 - z) * position_over_force(z, replace(plant, delay=0.0)))).real
@@ -65,26 +41,8 @@ def damping_shown(plant: Plant, theta: float) -> float:
 def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = False) -> Edge:
     """Tell the stiffness that Colgate's condition allows at one frequency.
 
-    Parameters
-    ----------
-    derivative : CompiledLaw
-        Derivative part D of the law.
-    plant : Plant
-        The device and its loop.
-    omega : float
-        Frequency at which the device swings, 0 < ω < π/T [rad/s].
-    light : bool
-        Take the damping as light, b ≪ m/T: the mass then plays no part, and R = 1 + tan²(ωT/2)/3.
-
-    Returns
-    -------
-    Edge
-        The figures.
-
-    Raises
-    ------
-    ValueError
-        When the frequency is not between 0 and Nyquist.
+    `omega`: frequency at which the device swings, 0 < ω < π/T [rad/s]. `light`: take the damping as light, b ≪ m/T: the mass
+    then plays no part, and R = 1 + tan²(ωT/2)/3. Raises ValueError when the frequency is not between 0 and Nyquist.
     """
     period, damping = plant.period, plant.damping
     theta = omega * period
@@ -115,17 +73,7 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
 def position_over_force(z: complex, plant: Plant) -> complex:
     """Give P(z), what the held device answers to a force, its delay included.
 
-    Parameters
-    ----------
-    z : complex
-        Where.
-    plant : Plant
-        The device and its loop.
-
-    Returns
-    -------
-    complex
-        P [m/N].
+    Returns: P [m/N].
     """
     held = held_plant(plant)
     n2, n1, n0 = held.numerator

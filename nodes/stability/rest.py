@@ -28,55 +28,28 @@ _POINTS = 2000
 
 @dataclass(frozen=True)
 class Rest:
-    """Friction with which a device comes to rest on a law, in three ways.
+    """Friction with which a device comes to rest on a law, in three ways."""
 
-    Attributes
-    ----------
-    friction_bound_n : float
-        The error's force is never larger: with at least so much friction no motion goes on [N].
-    certain : bool
-        Whether that is a proof: the law, without the encoder, is passive on the damping of the device.
-    friction_alternating_n : float
-        No chatter across one encoder edge, tick by tick, with at least so much [N].
-    friction_estimated_n : float or None
-        No swing of a known device across one edge, by describing function [N]: an estimate, from either side. None without
-        a mass.
-    buzz_hz : float or None
-        Frequency of that swing [Hz]; None where there is none.
-    """
-
-    friction_bound_n: float
-    certain: bool
-    friction_alternating_n: float
+    friction_bound_n: float  # the error's force is never larger: with at least so much friction no motion goes on [N]
+    certain: bool  # whether that is a proof: the law, without the encoder, is passive on the damping of the device
+    friction_alternating_n: float  # no chatter across one encoder edge, tick by tick, with at least so much [N]
+    # No swing of a known device across one edge, by describing function [N]: an estimate, from either side. None without a
+    # mass.
     friction_estimated_n: float | None
-    buzz_hz: float | None
+    buzz_hz: float | None  # frequency of that swing [Hz]; None where there is none
 
     def free(self, friction: float) -> Literal[True, False, "estimated"]:
         """Tell whether the device is free of limit cycles.
 
-        Parameters
-        ----------
-        friction : float
-            Coulomb friction of the device; of a measured one the low end of its interval [N].
-
-        Returns
-        -------
-        bool or "estimated"
-            True from the bound on where that is a proof, ``"estimated"`` where it is none and from the estimate on; False where
-            neither says so.
+        `friction`: Coulomb friction of the device; of a measured one the low end of its interval [N]. Returns: True from the
+        bound on where that is a proof, ``"estimated"`` where it is none and from the estimate on; False where neither says so.
         """
         if friction >= self.friction_bound_n:
             return True if self.certain else "estimated"
         return "estimated" if self.friction_estimated_n is not None and friction >= self.friction_estimated_n else False
 
     def text(self) -> str:
-        """Say the frictions in words.
-
-        Returns
-        -------
-        str
-            Part of a sentence.
-        """
+        """Say the frictions in words."""
         kind = "proof" if self.certain else "no proof: the law is not passive on this damping"
         guess = "" if self.friction_estimated_n is None else f"; estimate, no bound: {self.friction_estimated_n:.4g} N"
         return f"every motion stops with friction from {self.friction_bound_n:.4g} N ({kind}){guess} (THEORY.md §5)"
@@ -85,19 +58,7 @@ class Rest:
 def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
     """Tell the friction that a law asks for to come to rest.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-    loop : Plant or float
-        The device and its loop; a sampling period alone [s] leaves out the estimate, which needs a device.
-    resolution : float
-        Step Δ of the encoder [m].
-
-    Returns
-    -------
-    Rest
-        The frictions.
+    `loop`: the device and its loop; a sampling period alone [s] leaves out the estimate, which needs a device.
     """
     plant = loop if isinstance(loop, Plant) else None
     period, damping, delay = (loop.period, loop.damping, loop.delay) if isinstance(loop, Plant) else (loop, 0.0, 0.0)
@@ -114,19 +75,7 @@ def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
 def stiffest_at_rest(derivative: CompiledLaw, resolution: float, friction: float) -> float:
     """Largest nominal stiffness that friction brings to rest, whatever the motion: Σ|h_m| ≤ 2 f_c/Δ.
 
-    Parameters
-    ----------
-    derivative : CompiledLaw
-        Derivative part of the law.
-    resolution : float
-        Step Δ of the encoder [m].
-    friction : float
-        Coulomb friction f_c [N].
-
-    Returns
-    -------
-    float
-        K [N/m]; for a spring 2 f_c/Δ, for PD 2 f_c/Δ − 2B/T. Not above 0 when the derivative part alone asks for more.
+    Returns: K [N/m]; for a spring 2 f_c/Δ, for PD 2 f_c/Δ − 2B/T. Not above 0 when the derivative part alone asks for more.
     """
     newest = derivative.taps[0]
     others = absolute_sum(derivative) - abs(newest)
@@ -136,15 +85,7 @@ def stiffest_at_rest(derivative: CompiledLaw, resolution: float, friction: float
 def absolute_sum(law: CompiledLaw) -> float:
     """Σ|h_m|, the largest force per deflection of at most 1 in size.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, and sections if any.
-
-    Returns
-    -------
-    float
-        [N/m]; for PD it is H(−1). Sections are summed until what is left is below rounding.
+    Returns: [N/m]; for PD it is H(−1). Sections are summed until what is left is below rounding.
     """
     if not law.sections:
         return sum(map(abs, law.taps))

@@ -25,25 +25,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TwoRate:
-    """A device with a servo.
+    """A device with a servo."""
 
-    Attributes
-    ----------
-    mass, damping : float
-        Of the device [kg], [N s/m].
-    servo_damping : float
-        B_s of the servo's damper [N s/m].
-    ratio : int
-        N, servo ticks per tick of the loop.
-    delay : int
-        From the loop's sample to its force taking effect [servo ticks].
-    """
-
+    # Of the device [kg], [N s/m].
     mass: float
     damping: float
-    servo_damping: float
-    ratio: int
-    delay: int = 0
+    servo_damping: float  # B_s of the servo's damper [N s/m]
+    ratio: int  # N, servo ticks per tick of the loop
+    delay: int = 0  # from the loop's sample to its force taking effect [servo ticks]
 
     def __post_init__(self) -> None:
         if not (self.mass > 0.0 and self.damping >= 0.0 and self.servo_damping >= 0.0):
@@ -59,17 +48,7 @@ class TwoRate:
 def heavy_limit(device: TwoRate, period: float) -> float:
     """Largest stiffness of a spring for a heavy device, in closed form.
 
-    Parameters
-    ----------
-    device : TwoRate
-        The device; its mass does not matter.
-    period : float
-        Sampling period T of the loop [s].
-
-    Returns
-    -------
-    float
-        (b + B_s)/(T (½ + d)), d in ticks of the loop [N/m].
+    Returns: (b + B_s)/(T (½ + d)), d in ticks of the loop [N/m].
     """
     return (device.damping + device.servo_damping) / (period * (0.5 + device.delay / device.ratio))
 
@@ -80,24 +59,8 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
     The state at a tick of the loop is position, velocity, position one servo tick ago, the n older samples of the loop, and the
     forces that have not taken effect, oldest first.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps only [N/m].
-    period : float
-        Sampling period T of the loop [s].
-    device : TwoRate
-        The device.
-
-    Returns
-    -------
-    ndarray, shape (s, s)
-        From the state at one tick to that at the next.
-
-    Raises
-    ------
-    ValueError
-        When the law has sections.
+    `law`: taps only [N/m]. Returns, shape (s, s): from the state at one tick to that at the next. Raises ValueError when the
+    law has sections.
     """
     import numpy as np
 
@@ -127,19 +90,7 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
 def two_rate_radius(law: CompiledLaw, period: float, device: TwoRate) -> float:
     """Pole radius of the loop.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps only.
-    period : float
-        Sampling period T of the loop [s].
-    device : TwoRate
-        The device.
-
-    Returns
-    -------
-    float
-        Below 1 for a stable loop.
+    `law`: taps only. Returns: below 1 for a stable loop.
     """
     import numpy as np
 
@@ -149,21 +100,8 @@ def two_rate_radius(law: CompiledLaw, period: float, device: TwoRate) -> float:
 def two_rate_k_max(derivative: CompiledLaw, period: float, device: TwoRate, steps: int = 400) -> float | None:
     """Find the stiffness up to which the loop is stable.
 
-    Parameters
-    ----------
-    derivative : CompiledLaw
-        The law without its spring.
-    period : float
-        Sampling period T of the loop [s].
-    device : TwoRate
-        The device.
-    steps : int
-        Stiffnesses tried on the way up, evenly in the logarithm over six decades.
-
-    Returns
-    -------
-    float or None
-        Upper end of the lowest stable interval of K [N/m]; None when none is stable.
+    `steps`: stiffnesses tried on the way up, evenly in the logarithm over six decades. Returns: upper end of the lowest stable
+    interval of K [N/m]; None when none is stable.
     """
     from dataclasses import replace
 

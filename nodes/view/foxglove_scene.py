@@ -240,24 +240,8 @@ def _line(begin: Vector, force: Vector) -> dict[str, Any]:
 def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
     """Write the recording once more, with its scene.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of any scene; one without a surface or bodies has device, proxy and force in it.
-    out : str or Path
-        The MCAP file.
-    overwrite : bool, optional
-        Whether an existing file may be replaced.
-
-    Returns
-    -------
-    list of Path
-        The file.
-
-    Raises
-    ------
-    RecordError
-        When it cannot be written, or the recording cannot be read.
+    `recording`: of any scene; one without a surface or bodies has device, proxy and force in it. Raises RecordError when it
+    cannot be written, or the recording cannot be read.
     """
     out = Path(out)
     if out.exists() and out.samefile(recording.path):

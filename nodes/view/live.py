@@ -48,36 +48,20 @@ def quantiles_us(responses: deque[float]) -> dict[str, float]:
 
 
 class Facts(NamedTuple):
-    """What does not change about a run.
+    """What does not change about a run."""
 
-    Attributes
-    ----------
-    run, scenario, summary : str
-        Its name, that of its launch file, and what that shows.
-    period : float
-        Sampling period T [s].
-    pace, apply : str
-        See nodes/base/setup.py.
-    axes : list of str
-        Axes that the scene computes.
-    driver : str
-        Name of the driver node.
-    run_dir : str
-        Where the launcher says why it ends; empty for a recording.
-    peak : float or None
-        Largest force that the driver hands over, where the launch says it [N].
-    """
-
+    # Its name, that of its launch file, and what that shows.
     run: str
     scenario: str
     summary: str
-    period: float
+    period: float  # sampling period T [s]
+    # See nodes/base/setup.py.
     pace: str
     apply: str
-    axes: list[str]
-    driver: str
-    run_dir: str = ""
-    peak: float | None = None
+    axes: list[str]  # axes that the scene computes
+    driver: str  # name of the driver node
+    run_dir: str = ""  # where the launcher says why it ends; empty for a recording
+    peak: float | None = None  # largest force that the driver hands over, where the launch says it [N]
 
     def hello(self) -> dict[str, Any]:
         """Tell a page what run this is."""

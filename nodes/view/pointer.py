@@ -118,15 +118,7 @@ class PointerReader:
 class PointerWriter:
     """The page's end.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    FileNotFoundError
-        When no driver has made it: there is no hand to drag.
+    Raises FileNotFoundError when no driver has made it: there is no hand to drag.
     """
 
     def __init__(self, path: Path) -> None:

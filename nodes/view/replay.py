@@ -298,13 +298,7 @@ class ReplayPages:
 
 
 class ReplayPage:
-    """One open page over a recording, with its own place in time.
-
-    Parameters
-    ----------
-    pages : ReplayPages
-        The recording.
-    """
+    """One open page over a recording, with its own place in time."""
 
     def __init__(self, pages: ReplayPages) -> None:
         self._pages = pages

@@ -16,18 +16,10 @@ LEAST, SHARE = 0.1, 0.25
 
 
 class Ring(NamedTuple):
-    """How a loop rings.
+    """How a loop rings."""
 
-    Attributes
-    ----------
-    frequency : float
-        How often the force goes to and fro [Hz].
-    force : float
-        Its largest magnitude [N].
-    """
-
-    frequency: float
-    force: float
+    frequency: float  # how often the force goes to and fro [Hz]
+    force: float  # its largest magnitude [N]
 
 
 class Ringing:

@@ -43,13 +43,7 @@ FINAL = 0.5
 
 
 class RunPage:
-    """One open page over a running launch.
-
-    Parameters
-    ----------
-    pages : RunPages
-        All of them.
-    """
+    """One open page over a running launch."""
 
     def __init__(self, pages: RunPages) -> None:
         self._pages = pages

@@ -31,64 +31,28 @@ _PER_BAND = 60
 
 @dataclass(frozen=True)
 class BandError:
-    """Error against (jω)^α over one band of frequencies.
+    """Error against (jω)^α over one band of frequencies."""
 
-    Attributes
-    ----------
-    raw : float
-        Root mean square of |H/(jω)^α − 1| over the band, log-spaced [1].
-    aligned : float
-        The same after the best pure delay of the whole range is removed [1].
-    phase : float
-        Largest phase error, raw [rad].
-    """
-
-    raw: float
-    aligned: float
-    phase: float
+    raw: float  # root mean square of |H/(jω)^α − 1| over the band, log-spaced [1]
+    aligned: float  # the same after the best pure delay of the whole range is removed [1]
+    phase: float  # largest phase error, raw [rad]
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """Figures of one realisation at one order, length and period.
+    """Figures of one realisation at one order, length and period."""
 
-    Attributes
-    ----------
-    kind : str
-        Registered name.
-    order : float
-        α.
-    taps : int
-        Length n + 1 as asked for.
-    period : float
-        Sampling period T [s].
-    multiplies : int
-        Multiplications per tick in the loop's kernels: one per tap, four per section.
-    states : int
-        Numbers remembered from tick to tick: older deflections and outputs of sections.
-    delay : float
-        Pure delay that fits best from the slow to the contact band [ticks].
-    leak : float
-        D(1)·T^α: answer to a held offset, in units in which GL's first tap is 1.
-    nyquist : float
-        D(−1)·(T/2)^α: gain at Nyquist, 1 for GL with infinite memory.
-    pole : float
-        Largest magnitude of a pole, 0 without sections.
-    bands : dict of str to BandError
-        Errors by band, names and edges as in `BANDS` (fractions of Nyquist).
-    """
-
-    kind: str
-    order: float
-    taps: int
-    period: float
-    multiplies: int
-    states: int
-    delay: float
-    leak: float
-    nyquist: float
-    pole: float
-    bands: dict[str, BandError]
+    kind: str  # registered name
+    order: float  # α
+    taps: int  # length n + 1 as asked for
+    period: float  # sampling period T [s]
+    multiplies: int  # multiplications per tick in the loop's kernels: one per tap, four per section
+    states: int  # numbers remembered from tick to tick: older deflections and outputs of sections
+    delay: float  # pure delay that fits best from the slow to the contact band [ticks]
+    leak: float  # D(1)·T^α: answer to a held offset, in units in which GL's first tap is 1
+    nyquist: float  # D(−1)·(T/2)^α: gain at Nyquist, 1 for GL with infinite memory
+    pole: float  # largest magnitude of a pole, 0 without sections
+    bands: dict[str, BandError]  # errors by band, names and edges as in `BANDS` (fractions of Nyquist)
 
     def error(self, aligned: bool = True) -> float:
         """One number for a chart: root mean square over the slow, hand and contact bands."""

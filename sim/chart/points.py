@@ -20,61 +20,31 @@ Detail = float | int | str | None
 
 @dataclass(frozen=True)
 class Point:
-    """One choice.
+    """One choice."""
 
-    Attributes
-    ----------
-    name : str
-        What was chosen, e.g. ``gl 64``.
-    cost : float
-        Its cost, in the unit of its group.
-    error : float
-        Its error, in the unit of its group.
-    family : str
-        What it is a member of, e.g. ``gl``: members are drawn as one line.
-    detail : dict
-        Other figures, units in the keys.
-    on_front : bool
-        Whether nothing in its group is both cheaper and better; set by `with_front`.
-    """
-
+    # What was chosen, e.g. ``gl 64``.
     name: str
-    cost: float
-    error: float
+    cost: float  # its cost, in the unit of its group
+    error: float  # its error, in the unit of its group
+    # What it is a member of, e.g. ``gl``: members are drawn as one line.
     family: str = ""
-    detail: dict[str, Detail] = field(default_factory=dict)
-    on_front: bool = False
+    detail: dict[str, Detail] = field(default_factory=dict)  # other figures, units in the keys
+    on_front: bool = False  # whether nothing in its group is both cheaper and better; set by `with_front`
 
 
 @dataclass(frozen=True)
 class Group:
-    """Points that compete with each other.
+    """Points that compete with each other."""
 
-    Attributes
-    ----------
-    name : str
-        Key of the group.
-    title : str
-        What is compared.
-    cost_label, error_label : str
-        Axes, with units.
-    points : tuple of Point
-        The choices.
-    note : str
-        How the figures were obtained, for the page.
-    linear : bool
-        Whether the errors are drawn on a linear scale.
-    families : bool
-        Whether each family is drawn as a line of its own: they are no choices between which one is free.
-    """
-
-    name: str
-    title: str
+    name: str  # key of the group
+    title: str  # what is compared
+    # Axes, with units.
     cost_label: str
     error_label: str
-    points: tuple[Point, ...]
-    note: str = ""
-    linear: bool = False
+    points: tuple[Point, ...]  # the choices
+    note: str = ""  # how the figures were obtained, for the page
+    linear: bool = False  # whether the errors are drawn on a linear scale
+    # Whether each family is drawn as a line of its own: they are no choices between which one is free.
     families: bool = False
 
 

@@ -47,26 +47,13 @@ _FINE = 200_000.0
 
 @dataclass(frozen=True)
 class Launched:
-    """What a launch rendered.
+    """What a launch rendered."""
 
-    Attributes
-    ----------
-    figures : dict
-        Answer of ``haptic launch --json``.
-    onset : ndarray, shape (n,)
-        When each force took effect, from tick 0 on [s].
-    force : ndarray, shape (n,)
-        The forces [N].
-    height : ndarray, shape (n,)
-        Measured height at the ticks [m].
-    delay : float
-        Median delay between a sample and the effect of its force [ticks]; infinite when no force came in time.
-    """
-
-    figures: dict[str, Any]
-    onset: NDArray[np.float64]
-    force: NDArray[np.float64]
-    height: NDArray[np.float64]
+    figures: dict[str, Any]  # answer of ``haptic launch --json``
+    onset: NDArray[np.float64]  # when each force took effect, from tick 0 on [s], shape (n,)
+    force: NDArray[np.float64]  # the forces [N], shape (n,)
+    height: NDArray[np.float64]  # measured height at the ticks [m], shape (n,)
+    # Median delay between a sample and the effect of its force [ticks]; infinite when no force came in time.
     delay: float
 
 

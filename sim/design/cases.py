@@ -75,17 +75,9 @@ def _rational(
 def verified_cases(demand: Demand) -> Vector:
     """Cases on which a design is verified after the search.
 
-    Parameters
-    ----------
-    demand : Demand
-        With the ranges.
-
-    Returns
-    -------
-    ndarray, shape (c, 4)
-        Mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m]: 801 masses evenly spaced in the
-        logarithm, or 101 masses with 11 delays and hands and 5 dampings where those are ranges too, fewer for a device that is
-        more than a rigid mass; all ends are among them.
+    Returns, shape (c, 4): mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m]: 801 masses
+    evenly spaced in the logarithm, or 101 masses with 11 delays and hands and 5 dampings where those are ranges too, fewer for
+    a device that is more than a rigid mass; all ends are among them.
     """
     ranges = (demand.delay, demand.stiffness, demand.dampings)
     if demand.beyond:

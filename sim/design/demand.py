@@ -21,46 +21,22 @@ RIGID = (0.0, 0.0, math.inf, 0.0)
 
 @dataclass(frozen=True)
 class Demand:
-    """What a law must keep, whatever its stiffness.
+    """What a law must keep, whatever its stiffness."""
 
-    Attributes
-    ----------
-    mass : tuple of float, shape (2,)
-        Lightest and heaviest device, a hand's share included [kg].
-    damping : float
-        Viscous damping b of the device, the least of it where it is a range [N s/m].
-    delay : tuple of float, shape (2,)
-        Shortest and longest delay of the loop, fractions allowed [ticks].
-    period : float
-        Sampling period T [s].
-    radius : float
-        Largest pole radius R allowed at any mass, delay and hand of the ranges.
-    nyquist : float
-        Largest |H(−1)| allowed [N/m].
-    stiffness : tuple of float, shape (2,)
-        Softest and stiffest hand [N/m].
-    damping_max : float or None
-        Most damping of the device; None where it is known [N s/m].
-    lands : tuple of (bool, bool)
-        Contact conventions (raw history, clamped force) under which every drop must settle too, with a margin
-        (`sim.design.landing`); empty when landing is not asked for.
-    above : float
-        H(1) that is known already: laws below it are not dropped, and need not be found [N/m].
-    beyond : tuple of (float, float, float, float)
-        What the device may have beyond one rigid mass, all of which are kept: lag of the actuator [s], part of the mass
-        behind a joint, its frequency [Hz] and damping ratio. Empty for a rigid device.
-    """
-
-    mass: tuple[float, float]
-    damping: float
-    delay: tuple[float, float]
-    period: float
-    radius: float
-    nyquist: float
-    stiffness: tuple[float, float] = (0.0, 0.0)
-    damping_max: float | None = None
+    mass: tuple[float, float]  # lightest and heaviest device, a hand's share included [kg], shape (2,)
+    damping: float  # viscous damping b of the device, the least of it where it is a range [N s/m]
+    delay: tuple[float, float]  # shortest and longest delay of the loop, fractions allowed [ticks], shape (2,)
+    period: float  # sampling period T [s]
+    radius: float  # largest pole radius R allowed at any mass, delay and hand of the ranges
+    nyquist: float  # largest |H(−1)| allowed [N/m]
+    stiffness: tuple[float, float] = (0.0, 0.0)  # softest and stiffest hand [N/m], shape (2,)
+    damping_max: float | None = None  # most damping of the device; None where it is known [N s/m]
+    # Contact conventions (raw history, clamped force) under which every drop must settle too, with a margin
+    # (`sim.design.landing`); empty when landing is not asked for.
     lands: tuple[tuple[bool, bool], ...] = ()
-    above: float = 0.0
+    above: float = 0.0  # H(1) that is known already: laws below it are not dropped, and need not be found [N/m]
+    # What the device may have beyond one rigid mass, all of which are kept: lag of the actuator [s], part of the mass behind a
+    # joint, its frequency [Hz] and damping ratio. Empty for a rigid device.
     beyond: tuple[tuple[float, float, float, float], ...] = ()
 
     @property
@@ -71,42 +47,23 @@ class Demand:
 
 @dataclass(frozen=True)
 class Robust:
-    """The stiffest law found in a family.
+    """The stiffest law found in a family."""
 
-    Attributes
-    ----------
-    taps : ndarray, shape (n + 1,)
-        h_0 ... h_n, or the numerator over 1 − pole·w [N/m].
-    parameters : ndarray, shape (p,)
-        Weights of the family's basis.
-    h1_n_per_m : float
-        H(1) [N/m].
-    h_nyquist_n_per_m : float
-        H(−1) [N/m].
-    radius : float
-        Largest pole radius over all verified cases.
-    worst : tuple of float, shape (4,)
-        The case where that is: mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m].
-    pole : float
-        Of a filter behind two taps (`pd_filtered`); 0 without one.
-    """
-
+    # h_0 ... h_n, or the numerator over 1 − pole·w [N/m], shape (n + 1,).
     taps: Vector
-    parameters: Vector
-    h1_n_per_m: float
-    h_nyquist_n_per_m: float
-    radius: float
+    parameters: Vector  # weights of the family's basis, shape (p,)
+    h1_n_per_m: float  # H(1) [N/m]
+    h_nyquist_n_per_m: float  # H(−1) [N/m]
+    radius: float  # largest pole radius over all verified cases
+    # The case where that is: mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m], shape (4,).
     worst: tuple[float, ...]
-    pole: float = 0.0
+    pole: float = 0.0  # of a filter behind two taps (`pd_filtered`); 0 without one
 
     @property
     def law(self) -> CompiledLaw:
         """The law as the coupling renders it.
 
-        Returns
-        -------
-        CompiledLaw
-            Taps, or a tap and a section.
+        Returns: taps, or a tap and a section.
         """
         return filtered(self.taps, self.pole)
 
@@ -114,17 +71,7 @@ class Robust:
 def filtered(taps: Vector, pole: float) -> CompiledLaw:
     """Compile taps, or two of them over 1 − pole·w: a spring, and a difference behind the filter.
 
-    Parameters
-    ----------
-    taps : ndarray, shape (n + 1,)
-        h_0 ... h_n, or the two of the numerator [N/m].
-    pole : float
-        Of the filter; 0 without one.
-
-    Returns
-    -------
-    CompiledLaw
-        The law.
+    `taps`, shape (n + 1,): h_0 ... h_n, or the two of the numerator [N/m]. `pole`: of the filter; 0 without one.
     """
     if pole == 0.0:
         return CompiledLaw(tuple(taps.tolist()))

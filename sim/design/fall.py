@@ -49,21 +49,7 @@ def falls(
 ) -> Falls:
     """Prepare drops of every device of a demand, its damping the least and its delay the longest.
 
-    Parameters
-    ----------
-    demand : Demand
-        The devices.
-    masses : sequence of float
-        Masses [kg].
-    conventions : sequence of (bool, bool)
-        Of contact: raw history, clamped force.
-    heights : sequence of float
-        From which they fall [m].
-
-    Returns
-    -------
-    Falls
-        Mass by mass, joint and lag by joint and lag, convention by convention, height by height.
+    Returns: mass by mass, joint and lag by joint and lag, convention by convention, height by height.
     """
     rows: list[tuple[Any, ...]] = []
     most = 2
@@ -155,19 +141,7 @@ _settled_compiled = compiled()(_settled)
 def settled(law: CompiledLaw, drops: Falls, criterion: Criterion | None = None) -> list[bool]:
     """Drop with a law, to the end.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps and sections.
-    drops : Falls
-        The drops.
-    criterion : Criterion or None
-        What counts as settled; None for the usual one.
-
-    Returns
-    -------
-    list of bool
-        Whether each settles.
+    `criterion`: what counts as settled; None for the usual one.
     """
     criterion = criterion or Criterion()
     told = np.zeros(len(drops.whole), dtype=np.bool_)

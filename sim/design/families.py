@@ -40,39 +40,18 @@ CUTOFFS = (0.05, 0.1, 0.2, 0.4, 0.8)
 
 @dataclass(frozen=True)
 class Tuned:
-    """The stiffest member of a family at one demand.
+    """The stiffest member of a family at one demand."""
 
-    Attributes
-    ----------
-    family : str
-        ``pd``, ``pd_filtered``, ``pd_alpha``, ``paper_optimum`` or ``designed``.
-    law : dict or None
-        Its description, as `nodes.laws.parse.parse_law` reads it; None when no member keeps the demand.
-    found : Robust or None
-        Its figures.
-    """
-
-    family: str
+    family: str  # ``pd``, ``pd_filtered``, ``pd_alpha``, ``paper_optimum`` or ``designed``
+    # Its description, as `nodes.laws.parse.parse_law` reads it; None when no member keeps the demand.
     law: dict[str, Any] | None
-    found: Robust | None
+    found: Robust | None  # its figures
 
 
 def designed(demand: Demand, taps: int, effort: int = 1) -> Tuned:
     """Design the taps themselves.
 
-    Parameters
-    ----------
-    demand : Demand
-        What to keep.
-    taps : int
-        n + 1.
-    effort : int
-        Multiplies the global search.
-
-    Returns
-    -------
-    Tuned
-        With a law of kind ``fir``, tied to its sampling period.
+    `taps`: n + 1. Returns: with a law of kind ``fir``, tied to its sampling period.
     """
     # A shorter law with zeros behind it is a longer one: more taps are never worse.
     found: Robust | None = None
@@ -86,51 +65,20 @@ def designed(demand: Demand, taps: int, effort: int = 1) -> Tuned:
 def fir(taps: Vector, period: float) -> dict[str, Any]:
     """Describe raw taps as a law.
 
-    Parameters
-    ----------
-    taps : ndarray, shape (n + 1,)
-        h_0 ... h_n [N/m].
-    period : float
-        Sampling period that they were made for [s].
-
-    Returns
-    -------
-    dict
-        A law of kind ``fir``.
+    `taps`, shape (n + 1,): h_0 ... h_n [N/m].
     """
     return {"kind": "fir", "taps": [float(tap) for tap in taps], "period": period}
 
 
 def best_pd(demand: Demand) -> Tuned:
-    """Tune stiffness and damping of PD.
-
-    Parameters
-    ----------
-    demand : Demand
-        What to keep.
-
-    Returns
-    -------
-    Tuned
-        The stiffest.
-    """
+    """Tune stiffness and damping of PD."""
     return best_linear("pd", {"kind": "pd"}, demand)
 
 
 def best_pd_filtered(demand: Demand, cutoffs: Sequence[float] | None = None) -> Tuned:
     """Tune stiffness and damping of PD with a filtered velocity at every cutoff, then refine the best cutoff.
 
-    Parameters
-    ----------
-    demand : Demand
-        What to keep.
-    cutoffs : sequence of float or None
-        Cutoffs to begin with [Hz]; None for `CUTOFFS` of the loop's rate.
-
-    Returns
-    -------
-    Tuned
-        The stiffest of all cutoffs.
+    `cutoffs`: cutoffs to begin with [Hz]; None for `CUTOFFS` of the loop's rate. Returns: the stiffest of all cutoffs.
     """
 
     def at(cutoff: float, wanted: Demand) -> Tuned:
@@ -148,19 +96,7 @@ def best_pd_filtered(demand: Demand, cutoffs: Sequence[float] | None = None) -> 
 def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = None) -> Tuned:
     """Tune stiffness and damping of PDα at every order, then refine the best order.
 
-    Parameters
-    ----------
-    demand : Demand
-        What to keep.
-    taps : int
-        n + 1 of the derivative.
-    orders : tuple of float or None
-        Orders to begin with; None for `ORDERS`.
-
-    Returns
-    -------
-    Tuned
-        The stiffest of all orders.
+    `taps`: n + 1 of the derivative. `orders`: orders to begin with; None for `ORDERS`. Returns: the stiffest of all orders.
     """
 
     def at(order: float, wanted: Demand) -> Tuned:
@@ -177,37 +113,15 @@ def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = 
 
 
 def best_paper_optimum(demand: Demand) -> Tuned:
-    """Tune stiffness and damping of the paper's optimum; its gains and orders stay.
-
-    Parameters
-    ----------
-    demand : Demand
-        What to keep.
-
-    Returns
-    -------
-    Tuned
-        The stiffest.
-    """
+    """Tune stiffness and damping of the paper's optimum; its gains and orders stay."""
     return best_linear("paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, demand)
 
 
 def compare(demand: Demand, taps: int, say: Callable[[str], None]) -> Iterator[Tuned]:
     """Tune every family to the same demand.
 
-    Parameters
-    ----------
-    demand : Demand
-        What all of them must keep.
-    taps : int
-        n + 1 of PDα and of the designed law.
-    say : callable
-        Told what is being tuned, for a progress line.
-
-    Yields
-    ------
-    Tuned
-        PD, PD with a filtered velocity, PDα, the paper's optimum, and the designed law.
+    `taps`: n + 1 of PDα and of the designed law. `say`: told what is being tuned, for a progress line. Yields: PD, PD with a
+    filtered velocity, PDα, the paper's optimum, and the designed law.
     """
     families: dict[str, Callable[[Demand], Tuned]] = {
         "PD": best_pd,
@@ -266,17 +180,7 @@ def _numerator(law: CompiledLaw) -> tuple[Vector, float]:
 def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
     """Find the delay up to which a law stays stable at every mass of the range: what the demand did not ask for.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        The law.
-    demand : Demand
-        What it was tuned to.
-
-    Returns
-    -------
-    float or None
-        Delay [ticks], at five masses of the range and every joint and lag of the demand; None when there is no limit.
+    Returns: delay [ticks], at five masses of the range and every joint and lag of the demand; None when there is no limit.
     """
     known = []
     if demand.beyond:
@@ -320,18 +224,8 @@ def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
 
     THEORY.md §10.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        The law.
-    demand : Demand
-        With the range of delay.
-
-    Returns
-    -------
-    bool, str or None
-        True with a certificate everywhere; False where a sequence grows; None where it is not decided; ``too wide`` for
-        a range above a tick.
+    Returns: True with a certificate everywhere; False where a sequence grows; None where it is not decided; ``too wide`` for a
+    range above a tick.
     """
     if demand.delay[1] > demand.delay[0] + 1.0:
         return "too wide"
@@ -350,22 +244,8 @@ def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
 def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
     """Tune to smaller pole radii until every sequence of the demanded delays is certified.
 
-    Parameters
-    ----------
-    tune : callable
-        From a demand to a law.
-    demand : Demand
-        What to keep.
-
-    Returns
-    -------
-    Tuned
-        The first with a certificate: at the demanded radius, then 10 % further from 1 each; without a law after ten.
-
-    Raises
-    ------
-    ValueError
-        When the range of delay is wider than a tick.
+    Returns: the first with a certificate: at the demanded radius, then 10 % further from 1 each; without a law after ten.
+    Raises ValueError when the range of delay is wider than a tick.
     """
     margin = 1.0 - demand.radius
     if demand.delay[1] > demand.delay[0] + 1.0:
@@ -379,23 +259,6 @@ def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
 
 
 def to_yaml(law: dict[str, Any], name: str = "designed", node: str = "coupling", comment: str = "") -> str:
-    """Write a law so that ``haptic param load`` takes it at once: defined under its name, and switched to.
-
-    Parameters
-    ----------
-    law : dict
-        Its description.
-    name : str
-        Name that it gets.
-    node : str
-        Name of the coupling node.
-    comment : str
-        Lines to put above.
-
-    Returns
-    -------
-    str
-        YAML.
-    """
+    """Write a law so that ``haptic param load`` takes it at once: defined under its name, and switched to."""
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     return head + write_yaml({node: {"law": name, "laws": {name: law}}})

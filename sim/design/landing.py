@@ -45,18 +45,8 @@ def dropped(demand: Demand, mass: float, raw: bool, clamp: bool, height: float) 
 def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
     """Drop the lightest, the middle and the heaviest device of a demand on a floor, under every contact convention.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        The law.
-    demand : Demand
-        What it was designed for; the longest delay and the least damping are used.
-
-    Returns
-    -------
-    dict of str to bool
-        Whether the run settled, by convention and mass, e.g. ``penetration clamped 0.05 kg``; with every joint and lag that
-        the demand has.
+    `demand`: what it was designed for; the longest delay and the least damping are used. Returns: whether the run settled, by
+    convention and mass, e.g. ``penetration clamped 0.05 kg``; with every joint and lag that the demand has.
     """
     told = {}
     for mass in np.unique(np.geomspace(*demand.mass, 3)).tolist():
@@ -83,15 +73,7 @@ def _falls(demand: Demand) -> Falls:
 def landings(demand: Demand) -> list[Scene]:
     """Give every drop that a landing law settles in, those that fail first in front.
 
-    Parameters
-    ----------
-    demand : Demand
-        What is demanded.
-
-    Returns
-    -------
-    list of Scene
-        Three masses, 3 % beyond the range at either end, the demanded conventions, three heights.
+    Returns: three masses, 3 % beyond the range at either end, the demanded conventions, three heights.
     """
     cases = itertools.product(_margin(demand), demand.lands, HEIGHTS)
     return [dropped(demand, mass, *convention, height) for mass, convention, height in cases]
@@ -100,17 +82,8 @@ def landings(demand: Demand) -> list[Scene]:
 def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None:
     """Tune PD with a windowed velocity by its drops: it has no poles that could keep a radius.
 
-    Parameters
-    ----------
-    demand : Demand
-        Masses, damping and the longest delay of the drops; |H(−1)| is kept as that of its shortest window, which is PD's.
-    resolution : float
-        Step of the device's encoder [m].
-
-    Returns
-    -------
-    dict or None
-        The stiffest law of which every drop of `landings` settles, under all conventions; None where none does.
+    `demand`: masses, damping and the longest delay of the drops; |H(−1)| is kept as that of its shortest window, which is
+    PD's. Returns: the stiffest law of which every drop of `landings` settles, under all conventions; None where none does.
     """
     scenes = [
         replace(scene, device=msgspec.structs.replace(scene.device, resolution=resolution))
@@ -157,25 +130,8 @@ def landed(
 ) -> Vector | None:
     """Search a family for the stiffest law that keeps a demand and lands.
 
-    Parameters
-    ----------
-    demand : Demand
-        What to keep.
-    basis : ndarray, shape (p, n + 1)
-        Taps per unit of each parameter [N/m].
-    fine : LoopCase
-        The loop at all cases that a law is verified on.
-    starts : list of ndarray, shape (p,)
-        Members to begin with.
-    free : bool
-        Whether parameters may be negative.
-    seed, effort : int
-        Of the search, and a factor on its length.
-
-    Returns
-    -------
-    ndarray, shape (p,) or None
-        Parameters; None when no member was found.
+    `basis`, shape (p, n + 1): taps per unit of each parameter [N/m]. `fine`: the loop at all cases that a law is verified on.
+    `starts`, shape (p,): members to begin with. Returns, shape (p,) or None: parameters; None when no member was found.
     """
     drops = _falls(demand)
     best, most = None, 0.0

@@ -25,30 +25,16 @@ _CUTS = 60
 
 @dataclass(frozen=True)
 class Passive:
-    """A passive law and the proof of it.
+    """A passive law and the proof of it."""
 
-    Attributes
-    ----------
-    taps : ndarray, shape (n + 1,)
-        h_0 ... h_n [N/m].
-    h1_n_per_m : float
-        H(1) [N/m].
-    h_nyquist_n_per_m : float
-        H(−1) [N/m].
-    damping_needed_n_s_per_m : float
-        Certain upper bound of the damping it needs, not above the device's [N s/m].
-    ratio : float
-        H(1)·T/b: 2/(1+2d) for the spring, 2/(1+d) at best (THEORY.md §2).
-    bound_n_per_m : float
-        What the last programme, which knows fewer frequencies, would have allowed: no passive law of this length and bound
-        on H(−1) is stiffer [N/m].
-    """
-
+    # h_0 ... h_n [N/m], shape (n + 1,).
     taps: Vector
-    h1_n_per_m: float
-    h_nyquist_n_per_m: float
-    damping_needed_n_s_per_m: float
-    ratio: float
+    h1_n_per_m: float  # H(1) [N/m]
+    h_nyquist_n_per_m: float  # H(−1) [N/m]
+    damping_needed_n_s_per_m: float  # certain upper bound of the damping it needs, not above the device's [N s/m]
+    ratio: float  # H(1)·T/b: 2/(1+2d) for the spring, 2/(1+d) at best (THEORY.md §2)
+    # What the last programme, which knows fewer frequencies, would have allowed: no passive law of this length and bound on
+    # H(−1) is stiffer [N/m].
     bound_n_per_m: float
 
 
@@ -62,30 +48,10 @@ def stiffest_passive(
 ) -> Passive:
     """Find the taps with the largest H(1) that are passive on a device with this damping at any delay of a range.
 
-    Parameters
-    ----------
-    taps : int
-        n + 1.
-    period : float
-        Sampling period T [s].
-    damping : float
-        Viscous damping b > 0 of the device [N s/m].
-    delay : tuple of float, shape (2,)
-        Shortest and longest delay [ticks]. Within a range, the certain bound holds at 33 delays.
-    nyquist : float
-        Largest |H(−1)| allowed [N/m].
-    tolerance : float
-        Stop when the law is within this of the bound, relative.
-
-    Returns
-    -------
-    Passive
-        The law, its certain margin, and the bound.
-
-    Raises
-    ------
-    ValueError
-        When there is no damping to be passive with, or the programme fails.
+    `taps`: n + 1. `damping`: viscous damping b > 0 of the device [N s/m]. `delay`, shape (2,): shortest and longest delay
+    [ticks]. Within a range, the certain bound holds at 33 delays. `nyquist`: largest |H(−1)| allowed [N/m]. `tolerance`: stop
+    when the law is within this of the bound, relative. Returns: the law, its certain margin, and the bound. Raises ValueError
+    when there is no damping to be passive with, or the programme fails.
     """
     from scipy.optimize import linprog
 
@@ -139,19 +105,8 @@ def certain_damping(h: Vector, period: float, delay: float) -> float:
     A trigonometric polynomial of degree N with M > 2N equidistant samples exceeds its largest sample in modulus by at most
     1/cos(πN/M) (Ehlich and Zeller 1964). The damping needed at a fractional delay is a maximum of such polynomials.
 
-    Parameters
-    ----------
-    h : ndarray, shape (n + 1,)
-        Taps [N/m].
-    period : float
-        Sampling period T [s].
-    delay : float
-        Whole or fractional delay [ticks].
-
-    Returns
-    -------
-    float
-        Damping [N s/m]; above the true one by at most 3e-7 of the largest |Re T z^−d H/(1−z)|.
+    `h`, shape (n + 1,): taps [N/m]. `delay`: whole or fractional delay [ticks]. Returns: damping [N s/m]; above the true one
+    by at most 3e-7 of the largest |Re T z^−d H/(1−z)|.
     """
     degree = len(h) + math.ceil(delay) + 1
     largest, modulus = 0.0, 0.0

@@ -15,32 +15,16 @@ from nodes.recording.summary import quantile
 
 @dataclass(frozen=True)
 class Measured:
-    """What a recorded run tells about its loop.
+    """What a recorded run tells about its loop."""
 
-    Attributes
-    ----------
-    period : float
-        Sampling period T [s].
-    delay : tuple of float, shape (2,)
-        Delay that all but one answered tick in a thousand stayed within, at either end [ticks].
-    median : float
-        Median delay [ticks].
-    jitter : float
-        Its spread, 99.9 % quantile minus 0.1 % quantile [ticks].
-    delays : tuple of float
-        Delay of each tick, in order [ticks]; infinite for a tick that was not answered in time.
-    unanswered : int
-        How many were not.
-    mass, damping : float or None
-        What the virtual device was given, None for another device [kg], [N s/m].
-    """
-
-    period: float
+    period: float  # sampling period T [s]
+    # Delay that all but one answered tick in a thousand stayed within, at either end [ticks], shape (2,).
     delay: tuple[float, float]
-    median: float
-    jitter: float
-    delays: tuple[float, ...]
-    unanswered: int
+    median: float  # median delay [ticks]
+    jitter: float  # its spread, 99.9 % quantile minus 0.1 % quantile [ticks]
+    delays: tuple[float, ...]  # delay of each tick, in order [ticks]; infinite for a tick that was not answered in time
+    unanswered: int  # how many were not
+    # What the virtual device was given, None for another device [kg], [N s/m].
     mass: float | None
     damping: float | None
 

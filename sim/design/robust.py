@@ -35,27 +35,10 @@ def stiffest(
 ) -> Robust | None:
     """Find the law of a family with the largest H(1) that keeps the demand.
 
-    Parameters
-    ----------
-    demand : Demand
-        Mass range, delay, pole radius and bound on H(−1).
-    basis : ndarray, shape (p, n + 1)
-        Taps per unit of each parameter [N/m]; any scaling.
-    free : bool
-        Whether parameters may be negative, as taps may; a named law's stiffness and damping may not.
-    seed : int
-        Of the global search.
-    effort : int
-        Multiplies the generations of the global search.
-    known : sequence of ndarray, shape (p,)
-        Parameters of members that keep the demand, e.g. of a shorter law: the search climbs from them too.
-    pole : float
-        Of a filter behind the taps, see `Robust`.
-
-    Returns
-    -------
-    Robust or None
-        None when no member of the family keeps the demand.
+    `demand`: mass range, delay, pole radius and bound on H(−1). `basis`, shape (p, n + 1): taps per unit of each parameter
+    [N/m]; any scaling. `free`: whether parameters may be negative, as taps may; a named law's stiffness and damping may not.
+    `effort`: multiplies the generations of the global search. `known`, shape (p,): parameters of members that keep the demand,
+    e.g. of a shorter law: the search climbs from them too. Returns: None when no member of the family keeps the demand.
     """
     basis = np.asarray(basis, dtype=np.float64)
     # One unit of each parameter: a force that moves the lightest device by the deflection within one tick.

@@ -20,21 +20,11 @@ MEMORY = "remembered, not checked"
 
 @dataclass(frozen=True)
 class Fact:
-    """One value and where it comes from.
+    """One value and where it comes from."""
 
-    Attributes
-    ----------
-    value : float
-        In SI units.
-    source : str
-        Publication.
-    remembered : bool
-        Whether nobody has looked it up again.
-    """
-
-    value: float
-    source: str
-    remembered: bool = False
+    value: float  # in SI units
+    source: str  # publication
+    remembered: bool = False  # whether nobody has looked it up again
 
 
 def _remembered(value: float) -> Fact:
@@ -43,21 +33,12 @@ def _remembered(value: float) -> Fact:
 
 @dataclass(frozen=True)
 class Preset:
-    """What is known of a device.
+    """What is known of a device."""
 
-    Attributes
-    ----------
-    title : str
-        Maker and name.
-    model : mapping of str to Fact
-        Fields of `sim.device.model.DeviceModel`: mass [kg], friction [N], resolution [m], peak_force [N].
-    limits : mapping of str to Fact
-        What its maker or CHAI3D advises: ``stiffness`` [N/m], ``damping`` [N s/m], ``continuous_force`` [N]; told, not
-        applied.
-    """
-
-    title: str
+    title: str  # maker and name
+    # Fields of `sim.device.model.DeviceModel`: mass [kg], friction [N], resolution [m], peak_force [N].
     model: Mapping[str, Fact]
+    # What its maker or CHAI3D advises: ``stiffness`` [N/m], ``damping`` [N s/m], ``continuous_force`` [N]; told, not applied.
     limits: Mapping[str, Fact]
 
 

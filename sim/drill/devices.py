@@ -32,30 +32,14 @@ BAD: Final = 0.3
 
 
 class DrilledKind(NamedTuple):
-    """A kind of device, as it is drilled.
+    """A kind of device, as it is drilled."""
 
-    Attributes
-    ----------
-    title : str
-        What it is called in the drill's names.
-    kind : str
-        Of its driver.
-    section : str
-        Where its parameters stand.
-    stand_in : str
-        Library that stands in for the vendor's; empty for the service.
-    reads : str
-        The vendor's call that reads a position.
-    parameters : dict
-        Of the device.
-    """
-
-    title: str
-    kind: str
-    section: str
-    stand_in: str
-    reads: str
-    parameters: dict[str, Any]
+    title: str  # what it is called in the drill's names
+    kind: str  # of its driver
+    section: str  # where its parameters stand
+    stand_in: str  # library that stands in for the vendor's; empty for the service
+    reads: str  # the vendor's call that reads a position
+    parameters: dict[str, Any]  # of the device
 
 
 KINDS: Final = (
@@ -74,13 +58,7 @@ KINDS: Final = (
 
 
 class StandIn:
-    """A stand-in in the drill's launch, and what came of its arm.
-
-    Parameters
-    ----------
-    kind : DrilledKind
-        Which.
-    """
+    """A stand-in in the drill's launch, and what came of its arm."""
 
     def __init__(self, kind: DrilledKind) -> None:
         self.kind = kind

@@ -81,36 +81,19 @@ class FaultSkippedError(MeasurementError):
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One fault.
+    """One fault."""
 
-    Attributes
-    ----------
-    name, what : str
-        Its name and what is done.
-    strike : callable
-        Does it to a running rig, and takes it back where that is part of it.
-    change : callable
-        Changes the launch file beforehand.
-    prepare : callable
-        Makes ready what it needs, before the launch; gives variables for it. Raises FaultSkippedError where it cannot be had.
-    tidy : callable
-        Removes what `prepare` made.
-    unread : bool
-        Whether nobody reads what the launch prints.
-    exit_code : int
-        What the launch must end with: not 0 where a node does not come back.
-    judge : callable
-        What else the driver's messages since the strike must not show: tells what they do.
-    """
-
+    # Its name and what is done.
     name: str
     what: str
-    strike: Callable[[Rig], None]
-    change: Callable[[dict[str, Any]], object] = dict
+    strike: Callable[[Rig], None]  # does it to a running rig, and takes it back where that is part of it
+    change: Callable[[dict[str, Any]], object] = dict  # changes the launch file beforehand
+    # Makes ready what it needs, before the launch; gives variables for it. Raises FaultSkippedError where it cannot be had.
     prepare: Callable[[], Mapping[str, str]] = dict
-    tidy: Callable[[], None] = lambda: None
-    unread: bool = False
-    exit_code: int = 0
+    tidy: Callable[[], None] = lambda: None  # removes what `prepare` made
+    unread: bool = False  # whether nobody reads what the launch prints
+    exit_code: int = 0  # what the launch must end with: not 0 where a node does not come back
+    # What else the driver's messages since the strike must not show: tells what they do.
     judge: Callable[[Sequence[DeviceState]], list[str]] = lambda _: []
 
 

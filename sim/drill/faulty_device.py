@@ -39,15 +39,7 @@ class FaultyDriverParameters(SimDriverParameters, frozen=True, forbid_unknown_fi
 
 
 class FaultyDevice:
-    """Passes every call on, but for what its order says.
-
-    Parameters
-    ----------
-    device : Device
-        What works.
-    order : str
-        The file.
-    """
+    """Passes every call on, but for what its order says."""
 
     def __init__(self, device: Device, order: str) -> None:
         self._device, self._order = device, order

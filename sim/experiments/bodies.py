@@ -32,32 +32,10 @@ def body_error(
 ) -> ProxyError:
     """Lead a tool that is a body along the sphere.
 
-    Parameters
-    ----------
-    step : float
-        Of the scene [s].
-    ticks : int
-        Length of the way.
-    stiffness : float
-        K of the coupling, which has a damper that makes it critical with the tool [N/m].
-    depth : float
-        How deep below the surface the device is led [m].
-    speed : float
-        Along the surface [m/s].
-    period : float
-        Time between two ticks [s].
-    stiff : bool, optional
-        Whether contacts are as stiff as the step lets them be; else as MuJoCo makes them when nothing is said.
-
-    Returns
-    -------
-    ProxyError
-        As of a proxy; a call is a tick of the scene.
-
-    Raises
-    ------
-    ParameterError
-        When MuJoCo is not installed.
+    `stiffness`: K of the coupling, which has a damper that makes it critical with the tool [N/m]. `depth`: how deep below the
+    surface the device is led [m]. `stiff`: whether contacts are as stiff as the step lets them be; else as MuJoCo makes them
+    when nothing is said. Returns: as of a proxy; a call is a tick of the scene. Raises ParameterError when MuJoCo is not
+    installed.
     """
     surface, normal = ring(ticks, speed, period, RADIUS)
     ideal = surface + _TIP * normal

@@ -51,26 +51,17 @@ _ENTER = 40
 
 @dataclass(frozen=True)
 class AlongTheWay:
-    """What a law rendered along a closed way at a steady depth.
+    """What a law rendered along a closed way at a steady depth."""
 
-    Attributes
-    ----------
-    surface, law, frame : str
-        Which ones.
-    given_out : float
-        Energy that the device got on the way there and back, over force times way: negative for friction.
-    kicks_n : float
-        Root mean square of the force's change from tick to tick, of what a spring alone renders taken off [N].
-    largest_n : float
-        Largest distance of the force from that of a spring alone [N].
-    """
-
+    # Which ones.
     surface: str
     law: str
     frame: str
+    # Energy that the device got on the way there and back, over force times way: negative for friction.
     given_out: float
+    # Root mean square of the force's change from tick to tick, of what a spring alone renders taken off [N].
     kicks_n: float
-    largest_n: float
+    largest_n: float  # largest distance of the force from that of a spring alone [N]
 
 
 def ways(ticks: int, speed: float, period: float, depth: float) -> list[tuple[str, list[Solid], Rows]]:
@@ -168,23 +159,9 @@ def along_ways(
 def sliding(launch: Launch, stiffness: float, speed: float, frame: str, radius: float = _RADIUS) -> Launch:
     """Make a launch in which a hand draws the device over a sphere, pressed into it from the beginning.
 
-    Parameters
-    ----------
-    launch : Launch
-        Of a chain with a virtual device in three axes; its law is taken, with this stiffness, everything else is set here.
-    stiffness : float
-        H(1) of the law [N/m].
-    speed : float
-        Of the hand along x [m/s].
-    frame : str
-        Of the coupling's history.
-    radius : float, optional
-        Of the sphere [m].
-
-    Returns
-    -------
-    Launch
-        The device begins on the top, where hand and contact balance, deeper by a fifth.
+    `launch`: of a chain with a virtual device in three axes; its law is taken, with this stiffness, everything else is set
+    here. `stiffness`: H(1) of the law [N/m]. Returns: the device begins on the top, where hand and contact balance, deeper by
+    a fifth.
     """
     deep = _GRIP * _PRESS / (_GRIP + stiffness)
     hand = {"mass": _MASS / 3.0, "damping": 2.0 * _DAMPING / 3.0, "stiffness": _GRIP}

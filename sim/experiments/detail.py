@@ -36,65 +36,30 @@ _TIMED = 2000
 
 @dataclass(frozen=True)
 class Level:
-    """One description of a scene, and what it does.
+    """One description of a scene, and what it does."""
 
-    Attributes
-    ----------
-    name : str
-        What it is.
-    solids : int
-        Of how many shapes.
-    triangles : int
-        Of how many triangles, all of its meshes together.
-    force_n : float
-        Largest difference of the force from the finest's [N].
-    rms_n : float
-        Its root mean square over ticks in contact with either [N].
-    proxy_um : float
-        Largest distance of its proxy from the finest's [µm].
-    places : int
-        How many separate stretches of the path have a difference above the limit.
-    call_us, call_p99_us : float
-        Time of a call: median and 99th percentile [µs].
-    enough : bool
-        Whether its force stays within the limit.
-    """
-
-    name: str
-    solids: int
-    triangles: int
-    force_n: float
-    rms_n: float
-    proxy_um: float
-    places: int
+    name: str  # what it is
+    solids: int  # of how many shapes
+    triangles: int  # of how many triangles, all of its meshes together
+    force_n: float  # largest difference of the force from the finest's [N]
+    rms_n: float  # its root mean square over ticks in contact with either [N]
+    proxy_um: float  # largest distance of its proxy from the finest's [µm]
+    places: int  # how many separate stretches of the path have a difference above the limit
+    # Time of a call: median and 99th percentile [µs].
     call_us: float
     call_p99_us: float
-    enough: bool
+    enough: bool  # whether its force stays within the limit
 
 
 @dataclass(frozen=True)
 class Detail:
-    """What a scene needs.
+    """What a scene needs."""
 
-    Attributes
-    ----------
-    levels : tuple of Level
-        From the finest, which is the first, to the coarsest.
-    limit_n : float
-        Difference of the force that counts as none [N].
-    force_step_n : float
-        The device's own force step: stiffness times encoder step [N].
-    largest_n : float
-        Largest force of the finest level [N].
-    left_out : tuple of str
-        Levels that could not be made, and why.
-    """
-
-    levels: tuple[Level, ...]
-    limit_n: float
-    force_step_n: float
-    largest_n: float
-    left_out: tuple[str, ...]
+    levels: tuple[Level, ...]  # from the finest, which is the first, to the coarsest
+    limit_n: float  # difference of the force that counts as none [N]
+    force_step_n: float  # the device's own force step: stiffness times encoder step [N]
+    largest_n: float  # largest force of the finest level [N]
+    left_out: tuple[str, ...]  # levels that could not be made, and why
 
     @property
     def coarsest(self) -> Level:
@@ -114,34 +79,8 @@ def detail(
 ) -> Detail:
     """Play one path through all levels of detail of a scene.
 
-    Parameters
-    ----------
-    solids : sequence of Solid
-        The finest description.
-    path : ndarray, shape (ticks, 3)
-        Device positions [m].
-    tool_radius : float
-        Of the ball that touches [m].
-    period : float
-        Sampling period [s].
-    stiffness : float
-        Force over deflection [N/m].
-    resolution : float
-        Encoder step of the device [m].
-    fraction : float
-        Part of the largest force that counts as no difference.
-    step : callable, optional
-        Is called with the name of each level.
-
-    Returns
-    -------
-    Detail
-        All levels.
-
-    Raises
-    ------
-    ValueError
-        When the path never touches anything.
+    `path`, shape (ticks, 3): device positions [m]. `fraction`: part of the largest force that counts as no difference. Raises
+    ValueError when the path never touches anything.
     """
     finest = touch(solids, path, tool_radius, period)
     if not finest.contact.any():

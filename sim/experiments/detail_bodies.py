@@ -76,23 +76,8 @@ def body_detail(
 ) -> Detail:
     """Play the path of a run through all levels of detail of a scene in which things move.
 
-    Parameters
-    ----------
-    launch : Launch
-        With an environment of kind ``mujoco``.
-    stiffness : float
-        H(1) of its law [N/m].
-    resolution : float
-        Encoder step of the device [m].
-    fraction : float
-        Part of the largest force that counts as no difference.
-    step : callable, optional
-        Is called with the name of each level.
-
-    Returns
-    -------
-    Detail
-        From dynamic bodies to none; of each its geoms and what a tick of the scene costs.
+    `stiffness`: H(1) of its law [N/m]. `fraction`: part of the largest force that counts as no difference. Returns: from
+    dynamic bodies to none; of each its geoms and what a tick of the scene costs.
     """
     finest = _Watched(launch)
     path = play(launch, world=finest).position

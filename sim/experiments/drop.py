@@ -31,18 +31,10 @@ from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compil
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a run counts as settled.
+    """When a run counts as settled."""
 
-    Attributes
-    ----------
-    ticks : int
-        Horizon [ticks].
-    tolerance : float
-        Largest motion, peak to peak, over the last quarter of the horizon [m].
-    """
-
-    ticks: int = 2500
-    tolerance: float = 1e-4
+    ticks: int = 2500  # horizon [ticks]
+    tolerance: float = 1e-4  # largest motion, peak to peak, over the last quarter of the horizon [m]
 
     def __post_init__(self) -> None:
         if self.ticks < 8:
@@ -54,23 +46,9 @@ class Criterion:
 def drop_scene(device: DeviceModel, period: float, raw: bool, clamp: bool, height: float = 0.01) -> Scene:
     """Let the device fall on a floor at 0.
 
-    Parameters
-    ----------
-    device : DeviceModel
-        Its position, velocity and gravity are set here, to `height`, 0 and, where it has none, 9.81 m/s².
-    period : float
-        Sampling period T [s].
-    raw : bool
-        Whether the history holds the raw distance outside contact.
-    clamp : bool
-        Whether forces into the floor are set to zero.
-    height : float
-        Of the fall [m]; the project's floor drop has 10 mm.
-
-    Returns
-    -------
-    Scene
-        The experiment.
+    `device`: its position, velocity and gravity are set here, to `height`, 0 and, where it has none, 9.81 m/s². `raw`: whether
+    the history holds the raw distance outside contact. `clamp`: whether forces into the floor are set to zero. `height`: of
+    the fall [m]; the project's floor drop has 10 mm.
     """
     gravity = 9.81 if device.gravity is None else device.gravity
     dropped = _changed(device, position=height, velocity=0.0, gravity=gravity)
@@ -82,23 +60,8 @@ def press_scene(
 ) -> Scene:
     """Let a hand press the device into a wall at 0.
 
-    Parameters
-    ----------
-    device : DeviceModel
-        It starts at rest, `depth` before the wall.
-    period : float
-        Sampling period T [s].
-    raw, clamp : bool
-        As for `drop_scene`.
-    hand : Hand, optional
-        Held still at its own path; left out, a light grip of 100 N/m that wants to be `depth` behind the wall.
-    depth : float
-        Of start and aim, before and behind the wall [m].
-
-    Returns
-    -------
-    Scene
-        The experiment.
+    `device`: it starts at rest, `depth` before the wall. `hand`: held still at its own path; left out, a light grip of 100 N/m
+    that wants to be `depth` behind the wall. `depth`: of start and aim, before and behind the wall [m].
     """
     hand = Hand(stiffness=100.0, path=[(0.0, -depth)]) if hand is None else hand
     pressed = _changed(device, position=depth, velocity=0.0, hand=hand)
@@ -106,22 +69,7 @@ def press_scene(
 
 
 def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> Scene:
-    """Let the device swing about an anchor at 0, from rest at an amplitude: no contact, no conventions.
-
-    Parameters
-    ----------
-    device : DeviceModel
-        Its position and velocity are set here.
-    period : float
-        Sampling period T [s].
-    amplitude : float
-        Where it starts [m].
-
-    Returns
-    -------
-    Scene
-        The experiment.
-    """
+    """Let the device swing about an anchor at 0, from rest at an amplitude: no contact, no conventions."""
     swung = _changed(device, position=amplitude, velocity=0.0)
     return Scene(device=swung, surface=SceneSurface("anchor"), period=period, raw=True, clamp=False)
 
@@ -205,19 +153,8 @@ _trials_compiled = compiled()(_trials)
 def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
     """Where the forces balance at the end of a run.
 
-    Parameters
-    ----------
-    scene : Scene
-        The experiment.
-    law : CompiledLaw
-        Its law.
-    ticks : int
-        When: a hand's path may go on until then [ticks].
-
-    Returns
-    -------
-    float or None
-        Position [m]; None when H(1) ≤ 0 or nothing holds the device.
+    `ticks`: when: a hand's path may go on until then [ticks]. Returns: position [m]; None when H(1) ≤ 0 or nothing holds the
+    device.
     """
     load, grip = scene.device.load(ticks - 1, scene.period), scene.device.grip
     if law.h1 <= 0.0:
@@ -239,24 +176,7 @@ def _threads(process: int) -> ThreadPoolExecutor:
 def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> list[bool]:
     """Play one experiment with each of several laws, spread over the cores.
 
-    Parameters
-    ----------
-    scene : Scene
-        The experiment.
-    laws : sequence of CompiledLaw
-        LawTables to try.
-    criterion : Criterion
-        What counts as settled.
-
-    Returns
-    -------
-    list of bool
-        Whether each settled.
-
-    Raises
-    ------
-    ValueError
-        When the scene has a passivity guard: `sim.scene.loop.run` and the nodes play those.
+    Raises ValueError when the scene has a passivity guard: `sim.scene.loop.run` and the nodes play those.
     """
     if scene.passivity is not None and scene.passivity.guard == "on":
         raise ValueError("scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out")
@@ -308,28 +228,8 @@ def _played(scene: Scene, law: CompiledLaw, criterion: Criterion) -> bool:
 def settled(scene: Scene, law: CompiledLaw, position: Array, force: Array, criterion: Criterion) -> bool:
     """Judge one run that was played elsewhere, by the very rules of `settles`.
 
-    Parameters
-    ----------
-    scene : Scene
-        The experiment.
-    law : CompiledLaw
-        Its law.
-    position : ndarray, shape (ticks,)
-        Position at each tick [m].
-    force : ndarray, shape (ticks,)
-        Force handed to the device at each tick [N].
-    criterion : Criterion
-        What counts as settled.
-
-    Returns
-    -------
-    bool
-        Whether it settled.
-
-    Raises
-    ------
-    ValueError
-        When the run is not as long as the horizon.
+    `position`, shape (ticks,): position at each tick [m]. `force`, shape (ticks,): force handed to the device at each tick
+    [N]. Raises ValueError when the run is not as long as the horizon.
     """
     if not len(position) == len(force) == criterion.ticks:
         raise ValueError(f"{len(position)} positions and {len(force)} forces, the horizon is {criterion.ticks} ticks")

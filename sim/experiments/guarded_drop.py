@@ -22,30 +22,15 @@ SHARE = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class Drop:
-    """How one drop went.
+    """How one drop went."""
 
-    Attributes
-    ----------
-    stiffness : float
-        Nominal stiffness K [N/m].
-    guarded : bool
-        Whether the guard was on.
-    energy_max_j : float
-        Most that the wall had given out at any time, beyond what it was given [J].
-    unrest_m : float
-        Peak to peak of the position at the end [m].
-    felt_n_per_m : float or None
-        Mean force over mean penetration at the end; None when the mass does not lie in the wall all that time.
-    impact_n_per_m : float
-        Largest force over largest penetration.
-    """
-
-    stiffness: float
-    guarded: bool
-    energy_max_j: float
-    unrest_m: float
+    stiffness: float  # nominal stiffness K [N/m]
+    guarded: bool  # whether the guard was on
+    energy_max_j: float  # most that the wall had given out at any time, beyond what it was given [J]
+    unrest_m: float  # peak to peak of the position at the end [m]
+    # Mean force over mean penetration at the end; None when the mass does not lie in the wall all that time.
     felt_n_per_m: float | None
-    impact_n_per_m: float
+    impact_n_per_m: float  # largest force over largest penetration
 
 
 def measure(trace: Trace, stiffness: float, guarded: bool, delay: float) -> Drop:

@@ -36,45 +36,19 @@ NO_LIMITS = {"peak_force": None, "slew": None, "workspace": None}
 
 @dataclass(frozen=True)
 class SameKMax:
-    """Where each of the two stops settling, on one grid of stiffnesses.
+    """Where each of the two stops settling, on one grid of stiffnesses."""
 
-    Attributes
-    ----------
-    launched_n_per_m : float or None
-        Largest K of the grid below the first that the processes do not settle with [N/m]; None when the first does not.
-    one_process_n_per_m : float or None
-        The same, played in one process [N/m].
-    h1_n_per_m : float or None
-        H(1) of the law at `launched_n_per_m` [N/m].
-    launches : int
-        Launches that it took.
-    """
-
+    # Largest K of the grid below the first that the processes do not settle with [N/m]; None when the first does not.
     launched_n_per_m: float | None
-    one_process_n_per_m: float | None
-    h1_n_per_m: float | None
-    launches: int
+    one_process_n_per_m: float | None  # the same, played in one process [N/m]
+    h1_n_per_m: float | None  # H(1) of the law at `launched_n_per_m` [N/m]
+    launches: int  # launches that it took
 
 
 def with_stiffness(law: Law, stiffness: float) -> dict[str, Any]:
     """Describe a law at another nominal stiffness.
 
-    Parameters
-    ----------
-    law : Law
-        A law with a parameter ``stiffness``.
-    stiffness : float
-        K [N/m].
-
-    Returns
-    -------
-    dict
-        As a launch file has it.
-
-    Raises
-    ------
-    ValueError
-        When the law has no such parameter.
+    Returns: as a launch file has it. Raises ValueError when the law has no such parameter.
     """
     described = law_to_dict(law)
     if "stiffness" not in described:
@@ -85,22 +59,8 @@ def with_stiffness(law: Law, stiffness: float) -> dict[str, Any]:
 def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
     """Write an experiment as parameters of the nodes of `SCENARIO`: the inverse of `sim.scene.from_launch.from_launch`.
 
-    Parameters
-    ----------
-    scene : Scene
-        The experiment: a plane or an anchor, no limits by the driver, no guard.
-    law : dict
-        Description of its law.
-
-    Returns
-    -------
-    dict
-        Node to parameters, as ``haptic launch --params`` reads them.
-
-    Raises
-    ------
-    ValueError
-        When the scene has something that is not written here.
+    `scene`: the experiment: a plane or an anchor, no limits by the driver, no guard. Returns: node to parameters, as ``haptic
+    launch --params`` reads them. Raises ValueError when the scene has something that is not written here.
     """
     limited = (scene.peak, scene.slew, scene.workspace) != (None, None, None)
     if limited or scene.passivity is not None or scene.surface.kind == "free":
@@ -139,26 +99,9 @@ def _written(scene: Scene, law: dict[str, Any], ticks: int, folder: Path) -> tup
 def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Array]:
     """Play an experiment through the processes, in lockstep.
 
-    Parameters
-    ----------
-    scene : Scene
-        The experiment.
-    law : dict
-        Description of its law.
-    ticks : int
-        How long.
-
-    Returns
-    -------
-    tuple of ndarray, shape (ticks,)
-        Position at each tick as the encoder gave it [m], and force that was handed to the device at each [N].
-
-    Raises
-    ------
-    ValueError
-        When the processes would play another scene than this one.
-    MeasurementError
-        When the launch fails, or its recording is not complete.
+    Returns, shape (ticks,): position at each tick as the encoder gave it [m], and force that was handed to the device at each
+    [N]. Raises ValueError when the processes would play another scene than this one. Raises MeasurementError when the launch
+    fails, or its recording is not complete.
     """
     with tempfile.TemporaryDirectory(prefix="haptic-drop-") as folder:
         path, read_back = _written(scene, law, ticks, Path(folder))
@@ -179,41 +122,13 @@ def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Arra
 
 
 def settles_launched(scene: Scene, law: dict[str, Any], criterion: Criterion) -> bool:
-    """Play an experiment through the processes and judge its recording.
-
-    Parameters
-    ----------
-    scene : Scene
-        The experiment.
-    law : dict
-        Description of its law.
-    criterion : Criterion
-        What counts as settled.
-
-    Returns
-    -------
-    bool
-        Whether it settled.
-    """
+    """Play an experiment through the processes and judge its recording."""
     position, force = launched(scene, law, criterion.ticks)
     return settled(scene, compiled(scene, law), position, force, criterion)
 
 
 def compiled(scene: Scene, law: dict[str, Any]) -> CompiledLaw:
-    """Compile a law as the coupling of a launch does.
-
-    Parameters
-    ----------
-    scene : Scene
-        The experiment.
-    law : dict
-        Description of its law.
-
-    Returns
-    -------
-    CompiledLaw
-        Its taps and sections.
-    """
+    """Compile a law as the coupling of a launch does."""
     with tempfile.TemporaryDirectory(prefix="haptic-drop-") as folder:
         return _written(scene, law, 1, Path(folder))[1].law
 
@@ -221,17 +136,9 @@ def compiled(scene: Scene, law: dict[str, Any]) -> CompiledLaw:
 def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> float | None:
     """Bisect a grid of stiffnesses.
 
-    Parameters
-    ----------
-    verdict : callable
-        From K [N/m] to whether it settles; asked about once per halving.
-    grid : sequence of float
-        Rising K [N/m]. The boundary is looked for between its ends.
-
-    Returns
-    -------
-    float or None
-        A K that settles and whose neighbour above does not; the last K when that settles, None when the first does not.
+    `verdict`: from K [N/m] to whether it settles; asked about once per halving. `grid`: rising K [N/m]. The boundary is looked
+    for between its ends. Returns: A K that settles and whose neighbour above does not; the last K when that settles, None when
+    the first does not.
     """
     if not verdict(grid[0]):
         return None
@@ -252,23 +159,7 @@ def same_k_max(
 ) -> SameKMax:
     """Find K_max of a law by the processes and in one process.
 
-    Parameters
-    ----------
-    law : Law
-        The law, with a parameter ``stiffness``.
-    scene : Scene
-        The experiment.
-    criterion : Criterion
-        What counts as settled.
-    grid : sequence of float
-        Rising K [N/m].
-    step : callable, optional
-        Told after each launch: `sim.measure.stopwatch.Progress.step`.
-
-    Returns
-    -------
-    SameKMax
-        Both, found independently of each other.
+    `step`: told after each launch: `sim.measure.stopwatch.Progress.step`. Returns: both, found independently of each other.
     """
     launches = 0
 

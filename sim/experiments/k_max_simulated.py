@@ -22,27 +22,14 @@ LawOfStiffness = Callable[[float], CompiledLaw]
 
 @dataclass(frozen=True)
 class SimulatedKMax:
-    """Where raising the nominal stiffness stops a run from settling.
+    """Where raising the nominal stiffness stops a run from settling."""
 
-    Attributes
-    ----------
-    k_max_n_per_m : float or None
-        Largest K that settled, of the lowest interval that does [N/m]; None when none did, infinite when all above it did.
-    h1_max_n_per_m : float or None
-        H(1) there [N/m].
-    unsettled_n_per_m : float or None
-        Smallest K above it that did not [N/m].
-    frequency_hz : float or None
-        Frequency of the last swings seen at K_max [Hz]; None when it did not swing.
-    ticks : int
-        Simulated ticks.
-    """
-
+    # Largest K that settled, of the lowest interval that does [N/m]; None when none did, infinite when all above it did.
     k_max_n_per_m: float | None
-    h1_max_n_per_m: float | None
-    unsettled_n_per_m: float | None
-    frequency_hz: float | None
-    ticks: int
+    h1_max_n_per_m: float | None  # H(1) there [N/m]
+    unsettled_n_per_m: float | None  # smallest K above it that did not [N/m]
+    frequency_hz: float | None  # frequency of the last swings seen at K_max [Hz]; None when it did not swing
+    ticks: int  # simulated ticks
 
 
 class SearchInterrupted(KeyboardInterrupt):
@@ -67,21 +54,8 @@ class SearchInterrupted(KeyboardInterrupt):
 def swing_frequency(position: Array, period: float, rest: float, smallest: float = 1e-7) -> float | None:
     """Frequency of the last swings about a point, by interpolated upward crossings.
 
-    Parameters
-    ----------
-    position : ndarray, shape (ticks,)
-        Positions at the ticks [m].
-    period : float
-        Sampling period T [s].
-    rest : float
-        The point [m].
-    smallest : float
-        Swings smaller than this do not count [m].
-
-    Returns
-    -------
-    float or None
-        Inverse of the median of the last 20 times between crossings [Hz]; None with less than three crossings.
+    `position`, shape (ticks,): positions at the ticks [m]. Returns: inverse of the median of the last 20 times between
+    crossings [Hz]; None with less than three crossings.
     """
     y = position - rest
     up = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
@@ -105,24 +79,8 @@ def simulated_k_max(
 ) -> SimulatedKMax:
     """Raise K until the run no longer settles, then bisect.
 
-    Parameters
-    ----------
-    law_of_stiffness : callable
-        From nominal K [N/m] to the law.
-    scene : Scene
-        The experiment, e.g. of `drop_scene`.
-    criterion : Criterion, optional
-        What counts as settled; 2500 ticks and 0.1 mm when left out.
-    low, high : float, optional
-        Range of K, raised in steps of 10 % [N/m]; from 10⁻³ to 4 times m/T² when left out. PD without delay ends at
-        0.686 m/T², but long filters go beyond.
-    precision : float
-        Relative width of the bracket at the end.
-
-    Returns
-    -------
-    SimulatedKMax
-        The boundary.
+    `criterion`: what counts as settled; 2500 ticks and 0.1 mm when left out. `low`, `high`: range of K, raised in steps of 10
+    % [N/m]; from 10⁻³ to 4 times m/T² when left out. PD without delay ends at 0.686 m/T², but long filters go beyond.
     """
     return simulated_boundary([law_of_stiffness], scene, criterion, low, high, precision)[0]
 
@@ -138,30 +96,9 @@ def simulated_boundary(
 ) -> list[SimulatedKMax]:
     """Find K_max of many laws, spread over the cores.
 
-    Parameters
-    ----------
-    laws_of_stiffness : sequence of callable
-        From nominal K [N/m] to a law, e.g. one for each gain B.
-    scene : Scene
-        The experiment.
-    criterion : Criterion, optional
-        What counts as settled.
-    low, high : float, optional
-        Range of K as for `simulated_k_max` [N/m].
-    precision : float
-        Relative width of the bracket at the end.
-    step : callable, optional
-        Told what has been done, and how many of the laws that was: `sim.measure.stopwatch.Progress.step`.
-
-    Returns
-    -------
-    list of SimulatedKMax
-        In the order of the laws.
-
-    Raises
-    ------
-    SearchInterrupted
-        On Ctrl-C; it carries what was done.
+    `laws_of_stiffness`: from nominal K [N/m] to a law, e.g. one for each gain B. `step`: told what has been done, and how many
+    of the laws that was: `sim.measure.stopwatch.Progress.step`. Returns: in the order of the laws. Raises SearchInterrupted on
+    Ctrl-C; it carries what was done.
     """
     criterion = Criterion() if criterion is None else criterion
     unit = scene.device.moving_mass / scene.period**2

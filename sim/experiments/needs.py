@@ -37,85 +37,44 @@ Play = Callable[[Callable[[S], R], Sequence[S]], list[R]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a scene; None where a figure makes no sense.
+    """What came of a scene; None where a figure makes no sense."""
 
-    Attributes
-    ----------
-    settling_s : float
-        Last time at which the device was further than 1 % of its travel from where it ended; the length of the run when
-        it did not come to rest [s].
-    peak_force_n : float
-        Largest force [N].
-    rest_force_n : float
-        Mean force over the last fifth [N].
-    travel_m : float
-        Range of the motion [m].
-    limit_cycle_m : float
-        Swing over the last fifth, peak to peak [m].
-    h1_max_n_per_m : float or None
-        Stiffness at which the loop becomes unstable (K_max in terms of H(1)); None without contact or poles [N/m].
-    """
-
+    # Last time at which the device was further than 1 % of its travel from where it ended; the length of the run when it did
+    # not come to rest [s].
     settling_s: float
-    peak_force_n: float
-    rest_force_n: float
-    travel_m: float
-    limit_cycle_m: float
+    peak_force_n: float  # largest force [N]
+    rest_force_n: float  # mean force over the last fifth [N]
+    travel_m: float  # range of the motion [m]
+    limit_cycle_m: float  # swing over the last fifth, peak to peak [m]
+    # Stiffness at which the loop becomes unstable (K_max in terms of H(1)); None without contact or poles [N/m].
     h1_max_n_per_m: float | None
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What switching one term did.
+    """What switching one term did."""
 
-    Attributes
-    ----------
-    term : str
-        The term, or two that were switched together, or a convention.
-    switched : str
-        ``off``, with what there is in its place, or ``on``, with the value; ``other`` for a convention.
-    verdict : str
-        ``needed``, ``superfluous``, ``sought``, ``protects``, ``missing``, ``left out``, ``not needed``,
-        ``brought by the loop``, ``convention``.
-    moved : float
-        Largest relative movement of any outcome that counts [1].
-    most : str
-        Which outcome that was.
-    changes : dict of str to float
-        Relative movement of each outcome that counts [1].
-    cost_spread_us : float or None
-        How far that cost may be off by the spread of the rounds that were timed [µs]; None with one round.
-    cost_us : float or None
-        What the term costs per tick in plain Python [µs]; None where the spread is larger, and for a convention.
-    """
-
-    term: str
-    switched: str
+    term: str  # the term, or two that were switched together, or a convention
+    switched: str  # ``off``, with what there is in its place, or ``on``, with the value; ``other`` for a convention
+    # ``needed``, ``superfluous``, ``sought``, ``protects``, ``missing``, ``left out``, ``not needed``, ``brought by the loop``,
+    # ``convention``.
     verdict: str
-    moved: float
-    most: str
-    changes: dict[str, float]
+    moved: float  # largest relative movement of any outcome that counts [1]
+    most: str  # which outcome that was
+    changes: dict[str, float]  # relative movement of each outcome that counts [1]
+    # What the term costs per tick in plain Python [µs]; None where the spread is larger, and for a convention.
     cost_us: float | None
+    # How far that cost may be off by the spread of the rounds that were timed [µs]; None with one round.
     cost_spread_us: float | None = None
 
 
 @dataclass(frozen=True)
 class Needs:
-    """Whether a scene models enough and no more.
+    """Whether a scene models enough and no more."""
 
-    Attributes
-    ----------
-    outcome : Outcome
-        Of the scene as it is.
-    findings : tuple of Finding
-        One for each term, pair and convention that was switched.
-    tick_us : float or None
-        Time per tick of the scene as it is, in plain Python [µs]; None where nothing was timed.
-    """
-
-    outcome: Outcome
-    findings: tuple[Finding, ...]
-    tick_us: float | None
+    outcome: Outcome  # of the scene as it is
+    findings: tuple[Finding, ...]  # one for each term, pair and convention that was switched
+    tick_us: float | None  # time per tick of the scene as it is, in plain Python [µs]; None where nothing was timed
 
     @property
     def superfluous(self) -> tuple[str, ...]:

@@ -35,43 +35,21 @@ _TIMED = 4000
 
 @dataclass(frozen=True)
 class ProxyError:
-    """How a proxy did on one shape.
+    """How a proxy did on one shape."""
 
-    Attributes
-    ----------
-    name : str
-        Shape and how it is described.
-    triangles : int
-        0 for a shape of a few floats.
-    rms_n : float
-        Root mean square of the force's error against the closed form [N].
-    max_n : float
-        The largest [N].
-    noise_n : float
-        What of it changes from tick to tick: root mean square of its differences over √2 [N].
-    proxy_um : float
-        Largest distance of the proxy from the closed form [µm].
-    polyhedron_um : float or None
-        Largest distance of the proxy on a mesh from where it is on the flat triangles, exactly [µm]; None for other shapes.
-    drag : float
-        Work lost on a closed way there and back, over force times way: the apparent coefficient of friction.
-    call_us, call_p99_us : float
-        Time of a call: median and 99th percentile, each with what the interpreter adds to it, under 1 µs [µs].
-    rounds : int
-        Most rounds that a call took.
-    """
-
-    name: str
-    triangles: int
-    rms_n: float
-    max_n: float
-    noise_n: float
-    proxy_um: float
+    name: str  # shape and how it is described
+    triangles: int  # 0 for a shape of a few floats
+    rms_n: float  # root mean square of the force's error against the closed form [N]
+    max_n: float  # the largest [N]
+    noise_n: float  # what of it changes from tick to tick: root mean square of its differences over √2 [N]
+    proxy_um: float  # largest distance of the proxy from the closed form [µm]
+    # Largest distance of the proxy on a mesh from where it is on the flat triangles, exactly [µm]; None for other shapes.
     polyhedron_um: float | None
-    drag: float
+    drag: float  # work lost on a closed way there and back, over force times way: the apparent coefficient of friction
+    # Time of a call: median and 99th percentile, each with what the interpreter adds to it, under 1 µs [µs].
     call_us: float
     call_p99_us: float
-    rounds: int
+    rounds: int  # most rounds that a call took
 
 
 def icosphere(halvings: int, radius: float) -> Array:
@@ -140,27 +118,8 @@ def compare_proxies(
 ) -> list[ProxyError]:
     """Lead the tool along each surface and compare.
 
-    Parameters
-    ----------
-    finest : int
-        The sphere's finest mesh has 20·4ⁿ triangles.
-    ticks : int
-        Length of each way.
-    stiffness : float
-        K of the force [N/m].
-    depth : float
-        How deep below the surface the tool is led [m]; it swells from nothing, so that the tool enters from outside.
-    speed : float
-        Along the surface [m/s].
-    period : float
-        Time between two calls [s].
-    tool_radius : float
-        Of the ball that touches [m].
-
-    Returns
-    -------
-    list of ProxyError
-        One for each shape.
+    `finest`: the sphere's finest mesh has 20·4ⁿ triangles. `depth`: how deep below the surface the tool is led [m]; it swells
+    from nothing, so that the tool enters from outside.
     """
     ways = [Way(number, ticks, depth, speed, period, tool_radius) for number in range(count(finest))]
     return [timed(compared(way, stiffness), way) for way in ways]

@@ -99,21 +99,7 @@ def text(rows: list[dict[str, Any]]) -> list[str]:
 def compare_scenes(rounds: int, seconds: float, halvings: int, tick: Tick) -> dict[str, Any]:
     """Launch the floor and the scenes in turns; rows of figures.
 
-    Parameters
-    ----------
-    rounds : int
-        Launches of each.
-    seconds : float
-        Length of a launch.
-    halvings : int
-        The ball has 20·4ⁿ triangles.
-    tick : str
-        Which tick the nodes take.
-
-    Returns
-    -------
-    dict
-        ``rows``, and the machine.
+    `halvings`: the ball has 20·4ⁿ triangles. Returns: ``rows``, and the machine.
     """
     with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
         found = scenes(Path(folder), halvings)

@@ -65,26 +65,16 @@ class NoCompilerError(MeasurementError):
 
 @dataclass(frozen=True)
 class Speed:
-    """What was measured.
+    """What was measured."""
 
-    Attributes
-    ----------
-    simulator, plain_c : dict of int to Timing
-        Seconds per tick on one core, by number of taps; C is empty without a compiler.
-    one_core, all_cores : Timing
-        Seconds per tick of many runs at once.
-    cores : int
-        How many those were.
-    reason : str
-        Why there is no C; empty when there is.
-    """
-
+    # Seconds per tick on one core, by number of taps; C is empty without a compiler.
     simulator: dict[int, Timing]
     plain_c: dict[int, Timing]
+    # Seconds per tick of many runs at once.
     one_core: Timing
     all_cores: Timing
-    cores: int
-    reason: str
+    cores: int  # how many those were
+    reason: str  # why there is no C; empty when there is
 
 
 def scene() -> Scene:

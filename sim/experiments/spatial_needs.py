@@ -59,27 +59,10 @@ def spatial_needs(
 ) -> Needs:
     """Switch every term of a scene with several axes.
 
-    Parameters
-    ----------
-    launch : Launch
-        One chain with a virtual device, and shapes or bodies.
-    rounds : int, optional
-        Interleaved rounds of timing; 0 times nothing.
-    step : callable, optional
-        Is called after each.
-    players : callable, optional
-        Plays the variants; here, one after another, when left out.
-
-    Returns
-    -------
-    Needs
-        ``force`` is the root mean square of its difference over that of the force, ``proxy`` that of the proxy's difference
-        over that of the deflection.
-
-    Raises
-    ------
-    ParameterError
-        When one process cannot play it, or it touches nothing.
+    `launch`: one chain with a virtual device, and shapes or bodies. `rounds`: interleaved rounds of timing; 0 times nothing.
+    `players`: plays the variants; here, one after another, when left out. Returns: ``force`` is the root mean square of its
+    difference over that of the force, ``proxy`` that of the proxy's difference over that of the deflection. Raises
+    ParameterError when one process cannot play it, or it touches nothing.
     """
     scene, period = spatial_scene(launch), launch.run.period
     with np.errstate(all="ignore"):

@@ -31,30 +31,15 @@ _SHORTEST = 3
 
 @dataclass(frozen=True)
 class NeedTerm(Generic[S]):
-    """One term of a model, of whatever describes the scene.
+    """One term of a model, of whatever describes the scene."""
 
-    Attributes
-    ----------
-    name : str
-        As in ``model.leaves_out``.
-    declared : callable
-        From a scene to whether it has the term.
-    without : callable
-        From a scene to the same scene without the term.
-    typical : callable or None
-        From a scene to the same scene with a typical value; None where adding it would make another scene.
-    value : str
-        That value, for people.
-    simpler : str
-        What the scene has in its place without it, for people; empty for nothing.
-    """
-
-    name: str
-    declared: Callable[[S], bool]
-    without: Callable[[S], S]
+    name: str  # as in ``model.leaves_out``
+    declared: Callable[[S], bool]  # from a scene to whether it has the term
+    without: Callable[[S], S]  # from a scene to the same scene without the term
+    # From a scene to the same scene with a typical value; None where adding it would make another scene.
     typical: Callable[[S], S] | None = None
-    value: str = ""
-    simpler: str = ""
+    value: str = ""  # that value, for people
+    simpler: str = ""  # what the scene has in its place without it, for people; empty for nothing
 
 
 def _device(scene: LaunchedScene, **changes: object) -> LaunchedScene:

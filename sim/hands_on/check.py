@@ -217,10 +217,7 @@ def push(device: MailboxDevice, force: float) -> TriedForce:
 def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
     """Go through all of it; the device is closed at the end, on every way out.
 
-    Raises
-    ------
-    RefusedError
-        When something is not as it should be.
+    Raises RefusedError when something is not as it should be.
     """
     try:
         device.connect()

@@ -92,17 +92,7 @@ def _pulse(device: MailboxDevice, force: float) -> tuple[Array, Array]:
 def begins(times: Array, places: Array) -> float | None:
     """Find when a handle begins to follow a force that was handed over at time 0.
 
-    Parameters
-    ----------
-    times : ndarray
-        Of its samples [s].
-    places : ndarray
-        Its positions [m].
-
-    Returns
-    -------
-    float or None
-        The delay [s]; None where it hardly moved.
+    Returns: the delay [s]; None where it hardly moved.
     """
     before = places[times < 0.0]
     if before.size < 3 or times.size - before.size < 5 or abs(places[-1] - before[-1]) < LEAST:

@@ -17,27 +17,13 @@ from nodes.parameters.store import ParameterError, convert
 
 @dataclass(frozen=True)
 class DeviceKind:
-    """A kind of device.
+    """A kind of device."""
 
-    Attributes
-    ----------
-    kind : str
-        Kind of node that drives it.
-    found : bool
-        Whether what it needs is here.
-    library : str or None
-        That: where it is, or the name of what is missing; None for a device that needs nothing.
-    searched : tuple of str
-        Where it was looked for.
-    checked : str
-        What its driver was tested against.
-    """
-
-    kind: str
-    found: bool
-    library: str | None
-    searched: tuple[str, ...]
-    checked: str
+    kind: str  # kind of node that drives it
+    found: bool  # whether what it needs is here
+    library: str | None  # that: where it is, or the name of what is missing; None for a device that needs nothing
+    searched: tuple[str, ...]  # where it was looked for
+    checked: str  # what its driver was tested against
 
 
 def real_kinds() -> dict[str, type[HardwareDriver]]:
@@ -79,22 +65,8 @@ def text() -> str:
 def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
     """Make a device from the command line; it is not connected yet.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of node that drives it.
-    words : sequence of str
-        ``touch.library:=/opt/libHD.so``: parameters of the driver, by their dotted path.
-
-    Returns
-    -------
-    MailboxDevice
-        The device.
-
-    Raises
-    ------
-    UsageError
-        When there is no such kind, or no such parameter.
+    `words`: ``touch.library:=/opt/libHD.so``: parameters of the driver, by their dotted path. Raises UsageError when there is
+    no such kind, or no such parameter.
     """
     known = real_kinds()
     if kind not in known:

@@ -30,10 +30,7 @@ def holders(library: str | None) -> list[tuple[int, str]]:
 def free(device: MailboxDevice) -> dict[str, Any]:
     """Set a device free.
 
-    Raises
-    ------
-    RefusedError
-        When another process holds it, which is named, or it cannot be reached.
+    Raises RefusedError when another process holds it, which is named, or it cannot be reached.
     """
     others = holders(type(device).find(device.parameters).library)
     if others:

@@ -18,26 +18,8 @@ from nodes.stability.plant import Plant
 def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> dict[str, Any]:
     """Connect to a device, forces off, and tell what it is.
 
-    Parameters
-    ----------
-    device : MailboxDevice
-        The device; closed at the end.
-    rate : float
-        Of the loop that the stability figures are for [Hz].
-    delay : float
-        Of it [ticks].
-    damping : float
-        Of the coupling, its B [N s/m].
-
-    Returns
-    -------
-    dict
-        Facts, limits, and inertia with the largest stable stiffness along each axis where the device knows it.
-
-    Raises
-    ------
-    RefusedError
-        When it cannot be reached.
+    `rate`: of the loop that the stability figures are for [Hz]. `delay`: of it [ticks]. Returns: facts, limits, and inertia
+    with the largest stable stiffness along each axis where the device knows it. Raises RefusedError when it cannot be reached.
     """
     try:
         device.connect()

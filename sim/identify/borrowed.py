@@ -47,28 +47,16 @@ LEASE = "borrowed"
 
 @dataclass
 class PushedLaunch:
-    """The nodes of a running launch that are needed to push its device.
+    """The nodes of a running launch that are needed to push its device."""
 
-    Attributes
-    ----------
-    run : RunInfo
-        The run.
-    driver, environment, coupling : str
-        Names of its nodes.
-    period : float
-        Sampling period [s].
-    axes : tuple of int
-        Axes that the scene computes.
-    peak, slew : float or None
-        The driver's limits, by `read_limits`: force [N], change per tick [N].
-    """
-
-    run: RunInfo
+    run: RunInfo  # the run
+    # Names of its nodes.
     driver: str = ""
     environment: str = ""
     coupling: str = ""
-    period: float = 0.0
-    axes: tuple[int, ...] = field(default=())
+    period: float = 0.0  # sampling period [s]
+    axes: tuple[int, ...] = field(default=())  # axes that the scene computes
+    # The driver's limits, by `read_limits`: force [N], change per tick [N].
     peak: float | None = None
     slew: float | None = None
 

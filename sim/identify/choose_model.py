@@ -35,40 +35,19 @@ PROMISES = 0.15
 
 @dataclass(frozen=True)
 class Choice:
-    """A model and what the run says about it.
+    """A model and what the run says about it."""
 
-    Attributes
-    ----------
-    model : Fit
-        Over all windows that a stall has not spoilt.
-    test : Fit
-        Its windows that the search has not seen.
-    whiteness : float
-        Of those.
-    terms : tuple of str
-        What it has beyond a rigid device.
-    why : str
-        What refutes it; empty where it holds.
-    unsteady : float
-        Spread of the instants of the samples, root mean square [s]; 0 where none is seen.
-    mode_bound : float
-        Joints above it, a quarter of the mass beyond them, would not have been seen [Hz].
-    lag_bound, quadratic_bound : float
-        Largest lag [s] and quadratic damping per mass [1/m] that would not have been seen.
-    dropped : int
-        Windows that a stall spoilt.
-    """
-
-    model: Fit
-    test: Fit
-    whiteness: float
-    terms: tuple[str, ...]
-    why: str
-    unsteady: float
-    mode_bound: float
+    model: Fit  # over all windows that a stall has not spoilt
+    test: Fit  # its windows that the search has not seen
+    whiteness: float  # of those
+    terms: tuple[str, ...]  # what it has beyond a rigid device
+    why: str  # what refutes it; empty where it holds
+    unsteady: float  # spread of the instants of the samples, root mean square [s]; 0 where none is seen
+    mode_bound: float  # joints above it, a quarter of the mass beyond them, would not have been seen [Hz]
+    # Largest lag [s] and quadratic damping per mass [1/m] that would not have been seen.
     lag_bound: float
     quadratic_bound: float
-    dropped: int
+    dropped: int  # windows that a stall spoilt
 
 
 @dataclass(frozen=True)

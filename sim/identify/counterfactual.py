@@ -27,27 +27,14 @@ STILL = Criterion().tolerance
 
 @dataclass(frozen=True)
 class Felt:
-    """One replayed run.
+    """One replayed run."""
 
-    Attributes
-    ----------
-    measured : ndarray, shape (N,)
-        What the encoder reads at each tick [m].
-    force : ndarray, shape (N,)
-        Force that the driver hands over in answer [N].
-    settled : bool
-        Whether it comes to rest: by the drop test's verdict where the run is a drop, else by the motion of the last quarter.
-    peak_force : float
-        Largest magnitude of the force [N].
-    rest : float
-        Mean position over the last quarter [m].
-    """
-
-    measured: Array
-    force: Array
+    measured: Array  # what the encoder reads at each tick [m], shape (N,)
+    force: Array  # force that the driver hands over in answer [N], shape (N,)
+    # Whether it comes to rest: by the drop test's verdict where the run is a drop, else by the motion of the last quarter.
     settled: bool
-    peak_force: float
-    rest: float
+    peak_force: float  # largest magnitude of the force [N]
+    rest: float  # mean position over the last quarter [m]
 
 
 def replay(

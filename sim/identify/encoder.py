@@ -17,21 +17,11 @@ STRAY = 0.02
 
 @dataclass(frozen=True)
 class Encoder:
-    """What positions tell of the encoder.
+    """What positions tell of the encoder."""
 
-    Attributes
-    ----------
-    step : float or None
-        Distance of neighbouring readings [m]; None when it cannot be told.
-    error : float
-        Half width of the interval that holds it [m].
-    why : str
-        Why it cannot be told; empty when it can.
-    """
-
-    step: float | None
-    error: float = 0.0
-    why: str = ""
+    step: float | None  # distance of neighbouring readings [m]; None when it cannot be told
+    error: float = 0.0  # half width of the interval that holds it [m]
+    why: str = ""  # why it cannot be told; empty when it can
 
 
 def encoder(position: Array) -> Encoder:

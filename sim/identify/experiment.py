@@ -23,35 +23,19 @@ SHORTEST = 400
 
 @dataclass(frozen=True)
 class Experiment:
-    """One axis of a run.
+    """One axis of a run."""
 
-    Attributes
-    ----------
-    period : float
-        Sampling period T [s].
-    position : ndarray, shape (N,)
-        Measured position at each tick [m].
-    segments : tuple of tuple of int, shape (s, 2)
-        First tick and end of each stretch without a long gap: indices into `position`.
-    at : ndarray, shape (M,)
-        When each force was handed to the device [ticks since the first position], rising.
-    force : ndarray, shape (M,)
-        The force handed over then, which holds until the next [N].
-    delay : ndarray, shape (D,)
-        Delay of each answered tick as the driver measured it, the device's own not included [ticks].
-    axis : str
-        ``x``, ``y`` or ``z``.
-    unread : ndarray of bool, shape (N,), or None
-        Ticks whose position was not sampled: filled in for a first guess, never compared with a model. None for none.
-    """
-
-    period: float
-    position: Array
+    period: float  # sampling period T [s]
+    position: Array  # measured position at each tick [m], shape (N,)
+    # First tick and end of each stretch without a long gap: indices into `position`, shape (s, 2).
     segments: tuple[tuple[int, int], ...]
-    at: Array
-    force: Array
+    at: Array  # when each force was handed to the device [ticks since the first position], rising, shape (M,)
+    force: Array  # the force handed over then, which holds until the next [N], shape (M,)
+    # Delay of each answered tick as the driver measured it, the device's own not included [ticks], shape (D,).
     delay: Array
-    axis: str = "x"
+    axis: str = "x"  # ``x``, ``y`` or ``z``
+    # Ticks whose position was not sampled: filled in for a first guess, never compared with a model, shape (N,), or None. None
+    # for none.
     unread: NDArray[np.bool_] | None = None
 
     @property

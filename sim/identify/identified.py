@@ -11,33 +11,18 @@ from nodes.stability.flexible import FlexiblePlant
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter.
+    """One parameter."""
 
-    Attributes
-    ----------
-    value, low, high : float or None
-        Estimate and 95 % interval in the unit of the parameter; None where it cannot be told.
-    why : str
-        Why not; empty when it can.
-    """
-
+    # Estimate and 95 % interval in the unit of the parameter; None where it cannot be told.
     value: float | None
     low: float | None = None
     high: float | None = None
-    why: str = ""
+    why: str = ""  # why not; empty when it can
 
     def known(self) -> tuple[float, float, float]:
         """Give value, low and high of a parameter that has them.
 
-        Returns
-        -------
-        tuple of float, shape (3,)
-            Value, low, high.
-
-        Raises
-        ------
-        ValueError
-            When it could not be told; the text says why.
+        Returns, shape (3,): value, low, high. Raises ValueError when it could not be told; the text says why.
         """
         if self.value is None or self.low is None or self.high is None:
             raise ValueError(self.why)
@@ -46,111 +31,62 @@ class Estimate:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What is left in the windows that the fit has not seen.
+    """What is left in the windows that the fit has not seen."""
 
-    Attributes
-    ----------
-    residual : float or None
-        Root-mean-square distance of the model's positions from the measured ones, the middle window of them [m]; None when
-        there are none.
-    whiteness : float or None
-        Probability that a model that holds leaves a residual at least so far from white, by rounding alone; None where it
-        was not tested.
-    """
-
+    # Root-mean-square distance of the model's positions from the measured ones, the middle window of them [m]; None when there
+    # are none.
     residual: float | None = None
+    # Probability that a model that holds leaves a residual at least so far from white, by rounding alone; None where it was not
+    # tested.
     whiteness: float | None = None
 
 
 @dataclass(frozen=True)
 class Identified:
-    """A device as a recording tells it.
+    """A device as a recording tells it."""
 
-    Attributes
-    ----------
-    mass, damping, friction : Estimate
-        Moving mass [kg] and viscous damping [N s/m], a hand's share included; Coulomb friction [N].
-    delay : Estimate
-        From the sample to the force taking effect, median over the ticks [ticks]. A lag that is not told apart is in it.
-    device_delay : Estimate
-        The part of it that the driver does not see [ticks].
-    encoder : Estimate
-        Encoder step [m].
-    stiffness : Estimate
-        Of a hand that holds the device [N/m]; 0 when none was found.
-    load : Estimate
-        Constant force that acts besides: weight, or the pull of a hand [N].
-    quadratic : Estimate
-        Damping that grows with the speed: force per speed squared [N s²/m²]. 0 where the data do not ask for it, with the
-        largest that they would not have shown.
-    lag : Estimate
-        Time constant of the actuator [s]; likewise.
-    frequency, share, loss : Estimate
-        A second mass on a joint: frequency of the two against each other [Hz], part of the mass beyond the joint, damping
-        ratio. Without a value where the data show none; `low` of the frequency is up to where they would have.
-    jitter : Estimate
-        Spread of the delay over the ticks, 99.9 % quantile minus 0.1 % [ticks].
-    delay_range : tuple of float, shape (2,)
-        Shortest and longest delay: those two quantiles, widened by the interval of `device_delay` [ticks].
-    held : bool
-        Whether a hand's stiffness was found.
-    residual : float
-        Root-mean-square distance of the model's positions from the measured ones [m].
-    held_out : HeldOut
-        The residual in windows that the fit has not seen.
-    dropped : int
-        Windows left out because a stall or a knock spoilt them.
-    windows, ticks : int
-        How many windows of how many ticks.
-    axis : str
-        The axis.
-    period : float
-        Sampling period [s].
-    terms : tuple of str
-        What the model has beyond mass, damping, friction, delay and hand because the data ask for it.
-    refuted : bool
-        Whether the held-out windows refute the model, and no richer one explains them.
-    why : str
-        What refutes it, and what the data ask for; empty for a model that holds.
-    unbelieved : mapping of str to Estimate
-        What a refuted model says of its parameters, which have no value then.
-    """
-
+    # Moving mass [kg] and viscous damping [N s/m], a hand's share included; Coulomb friction [N].
     mass: Estimate
     damping: Estimate
     friction: Estimate
+    # From the sample to the force taking effect, median over the ticks [ticks]. A lag that is not told apart is in it.
     delay: Estimate
-    device_delay: Estimate
-    encoder: Estimate
-    stiffness: Estimate
-    load: Estimate
+    device_delay: Estimate  # the part of it that the driver does not see [ticks]
+    encoder: Estimate  # encoder step [m]
+    stiffness: Estimate  # of a hand that holds the device [N/m]; 0 when none was found
+    load: Estimate  # constant force that acts besides: weight, or the pull of a hand [N]
+    # Damping that grows with the speed: force per speed squared [N s²/m²]. 0 where the data do not ask for it, with the largest
+    # that they would not have shown.
     quadratic: Estimate
-    lag: Estimate
+    lag: Estimate  # time constant of the actuator [s]; likewise
+    # A second mass on a joint: frequency of the two against each other [Hz], part of the mass beyond the joint, damping ratio.
+    # Without a value where the data show none; `low` of the frequency is up to where they would have.
     frequency: Estimate
     share: Estimate
     loss: Estimate
-    jitter: Estimate
+    jitter: Estimate  # spread of the delay over the ticks, 99.9 % quantile minus 0.1 % [ticks]
+    # Shortest and longest delay: those two quantiles, widened by the interval of `device_delay` [ticks], shape (2,).
     delay_range: tuple[float, float]
-    held: bool
-    residual: float
-    held_out: HeldOut
-    dropped: int
+    held: bool  # whether a hand's stiffness was found
+    residual: float  # Root-mean-square distance of the model's positions from the measured ones [m]
+    held_out: HeldOut  # the residual in windows that the fit has not seen
+    dropped: int  # windows left out because a stall or a knock spoilt them
+    # How many windows of how many ticks.
     windows: int
     ticks: int
-    axis: str
-    period: float
+    axis: str  # the axis
+    period: float  # sampling period [s]
+    # What the model has beyond mass, damping, friction, delay and hand because the data ask for it.
     terms: tuple[str, ...] = ()
-    refuted: bool = False
-    why: str = ""
+    refuted: bool = False  # whether the held-out windows refute the model, and no richer one explains them
+    why: str = ""  # what refutes it, and what the data ask for; empty for a model that holds
+    # What a refuted model says of its parameters, which have no value then.
     unbelieved: Mapping[str, Estimate] = field(default_factory=dict)
 
     def anyway(self) -> Identified:
         """Believe a refuted model: give its parameters the values that the best fit of it has.
 
-        Returns
-        -------
-        Identified
-            Still refuted, with values. A model that holds comes back as it is.
+        Returns: still refuted, with values. A model that holds comes back as it is.
         """
         believed: dict[str, Any] = dict(self.unbelieved)
         return replace(self, **believed)
@@ -158,15 +94,8 @@ class Identified:
     def plant(self) -> FlexiblePlant:
         """Give the linear device that a law is coupled to, joint and lag included.
 
-        Returns
-        -------
-        FlexiblePlant
-            At the estimates, quadratic damping left out: it only calms.
-
-        Raises
-        ------
-        ValueError
-            When mass, damping or delay could not be told; the text says why.
+        Returns: at the estimates, quadratic damping left out: it only calms. Raises ValueError when mass, damping or delay
+        could not be told; the text says why.
         """
         mass, damping, delay = (one.known()[0] for one in (self.mass, self.damping, self.delay))
         joint = {}
@@ -190,15 +119,7 @@ class Identified:
 def refusal(found: Identified) -> str | None:
     """Say why nothing may be designed on an identified device.
 
-    Parameters
-    ----------
-    found : Identified
-        The device.
-
-    Returns
-    -------
-    str or None
-        What refutes its model; None for a model that holds.
+    Returns: what refutes its model; None for a model that holds.
     """
     if not found.refuted:
         return None

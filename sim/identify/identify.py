@@ -27,24 +27,8 @@ HELD_OUT = 4
 def identify(experiment: Experiment, held: bool | None = None, length: int = WINDOW) -> Identified:
     """Identify a device.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The run: at least 12 windows.
-    held : bool or None
-        Whether a hand holds the device; None finds out.
-    length : int
-        Ticks of a window.
-
-    Returns
-    -------
-    Identified
-        What the run tells.
-
-    Raises
-    ------
-    ValueError
-        When the run is too short.
+    `experiment`: the run: at least 12 windows. `held`: whether a hand holds the device; None finds out. Raises ValueError when
+    the run is too short.
     """
     starts = windows(experiment, length)
     if len(starts) < 12:
@@ -69,17 +53,7 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
 def initial_state(experiment: Experiment, found: Identified) -> tuple[float, float]:
     """Find where an identified device begins, from its first window.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        A run from its first tick on.
-    found : Identified
-        The device, its mass known.
-
-    Returns
-    -------
-    tuple of float, shape (2,)
-        Position [m] and velocity [m/s] at the first tick.
+    `experiment`: a run from its first tick on. Returns, shape (2,): position [m] and velocity [m/s] at the first tick.
     """
     first = _begun(experiment, found, np.zeros(1, dtype=np.int64))
     return float(first.states[0, 0]), float(first.states[0, 1])
@@ -88,21 +62,8 @@ def initial_state(experiment: Experiment, found: Identified) -> tuple[float, flo
 def followed(experiment: Experiment, found: Identified, count: int) -> tuple[NDArray[np.int64], Array]:
     """Let an identified device move through the first windows of a run, each from where the run has it at its beginning.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The run.
-    found : Identified
-        The device, its mass known; its joint and lag, if any, are left out.
-    count : int
-        Most windows.
-
-    Returns
-    -------
-    starts : ndarray of int, shape (W,)
-        First tick of each window.
-    positions : ndarray, shape (W, L)
-        Of the model [m].
+    `found`: the device, its mass known; its joint and lag, if any, are left out. Returns `starts` (first tick of each window),
+    `positions` (of the model [m]).
     """
     starts = windows(experiment, found.ticks)[:count]
     begun = _begun(experiment, found, starts)

@@ -31,27 +31,15 @@ IMPROBABLE = 1e-4
 
 @dataclass(frozen=True)
 class Left:
-    """What a fit leaves in its windows, freed of all that its unknowns and the windows' own states could still take up.
+    """What a fit leaves in its windows, freed of all that its unknowns and the windows' own states could still take up."""
 
-    Attributes
-    ----------
-    residual : ndarray, shape (W, L)
-        Of the positions [m].
-    draws : ndarray, shape (B, W, L)
-        The same of models that hold.
-    size, rounding : float
-        Root mean square of the residual, and what rounding alone leaves [m].
-    modelled : ndarray, shape (W, L)
-        Positions of the model [m].
-    states, unknowns : ndarray, shapes (W, L, s) and (W L, p)
-        Orthonormal bases of what those move.
-    """
-
-    residual: Array
-    draws: Array
+    residual: Array  # of the positions [m], shape (W, L)
+    draws: Array  # the same of models that hold, shape (B, W, L)
+    # Root mean square of the residual, and what rounding alone leaves [m].
     size: float
     rounding: float
-    modelled: Array
+    modelled: Array  # positions of the model [m], shape (W, L)
+    # Orthonormal bases of what those move.
     states: Array
     unknowns: Array
 
@@ -146,27 +134,13 @@ def unsteady(experiment: Experiment, what: Left) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Evidence:
-    """How much of the residual one suspect takes up.
+    """How much of the residual one suspect takes up."""
 
-    Attributes
-    ----------
-    suspect : Suspect
-        The term.
-    strength : float
-        Of its best factor, in standard deviations of the same in models that hold.
-    share : float
-        Part that it takes up of what the residual has beyond rounding.
-    factor : float
-        Of its first shape.
-    visible : float
-        Factor that would have `SURE` standard deviations.
-    """
-
-    suspect: Suspect
-    strength: float
-    share: float
-    factor: float
-    visible: float
+    suspect: Suspect  # the term
+    strength: float  # of its best factor, in standard deviations of the same in models that hold
+    share: float  # part that it takes up of what the residual has beyond rounding
+    factor: float  # of its first shape
+    visible: float  # factor that would have `SURE` standard deviations
 
 
 def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:

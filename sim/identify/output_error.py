@@ -31,34 +31,18 @@ _SIZES = np.array([1.0, 1.0, 0.1, 100.0, 1.0, 1.0, 1.0, 1.0, 0.1, 10.0, 0.01])
 
 @dataclass
 class Fit:
-    """What the search came to.
+    """What the search came to."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (11,)
-        The unknowns, in the order of `NAMES`.
-    free : ndarray of int
-        Which of them were looked for.
-    states : ndarray, shape (W, 4)
-        Initial position [m] and velocity [m/s] of each window, and stretch [m] and its rate [m/s] of a joint.
-    errors : ndarray, shape (W,)
-        Sum of squared residuals of each window [m²].
-    matrices, sides : ndarray, shapes (W, p, p) and (W, p)
-        Normal equations of each window at the end, the initial state eliminated.
-    starts : ndarray of int, shape (W,)
-        First tick of each window.
-    length : int
-        Ticks of a window.
-    """
-
-    theta: Array
-    free: NDArray[np.int64]
+    theta: Array  # the unknowns, in the order of `NAMES`, shape (11,)
+    free: NDArray[np.int64]  # which of them were looked for
+    # Initial position [m] and velocity [m/s] of each window, and stretch [m] and its rate [m/s] of a joint, shape (W, 4).
     states: Array
-    errors: Array
+    errors: Array  # sum of squared residuals of each window [m²], shape (W,)
+    # Normal equations of each window at the end, the initial state eliminated.
     matrices: Array
     sides: Array
-    starts: NDArray[np.int64]
-    length: int
+    starts: NDArray[np.int64]  # first tick of each window, shape (W,)
+    length: int  # ticks of a window
 
     @property
     def rms(self) -> float:
@@ -70,17 +54,7 @@ class Fit:
 def windows(experiment: Experiment, length: int) -> NDArray[np.int64]:
     """Cut an experiment into windows.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The run.
-    length : int
-        Ticks of a window.
-
-    Returns
-    -------
-    ndarray of int, shape (W,)
-        First tick of each; none spans a gap.
+    Returns, shape (W,): first tick of each; none spans a gap.
     """
     found = [start for first, end in experiment.segments for start in range(first, end - length + 1, length)]
     return np.array(found, dtype=np.int64)
@@ -89,19 +63,7 @@ def windows(experiment: Experiment, length: int) -> NDArray[np.int64]:
 def first_states(experiment: Experiment, starts: NDArray[np.int64], length: int) -> Array:
     """Guess the state at the beginning of each window from the positions after it.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The run.
-    starts : ndarray of int, shape (W,)
-        First ticks.
-    length : int
-        Ticks of a window.
-
-    Returns
-    -------
-    ndarray, shape (W, 4)
-        As in `Fit`; a joint begins at rest.
+    `starts`, shape (W,): first ticks. Returns, shape (W, 4): as in `Fit`; a joint begins at rest.
     """
     reach = min(8, length - 1)
     x = experiment.position[starts]
@@ -121,29 +83,9 @@ def fit(
 ) -> Fit:
     """Find the unknowns from a first guess.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The run.
-    starts : ndarray of int, shape (W,)
-        First tick of each window.
-    length : int
-        Ticks of a window.
-    theta : ndarray, shape (11,)
-        First guess, in the order of `NAMES`.
-    free : tuple of int
-        Which of them are looked for; the others stay.
-    scale : float
-        Size of a small error of position: an encoder step [m].
-    states : ndarray, shape (W, 4), optional
-        First guess of the initial states.
-    steps : int
-        Most steps.
-
-    Returns
-    -------
-    Fit
-        Where no step lowers the error any more.
+    `starts`, shape (W,): first tick of each window. `theta`, shape (11,): first guess, in the order of `NAMES`. `free`: which
+    of them are looked for; the others stay. `scale`: size of a small error of position: an encoder step [m]. `states`, shape
+    (W, 4): first guess of the initial states. Returns: where no step lowers the error any more.
     """
     theta = np.array(theta, dtype=np.float64)
     chosen = np.array(free, dtype=np.int64)
@@ -186,15 +128,7 @@ def fit(
 def own_states(theta: Array) -> int:
     """Count the states that each window has of its own.
 
-    Parameters
-    ----------
-    theta : ndarray, shape (11,)
-        The unknowns.
-
-    Returns
-    -------
-    int
-        2, or 4 with a joint.
+    `theta`, shape (11,): the unknowns. Returns: 2, or 4 with a joint.
     """
     return STATES if theta[SHARE] > 0.0 else 2
 
@@ -204,22 +138,7 @@ def _widths(theta: Array) -> Array:
 
 
 def left_over(experiment: Experiment, found: Fit, scale: float) -> tuple[Array, Array]:
-    """Give what a fit leaves, and what each unknown and each window's own state moves.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The run.
-    found : Fit
-        The fit.
-    scale : float
-        Size of a small error of position [m].
-
-    Returns
-    -------
-    tuple of ndarray, shapes (W, L) and (W, p + s, L)
-        Residuals [m] and slopes.
-    """
+    """Give what a fit leaves, and what each unknown and each window's own state moves."""
     own, p = own_states(found.theta), len(found.free)
     residuals = np.empty((len(found.starts), found.length))
     moved = np.empty((len(found.starts), p + own, found.length))

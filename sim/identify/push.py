@@ -38,24 +38,12 @@ START = 20.0
 
 @dataclass
 class Pushed:
-    """What a push left.
+    """What a push left."""
 
-    Attributes
-    ----------
-    recording : Path
-        Its recording.
-    place : tuple of float, shape (3,)
-        Where the device was centred [m].
-    ticks : tuple of int, shape (2,)
-        First tick of the push and the one after its last.
-    reason : str
-        Why it ended: ``done``, or what stopped it.
-    """
-
-    recording: Path
-    place: tuple[float, float, float]
-    ticks: tuple[int, int] = (0, 2**53)
-    reason: str = "done"
+    recording: Path  # its recording
+    place: tuple[float, float, float]  # where the device was centred [m], shape (3,)
+    ticks: tuple[int, int] = (0, 2**53)  # first tick of the push and the one after its last, shape (2,)
+    reason: str = "done"  # why it ended: ``done``, or what stopped it
 
 
 def push(

@@ -30,52 +30,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RecordedScene:
-    """A recording and the scene that it was made of.
+    """A recording and the scene that it was made of."""
 
-    Attributes
-    ----------
-    path : Path
-        The recording.
-    scene : LaunchedScene
-        Device, surface, conventions, law and the swaps that really came.
-    launch : Launch
-        As it was started.
-    lockstep : bool
-        Whether every tick was answered and the delay is one number.
-    left_out : tuple of str
-        What is not replayed: of a real-time run the driver's ramp and motor heat under another law.
-    position : ndarray, shape (N,)
-        Measured positions, one per recorded tick [m].
-    force : ndarray, shape (N,)
-        Force handed to the device until that tick [N].
-    took, came : ndarray, shape (M,)
-        When each force took over, rising, and when the driver got it [ticks].
-    answers : ndarray of int, shape (M,)
-        The tick it answers; −1 for the driver's own, whose value is `given`.
-    given : ndarray, shape (M,)
-        Its recorded value [N].
-    target : ndarray, shape (N,), or None
-        Where somebody dragged the device's hand [m]; None for a hand that kept to its path.
-    declared : bool
-        Whether the device is a virtual one whose parameters were recorded.
-    recorded_ticks : int
-        Ticks in the recording; more than N where the driver slept: what follows is not replayed.
-    """
-
-    path: Path
-    scene: LaunchedScene
-    launch: Launch
-    lockstep: bool
+    path: Path  # the recording
+    scene: LaunchedScene  # device, surface, conventions, law and the swaps that really came
+    launch: Launch  # as it was started
+    lockstep: bool  # whether every tick was answered and the delay is one number
+    # What is not replayed: of a real-time run the driver's ramp and motor heat under another law.
     left_out: tuple[str, ...]
-    position: Array
-    force: Array
+    position: Array  # measured positions, one per recorded tick [m], shape (N,)
+    force: Array  # force handed to the device until that tick [N], shape (N,)
+    # When each force took over, rising, and when the driver got it [ticks], shape (M,).
     took: Array
     came: Array
-    answers: NDArray[np.int64]
-    given: Array
+    answers: NDArray[np.int64]  # the tick it answers; −1 for the driver's own, whose value is `given`, shape (M,)
+    given: Array  # its recorded value [N], shape (M,)
+    # Where somebody dragged the device's hand [m]; None for a hand that kept to its path, shape (N,), or None.
     target: Array | None
-    declared: bool
-    recorded_ticks: int
+    declared: bool  # whether the device is a virtual one whose parameters were recorded
+    recorded_ticks: int  # ticks in the recording; more than N where the driver slept: what follows is not replayed
 
 
 def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:

@@ -33,24 +33,12 @@ LAGS = (0.25, 0.5, 1.0, 2.0, 4.0)
 
 @dataclass(frozen=True)
 class Suspect:
-    """A term of one size.
+    """A term of one size."""
 
-    Attributes
-    ----------
-    term : str
-        Its name.
-    size : float
-        What is tried on a grid, in the unit of `SIZES`.
-    shapes : ndarray, shape (g, W, L)
-        What it moves the positions by, up to a factor for each of g parts.
-    start : tuple of float
-        Sizes to begin a fit with.
-    """
-
-    term: str
-    size: float
-    shapes: Array
-    start: tuple[float, ...] = ()
+    term: str  # its name
+    size: float  # what is tried on a grid, in the unit of `SIZES`
+    shapes: Array  # what it moves the positions by, up to a factor for each of g parts, shape (g, W, L)
+    start: tuple[float, ...] = ()  # sizes to begin a fit with
 
 
 SIZES: dict[str, tuple[str, float]] = {

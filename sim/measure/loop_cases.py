@@ -65,10 +65,7 @@ def _with_arm(folder: Path) -> str:
 def launches(cases: Sequence[str]) -> Iterator[dict[str, tuple[str, ...]]]:
     """Make the arguments of ``haptic launch`` for each case; ``""`` is the ordinary launch.
 
-    Raises
-    ------
-    OSError
-        When a stand-in cannot be compiled here.
+    Raises OSError when a stand-in cannot be compiled here.
     """
     with tempfile.TemporaryDirectory(prefix="haptic-cases-") as place:
         found: dict[str, tuple[str, ...]] = {"": (SCENARIO,)}

@@ -18,35 +18,19 @@ from typing import Any, TextIO
 
 @dataclass(frozen=True)
 class Timing:
-    """Time per unit of work.
+    """Time per unit of work."""
 
-    Attributes
-    ----------
-    median : float
-        Median over the rounds [s].
-    low, high : float
-        Lower and upper quartile [s].
-    rounds : int
-        How many rounds.
-    """
-
-    median: float
+    median: float  # median over the rounds [s]
+    # Lower and upper quartile [s].
     low: float
     high: float
-    rounds: int
+    rounds: int  # how many rounds
 
 
 class Progress:
     """A progress bar on standard error; a line for every tenth when that is not a terminal.
 
-    Parameters
-    ----------
-    total : int
-        How many steps make the whole.
-    stream : text stream, optional
-        Where to draw; standard error when left out.
-    after : float
-        What is done so soon shows nothing [s].
+    `stream`: where to draw; standard error when left out.
     """
 
     def __init__(self, total: int, stream: TextIO | None = None, after: float = 0.0) -> None:

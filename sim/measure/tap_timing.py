@@ -33,18 +33,10 @@ _CALLS = 200
 
 @dataclass(frozen=True)
 class TapTimings:
-    """Time per tick of each way at each length.
+    """Time per tick of each way at each length."""
 
-    Attributes
-    ----------
-    timings : dict of int to dict of str to Timing
-        Number of taps, then way (see `WAYS`).
-    same_bits : bool
-        Whether all but ``numpy_dot`` gave the same bits at all lengths.
-    """
-
-    timings: dict[int, dict[str, Timing]]
-    same_bits: bool
+    timings: dict[int, dict[str, Timing]]  # number of taps, then way (see `WAYS`)
+    same_bits: bool  # whether all but ``numpy_dot`` gave the same bits at all lengths
 
     def crossover(self, before: str, after: str) -> float | None:
         """Find the number of taps from which one way is faster than another, for good."""

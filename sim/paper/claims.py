@@ -19,24 +19,12 @@ HOLDS, ONLY_IF, FAILS = "holds", "holds only if", "does not hold"
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim and what became of it.
+    """One claim and what became of it."""
 
-    Attributes
-    ----------
-    source : str
-        Where it stands: a section of the theory, an equation or figure of the paper.
-    claim : str
-        What is claimed.
-    verdict : str
-        ``holds``, ``holds only if`` or ``does not hold``.
-    number : str
-        The figure found, and for ``holds only if`` the condition.
-    """
-
-    source: str
-    claim: str
-    verdict: str
-    number: str
+    source: str  # where it stands: a section of the theory, an equation or figure of the paper
+    claim: str  # what is claimed
+    verdict: str  # ``holds``, ``holds only if`` or ``does not hold``
+    number: str  # the figure found, and for ``holds only if`` the condition
 
 
 def verdict(true: bool, condition: bool | None = None) -> str:

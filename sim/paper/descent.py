@@ -23,38 +23,22 @@ CONVERGED = 1e-6
 
 @dataclass(frozen=True)
 class Targets:
-    """What the cost (13) asks for.
+    """What the cost (13) asks for."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (k,)
-        Frequencies as ωT, 0 < ωT ≤ π.
-    value : ndarray, shape (k,)
-        Wanted f there, normalised.
-    """
-
-    theta: Vector
-    value: Vector
+    theta: Vector  # frequencies as ωT, 0 < ωT ≤ π, shape (k,)
+    value: Vector  # wanted f there, normalised, shape (k,)
 
 
 @dataclass(frozen=True)
 class Descent:
-    """One run of steepest descent.
+    """One run of steepest descent."""
 
-    Attributes
-    ----------
-    gains, orders : ndarray, shape (t,)
-        A_i and α_i at the end.
-    cost : ndarray, shape (steps + 1,)
-        J before the first step and after each one.
-    outcome : str
-        ``converged`` (J < 1e-6), ``slow`` (steps used up), ``diverged`` (J grew a millionfold or is not finite) or
-        ``out_of_range`` (an order left 0 < α < 4).
-    """
-
+    # A_i and α_i at the end, shape (t,).
     gains: Vector
     orders: Vector
-    cost: Vector
+    cost: Vector  # J before the first step and after each one, shape (steps + 1,)
+    # ``converged`` (J < 1e-6), ``slow`` (steps used up), ``diverged`` (J grew a millionfold or is not finite) or
+    # ``out_of_range`` (an order left 0 < α < 4).
     outcome: str
 
 

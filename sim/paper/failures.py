@@ -42,24 +42,14 @@ HORIZON = 400_000
 
 @dataclass(frozen=True)
 class FailureEdge:
-    """A stability boundary, seen from both sides.
+    """A stability boundary, seen from both sides."""
 
-    Attributes
-    ----------
-    name : str
-        Law, device and delay.
-    stiffness : float
-        K at the boundary [N/m].
-    inside, outside : float
-        Pole radius at K·(1 ∓ MARGIN).
-    settled_inside, settled_outside : bool
-        Whether the simulated free swing settled there.
-    """
-
-    name: str
-    stiffness: float
+    name: str  # law, device and delay
+    stiffness: float  # K at the boundary [N/m]
+    # Pole radius at K·(1 ∓ MARGIN).
     inside: float
     outside: float
+    # Whether the simulated free swing settled there.
     settled_inside: bool
     settled_outside: bool
 

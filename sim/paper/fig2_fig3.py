@@ -38,24 +38,12 @@ def term_curve(theta: Vector, order: float) -> Vector:
 
 @dataclass(frozen=True)
 class TermCurve:
-    """Figure 2, one curve.
+    """Figure 2, one curve."""
 
-    Attributes
-    ----------
-    order : float
-        α.
-    curve : ndarray
-        f with the taps of the figure, 1 at ω_N.
-    unlimited : ndarray
-        f of unlimited memory.
-    zero : float
-        Where f last becomes positive, ω/ω_N; nan when it never is negative.
-    """
-
-    order: float
-    curve: Vector
-    unlimited: Vector
-    zero: float
+    order: float  # α
+    curve: Vector  # f with the taps of the figure, 1 at ω_N
+    unlimited: Vector  # f of unlimited memory
+    zero: float  # where f last becomes positive, ω/ω_N; nan when it never is negative
 
 
 def figure_2(taps: int, points: int = 400) -> tuple[Vector, list[TermCurve], list[TermCurve]]:

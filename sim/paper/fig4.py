@@ -38,29 +38,17 @@ CUTOFF = 100.0
 
 @dataclass(frozen=True)
 class Setting:
-    """What is dropped, and how.
+    """What is dropped, and how."""
 
-    Attributes
-    ----------
-    mass, damping : float
-        Device [kg], [N s/m].
-    period : float
-        Sampling period T [s].
-    gains : tuple of float
-        Damping gains B of the horizontal axis [N s/m].
-    resolution, friction : float
-        Of the Touch X [m], [N]; the friction is a data-sheet figure quoted from memory (THEORY.md §4).
-    criterion : Criterion
-        Horizon and tolerance, the same for every law.
-    """
-
+    # Device [kg], [N s/m].
     mass: float
     damping: float
-    period: float
-    gains: tuple[float, ...]
+    period: float  # sampling period T [s]
+    gains: tuple[float, ...]  # damping gains B of the horizontal axis [N s/m]
+    # Of the Touch X [m], [N]; the friction is a data-sheet figure quoted from memory (THEORY.md §4).
     resolution: float = 2.3e-5
     friction: float = 0.06
-    criterion: Criterion = field(default_factory=Criterion)
+    criterion: Criterion = field(default_factory=Criterion)  # horizon and tolerance, the same for every law
 
     def told(self) -> Row:
         """Describe it for a job."""
@@ -83,30 +71,14 @@ class Setting:
 
 @dataclass(frozen=True)
 class Curve:
-    """One boundary.
+    """One boundary."""
 
-    Attributes
-    ----------
-    law : str
-        One of `LAWS`.
-    delay : float
-        Of the loop [ticks].
-    touch : bool
-        Whether with the Touch X's resolution and friction.
-    found : list of SimulatedKMax
-        One for each gain of the setting; shorter after an interruption.
-    linear : list of float or None
-        K_max of the linear loop by pole radius [N/m].
-    convention : int
-        Of contact, one of `sim.design.demand.CONVENTIONS`; the figure is drawn with the first.
-    """
-
-    law: str
-    delay: float
-    touch: bool
-    found: list[SimulatedKMax]
-    linear: list[float | None]
-    convention: int = 0
+    law: str  # one of `LAWS`
+    delay: float  # of the loop [ticks]
+    touch: bool  # whether with the Touch X's resolution and friction
+    found: list[SimulatedKMax]  # one for each gain of the setting; shorter after an interruption
+    linear: list[float | None]  # K_max of the linear loop by pole radius [N/m]
+    convention: int = 0  # of contact, one of `sim.design.demand.CONVENTIONS`; the figure is drawn with the first
 
 
 def published(setting: Setting) -> dict[str, Family]:

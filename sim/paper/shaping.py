@@ -19,22 +19,13 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Shaping:
-    """Gains and orders of a multi-term law and the f they give, all normalised (T = 2), the spring taken as H(1).
+    """Gains and orders of a multi-term law and the f they give, all normalised (T = 2), the spring taken as H(1)."""
 
-    Attributes
-    ----------
-    gains, orders : ndarray, shape (t,)
-        A_i and α_i.
-    ripple : float
-        Largest |f + 1| over the band.
-    nyquist : float
-        f(ω_N).
-    """
-
+    # A_i and α_i, shape (t,).
     gains: Vector
     orders: Vector
-    ripple: float
-    nyquist: float
+    ripple: float  # largest |f + 1| over the band
+    nyquist: float  # f(ω_N)
 
 
 def least_squares(orders: Vector, targets: Targets, taps: int) -> Vector:

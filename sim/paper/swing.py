@@ -50,35 +50,17 @@ class CannotTellError(HapticError, ValueError):
 
 @dataclass(frozen=True)
 class Swing:
-    """What a recorded contact tells.
+    """What a recorded contact tells."""
 
-    Attributes
-    ----------
-    omega_rad_per_s : float
-        Frequency of the swing [rad/s].
-    decay_per_tick : float
-        Factor by which it shrinks per tick; 1 at the edge.
-    ticks : int
-        Length of the contact that it was measured over.
-    stiffness_n_per_m : float
-        Nominal K that was rendered [N/m].
-    k_max_n_per_m : tuple of float, shape (2,)
-        Interval of K_max [N/m].
-    mass_kg : tuple of float, shape (2,)
-        Interval of the moving mass that the swing shows [kg].
-    damping_n_s_per_m : tuple of float, shape (2,)
-        Damping that was taken: twice the known one, or from none to what the decay shows [N s/m].
-    edge : Edge
-        What the loop does at the middle of the interval, by Colgate's condition at the frequency that occurs there.
-    """
-
-    omega_rad_per_s: float
-    decay_per_tick: float
-    ticks: int
-    stiffness_n_per_m: float
-    k_max_n_per_m: tuple[float, float]
-    mass_kg: tuple[float, float]
+    omega_rad_per_s: float  # frequency of the swing [rad/s]
+    decay_per_tick: float  # factor by which it shrinks per tick; 1 at the edge
+    ticks: int  # length of the contact that it was measured over
+    stiffness_n_per_m: float  # nominal K that was rendered [N/m]
+    k_max_n_per_m: tuple[float, float]  # interval of K_max [N/m], shape (2,)
+    mass_kg: tuple[float, float]  # interval of the moving mass that the swing shows [kg], shape (2,)
+    # Damping that was taken: twice the known one, or from none to what the decay shows [N s/m], shape (2,).
     damping_n_s_per_m: tuple[float, float]
+    # What the loop does at the middle of the interval, by Colgate's condition at the frequency that occurs there.
     edge: Edge
 
 

@@ -24,23 +24,8 @@ Array = NDArray[np.float64]
 def excite_outside(device: RicherModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:
     """Push such a device and note what its encoder reads.
 
-    Parameters
-    ----------
-    device : RicherModel
-        The device; it begins at rest at 0.
-    period : float
-        Sampling period T [s].
-    seconds : float
-        How long it is pushed [s].
-    seed : int
-        Of the push, the noise and the jitter.
-    peak : float
-        Largest force [N].
-
-    Returns
-    -------
-    Experiment
-        As a driver records it: a tick's position counts as sampled at the tick, whenever it was.
+    `device`: the device; it begins at rest at 0. Returns: as a driver records it: a tick's position counts as sampled at the
+    tick, whenever it was.
     """
     ticks = round(seconds / period)
     signal = Telegraph(PUSH.amplitude, PUSH.clocks, seed)
@@ -94,19 +79,7 @@ UNFORESEEN = ("warming up", "deadband", "uneven friction", "delay jitter")
 def draw_outside(kind: str, number: int, seed: int) -> RicherModel:
     """Draw a device of a kind.
 
-    Parameters
-    ----------
-    kind : str
-        A key of `KINDS`.
-    number : int
-        Which one.
-    seed : int
-        Of the population.
-
-    Returns
-    -------
-    RicherModel
-        About a free device of the same ranges as those inside the model, with some friction.
+    Returns: about a free device of the same ranges as those inside the model, with some friction.
     """
     rng = np.random.default_rng([seed, number, list(KINDS).index(kind)])
     rigid = draw(number, seed + 1000, held=False)

@@ -29,27 +29,13 @@ def excite(model: DeviceModel, period: float, seconds: float, seed: int, peak: f
 
 @dataclass(frozen=True)
 class Range:
-    """What virtual devices are drawn from.
+    """What virtual devices are drawn from."""
 
-    Attributes
-    ----------
-    mass : tuple of float, shape (2,)
-        [kg], evenly in the logarithm.
-    damping : tuple of float, shape (2,)
-        [N s/m], evenly in the logarithm.
-    friction : tuple of float, shape (2,)
-        [N].
-    delay : tuple of float, shape (2,)
-        [ticks].
-    resolution : tuple of float, shape (2,)
-        Encoder step [m], evenly in the logarithm.
-    """
-
-    mass: tuple[float, float] = (0.03, 0.5)
-    damping: tuple[float, float] = (0.05, 5.0)
-    friction: tuple[float, float] = (0.0, 0.1)
-    delay: tuple[float, float] = (0.0, 2.5)
-    resolution: tuple[float, float] = (5e-6, 1e-4)
+    mass: tuple[float, float] = (0.03, 0.5)  # [kg], evenly in the logarithm, shape (2,)
+    damping: tuple[float, float] = (0.05, 5.0)  # [N s/m], evenly in the logarithm, shape (2,)
+    friction: tuple[float, float] = (0.0, 0.1)  # [N], shape (2,)
+    delay: tuple[float, float] = (0.0, 2.5)  # [ticks], shape (2,)
+    resolution: tuple[float, float] = (5e-6, 1e-4)  # encoder step [m], evenly in the logarithm, shape (2,)
 
 
 def draw(number: int, seed: int, held: bool, ranges: Range | None = None) -> DeviceModel:

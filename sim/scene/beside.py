@@ -30,10 +30,7 @@ def beside_scene(
     `targets` are where the hand pulled to, tick by tick [m], `begin` is the position [m] and velocity [m/s] of the device at
     the first of them, `late` the delay of the loop beyond that of the device and of ``next_tick`` [ticks].
 
-    Raises
-    ------
-    ParameterError
-        When the launch has something that one process does not play, see `from_launch`.
+    Raises ParameterError when the launch has something that one process does not play, see `from_launch`.
     """
     first = next(iter(setups.values()))
     nodes = {}

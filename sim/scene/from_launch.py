@@ -28,30 +28,14 @@ from sim.scene.loop import Given, PlannedSwap, Scene, SceneSurface, Trace, run
 
 @dataclass(frozen=True)
 class LaunchedScene:
-    """A launch file as the one-process loop takes it.
+    """A launch file as the one-process loop takes it."""
 
-    Attributes
-    ----------
-    scene : Scene
-        Device, surface, period and conventions.
-    law : CompiledLaw
-        Law of tick 0.
-    swaps : tuple of PlannedSwap
-        Scheduled swaps.
-    ticks : int
-        Ticks of the run.
-    memory : int
-        Deflections that the coupling remembers.
-    axis : int
-        The one axis that the scene computes: 0, 1 or 2.
-    """
-
-    scene: Scene
-    law: CompiledLaw
-    swaps: tuple[PlannedSwap, ...]
-    ticks: int
-    memory: int
-    axis: int
+    scene: Scene  # device, surface, period and conventions
+    law: CompiledLaw  # law of tick 0
+    swaps: tuple[PlannedSwap, ...]  # scheduled swaps
+    ticks: int  # ticks of the run
+    memory: int  # deflections that the coupling remembers
+    axis: int  # the one axis that the scene computes: 0, 1 or 2
 
     @property
     def last_law(self) -> CompiledLaw:
@@ -99,11 +83,8 @@ def _surface(data: dict[str, Any], where: str, axis: Axis) -> SceneSurface:
 def from_launch(launch: Launch) -> LaunchedScene:
     """Translate a launch file, with its arguments filled in.
 
-    Raises
-    ------
-    ParameterError
-        When the launch file has something that one process does not play: several axes, swaps to or from a law with code of its
-        own, a surface that is more than a plane or a point.
+    Raises ParameterError when the launch file has something that one process does not play: several axes, swaps to or from a
+    law with code of its own, a surface that is more than a plane or a point.
     """
     if len(launch.run.axes) != 1:
         raise ParameterError(

@@ -39,20 +39,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SceneSurface:
-    """What the device may touch, on its axis.
+    """What the device may touch, on its axis."""
 
-    Attributes
-    ----------
-    kind : {"free", "plane", "anchor"}
-        Nothing; a one-sided plane; or a point that the coupling holds on to from both sides.
-    position : float
-        Coordinate of the plane or the anchor [m].
-    normal : float
-        +1 or −1: the side of the plane that is free. Unused otherwise.
-    """
-
+    # Nothing; a one-sided plane; or a point that the coupling holds on to from both sides.
     kind: Literal["free", "plane", "anchor"]
-    position: float = 0.0
+    position: float = 0.0  # coordinate of the plane or the anchor [m]
+    # +1 or −1: the side of the plane that is free. Unused otherwise.
     normal: float = 1.0
 
     def __post_init__(self) -> None:
@@ -71,45 +63,21 @@ class SceneSurface:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """All of a scene but its law.
+    """All of a scene but its law."""
 
-    Attributes
-    ----------
-    device : DeviceModel
-        The virtual device.
-    surface : SceneSurface
-        What it touches.
-    period : float
-        Sampling period T [s].
-    raw : bool
-        Whether the history holds the raw distance outside contact (True) or zero (False).
-    clamp : bool
-        Whether forces into the surface are set to zero.
-    peak : float or None
-        Driver's limit of the force [N].
-    slew : float or None
-        Driver's limit of the change of force per tick [N].
-    workspace : tuple of float, shape (2,), or None
-        Smallest and largest position, where the device stops [m].
-    next_tick : bool
-        Whether forces take effect one tick later (``apply: next_tick``).
-    passivity : PassivityParameters or None
-        The driver's passivity guard; None for none.
-    safety : SafetyParameters or None
-        Its ramp, its stop and the heating of its motor beside these limits, of which those that are None are off here too;
-        None for the limits alone.
-    """
-
-    device: DeviceModel
-    surface: SceneSurface
-    period: float
-    raw: bool
-    clamp: bool
-    peak: float | None = None
-    slew: float | None = None
+    device: DeviceModel  # the virtual device
+    surface: SceneSurface  # what it touches
+    period: float  # sampling period T [s]
+    raw: bool  # whether the history holds the raw distance outside contact (True) or zero (False)
+    clamp: bool  # whether forces into the surface are set to zero
+    peak: float | None = None  # driver's limit of the force [N]
+    slew: float | None = None  # driver's limit of the change of force per tick [N]
+    # Smallest and largest position, where the device stops [m], shape (2,), or None.
     workspace: tuple[float, float] | None = None
-    next_tick: bool = False
-    passivity: PassivityParameters | None = None
+    next_tick: bool = False  # whether forces take effect one tick later (``apply: next_tick``)
+    passivity: PassivityParameters | None = None  # the driver's passivity guard; None for none
+    # Its ramp, its stop and the heating of its motor beside these limits, of which those that are None are off here too; None
+    # for the limits alone.
     safety: SafetyParameters | None = None
 
     def __post_init__(self) -> None:
@@ -128,53 +96,28 @@ class Scene:
 
 @dataclass(frozen=True)
 class PlannedSwap:
-    """Change of the law between two ticks.
+    """Change of the law between two ticks."""
 
-    Attributes
-    ----------
-    tick : int
-        First tick at which the new law has a say.
-    law : CompiledLaw
-        The new law.
-    ramp : int
-        Length of the cross-fade [ticks], 0 for none: force (1−w)·old + w·new, w = (j+1)/ramp at the j-th tick after the
-        swap. A swap during a cross-fade starts from the law being faded in.
-    """
-
-    tick: int
-    law: CompiledLaw
+    tick: int  # first tick at which the new law has a say
+    law: CompiledLaw  # the new law
+    # Length of the cross-fade [ticks], 0 for none: force (1−w)·old + w·new, w = (j+1)/ramp at the j-th tick after the swap. A
+    # swap during a cross-fade starts from the law being faded in.
     ramp: int = 0
 
 
 @dataclass(frozen=True)
 class Trace:
-    """What happened, one value per tick.
+    """What happened, one value per tick."""
 
-    Attributes
-    ----------
-    period : float
-        Sampling period [s].
-    position : ndarray, shape (ticks,)
-        True position when sampled [m].
-    velocity : ndarray, shape (ticks,)
-        True velocity when sampled [m/s].
-    measured : ndarray, shape (ticks,)
-        What the encoder read [m].
-    deflection : ndarray, shape (ticks,)
-        Deflection of the coupling [m].
-    force : ndarray, shape (ticks,)
-        Force handed to the device, after the driver's limits [N]. Delay and saturation of the device come after it.
-    final : tuple of float, shape (2,)
-        Position [m] and velocity [m/s] after the last tick.
-    """
-
-    period: float
-    position: Array
-    velocity: Array
-    measured: Array
-    deflection: Array
+    period: float  # sampling period [s]
+    position: Array  # true position when sampled [m], shape (ticks,)
+    velocity: Array  # true velocity when sampled [m/s], shape (ticks,)
+    measured: Array  # what the encoder read [m], shape (ticks,)
+    deflection: Array  # deflection of the coupling [m], shape (ticks,)
+    # Force handed to the device, after the driver's limits [N], shape (ticks,). Delay and saturation of the device come after
+    # it.
     force: Array
-    final: tuple[float, float]
+    final: tuple[float, float]  # position [m] and velocity [m/s] after the last tick, shape (2,)
 
     @property
     def time(self) -> Array:
@@ -184,27 +127,17 @@ class Trace:
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """What happens to a run beside its scene and law; None for what does not.
+    """What happens to a run beside its scene and law; None for what does not."""
 
-    Attributes
-    ----------
-    force : ndarray, shape (ticks,), or None
-        Force on the device besides the law's, during each tick [N].
-    target : ndarray, shape (ticks,), or None
-        Where the device's hand pulls to during each tick instead of along its path [m].
-    arrivals : tuple of ndarray, or None
-        When the driver gets forces in real time, shape (n,), rising [ticks]; the tick that each answers, −1 for the driver's
-        own; and the latter's value [N]. None for lockstep: each tick's own, by the rule.
-    nudged : ndarray, shape (ticks, 3), or None
-        Jumps of position [m], velocity [m/s] and reading [m] at each tick.
-    read : ndarray, shape (ticks,), or None
-        What an encoder has read [m]: the least jumps that keep the device there are noted in `nudged`.
-    """
-
-    force: Array | None = None
+    force: Array | None = None  # force on the device besides the law's, during each tick [N], shape (ticks,), or None
+    # Where the device's hand pulls to during each tick instead of along its path [m], shape (ticks,), or None.
     target: Array | None = None
+    # When the driver gets forces in real time, shape (n,), rising [ticks]; the tick that each answers, −1 for the driver's own;
+    # and the latter's value [N]. None for lockstep: each tick's own, by the rule.
     arrivals: tuple[Array, NDArray[np.int64], Array] | None = None
+    # Jumps of position [m], velocity [m/s] and reading [m] at each tick, shape (ticks, 3), or None.
     nudged: Array | None = None
+    # What an encoder has read [m]: the least jumps that keep the device there are noted in `nudged`, shape (ticks,), or None.
     read: Array | None = None
 
 
@@ -224,10 +157,7 @@ def run(
     which are warmed up over it. `interpreted` runs the same function thousands of times slower; a law with code of its own
     always runs so, and so does a scene whose driver does more than lower forces.
 
-    Raises
-    ------
-    ValueError
-        When ticks or swaps are out of range, a law is not finite, or one with code of its own is swapped.
+    Raises ValueError when ticks or swaps are out of range, a law is not finite, or one with code of its own is swapped.
     """
     _check(law, ticks, swaps)
     given = given or Given()

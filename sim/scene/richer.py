@@ -26,65 +26,28 @@ SUBSTEPS = 64
 
 @dataclass(frozen=True)
 class RicherModel:
-    """A device with what the model of a rigid one does not have; 0 for what it lacks.
+    """A device with what the model of a rigid one does not have; 0 for what it lacks."""
 
-    Attributes
-    ----------
-    rigid : DeviceModel
-        Mass of both sides of the joint, damping, Coulomb friction, delay, encoder.
-    kind : str
-        What it is called.
-    quadratic : float
-        Damping that grows with the speed: force per speed squared [N s²/m²].
-    lag : float
-        Time constant of the actuator [s].
-    share, frequency, loss : float
-        Part of the mass beyond a joint, frequency [Hz] and damping ratio of the two masses against each other.
-    gap : float
-        Backlash of the joint [m].
-    hardening : float
-        Cubic spring to the middle [N/m³].
-    presliding : float
-        Deflection over which friction builds up (LuGre) [m].
-    stribeck : float
-        What friction is more at rest, as a part of it; it falls over 0.02 m/s.
-    uneven : float
-        What friction is more in one direction and less in the other, as a part of it.
-    cogging : float
-        Force of the motor's poles, 8 mm apart [N].
-    ripple : float
-        Error of the encoder, repeated every 1.3 mm [m].
-    noise : float
-        Of the position, before rounding, root mean square [m].
-    jitter : float
-        Samples come late by up to so much [ticks].
-    late : float
-        Forces come late by up to so much more than the delay [ticks].
-    warming : float
-        Part by which damping falls during the run.
-    deadband : float
-        Forces below it do nothing, and larger ones so much less [N].
-    """
-
-    rigid: DeviceModel
-    kind: str = "rigid"
-    quadratic: float = 0.0
-    lag: float = 0.0
+    rigid: DeviceModel  # mass of both sides of the joint, damping, Coulomb friction, delay, encoder
+    kind: str = "rigid"  # what it is called
+    quadratic: float = 0.0  # damping that grows with the speed: force per speed squared [N s²/m²]
+    lag: float = 0.0  # time constant of the actuator [s]
+    # Part of the mass beyond a joint, frequency [Hz] and damping ratio of the two masses against each other.
     share: float = 0.0
     frequency: float = 0.0
     loss: float = 0.0
-    gap: float = 0.0
-    hardening: float = 0.0
-    presliding: float = 0.0
-    stribeck: float = 0.0
-    uneven: float = 0.0
-    cogging: float = 0.0
-    ripple: float = 0.0
-    noise: float = 0.0
-    jitter: float = 0.0
-    late: float = 0.0
-    warming: float = 0.0
-    deadband: float = 0.0
+    gap: float = 0.0  # backlash of the joint [m]
+    hardening: float = 0.0  # cubic spring to the middle [N/m³]
+    presliding: float = 0.0  # deflection over which friction builds up (LuGre) [m]
+    stribeck: float = 0.0  # what friction is more at rest, as a part of it; it falls over 0.02 m/s
+    uneven: float = 0.0  # what friction is more in one direction and less in the other, as a part of it
+    cogging: float = 0.0  # force of the motor's poles, 8 mm apart [N]
+    ripple: float = 0.0  # error of the encoder, repeated every 1.3 mm [m]
+    noise: float = 0.0  # of the position, before rounding, root mean square [m]
+    jitter: float = 0.0  # samples come late by up to so much [ticks]
+    late: float = 0.0  # forces come late by up to so much more than the delay [ticks]
+    warming: float = 0.0  # part by which damping falls during the run
+    deadband: float = 0.0  # forces below it do nothing, and larger ones so much less [N]
 
     @property
     def plant(self) -> FlexiblePlant:
@@ -203,29 +166,7 @@ def knock_on(
 ) -> Array:
     """Let a law feel a step of the deflection on such a device at rest.
 
-    Parameters
-    ----------
-    device : Outside
-        The device.
-    taps : ndarray, shape (n + 1,)
-        The law [N/m].
-    step : float
-        The step [m].
-    period : float
-        Sampling period T [s].
-    ticks : int
-        How long.
-    peak : float
-        Largest force [N].
-    start : float
-        Where it is, as a part of an encoder step.
-    slew : float
-        Largest change of the force per tick [N].
-
-    Returns
-    -------
-    ndarray, shape (ticks,)
-        What the encoder reads [m].
+    `taps`, shape (n + 1,): the law [N/m]. Returns, shape (ticks,): what the encoder reads [m].
     """
     place = start * (device.rigid.resolution or 0.0)
     return pushed(device, period, np.zeros(ticks), taps, (step, math.inf, peak, place), 0, slew)[0]

@@ -37,30 +37,14 @@ Rows = NDArray[np.float64]
 
 
 class SpatialTrace(NamedTuple):
-    """What happened, one row a tick.
+    """What happened, one row a tick."""
 
-    Attributes
-    ----------
-    position : ndarray, shape (ticks, 3)
-        What the encoders read [m].
-    proxy : ndarray, shape (ticks, 3)
-        Where the proxy was [m].
-    normal : ndarray, shape (ticks, 3)
-        Outward normal of what was touched; zero for a body that moves.
-    contact : ndarray of bool, shape (ticks,)
-        Whether something was touched.
-    force : ndarray, shape (ticks, 3)
-        Force handed to the device, after all limits [N].
-    law : list of str
-        Which law rendered.
-    """
-
-    position: Rows
-    proxy: Rows
-    normal: Rows
-    contact: NDArray[np.bool_]
-    force: Rows
-    law: list[str]
+    position: Rows  # what the encoders read [m], shape (ticks, 3)
+    proxy: Rows  # where the proxy was [m], shape (ticks, 3)
+    normal: Rows  # outward normal of what was touched; zero for a body that moves, shape (ticks, 3)
+    contact: NDArray[np.bool_]  # whether something was touched, shape (ticks,)
+    force: Rows  # force handed to the device, after all limits [N], shape (ticks, 3)
+    law: list[str]  # which law rendered
 
 
 class _Coupling:
@@ -139,28 +123,10 @@ def play(
 ) -> SpatialTrace:
     """Play a launch file.
 
-    Parameters
-    ----------
-    launch : Launch
-        With its arguments filled in; a device that exists, or several, are not played.
-    ticks : int, optional
-        How many; the launch file's own number when left out.
-    solids : sequence of Solid, optional
-        Shapes in place of the launch file's own.
-    path : ndarray, shape (at least ticks, 3), optional
-        Where the encoders find the device [m], whatever the force: no device is played then.
-    world : MovingScene, optional
-        Scene of things that move in place of the launch file's own.
-
-    Returns
-    -------
-    SpatialTrace
-        The bits of a run in lockstep.
-
-    Raises
-    ------
-    ParameterError
-        When something is wrong, as a launch would say it.
+    `launch`: with its arguments filled in; a device that exists, or several, are not played. `ticks`: how many; the launch
+    file's own number when left out. `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the
+    force: no device is played then. `world`: scene of things that move in place of the launch file's own. Returns: the bits of
+    a run in lockstep. Raises ParameterError when something is wrong, as a launch would say it.
     """
     run = launch.run
     period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)

@@ -37,33 +37,15 @@ def _walk(scene: Rows, memory: Rows, path: Rows, answers: Rows) -> None:
 
 
 class Touched(NamedTuple):
-    """What came of a path, one row a tick.
+    """What came of a path, one row a tick."""
 
-    Attributes
-    ----------
-    path : ndarray, shape (ticks, 3)
-        Device positions [m].
-    proxy : ndarray, shape (ticks, 3)
-        Where the proxy was [m].
-    normal : ndarray, shape (ticks, 3)
-        Outward normal.
-    distance : ndarray, shape (ticks,)
-        Signed distance along it [m].
-    contact : ndarray of bool, shape (ticks,)
-        Whether something was touched.
-    rounds : ndarray, shape (ticks,)
-        Rounds that each call took.
-    memory : ndarray
-        What the proxy remembers at the end.
-    """
-
-    path: Rows
-    proxy: Rows
-    normal: Rows
-    distance: Rows
-    contact: NDArray[np.bool_]
-    rounds: Rows
-    memory: Rows
+    path: Rows  # device positions [m], shape (ticks, 3)
+    proxy: Rows  # where the proxy was [m], shape (ticks, 3)
+    normal: Rows  # outward normal, shape (ticks, 3)
+    distance: Rows  # signed distance along it [m], shape (ticks,)
+    contact: NDArray[np.bool_]  # whether something was touched, shape (ticks,)
+    rounds: Rows  # rounds that each call took, shape (ticks,)
+    memory: Rows  # what the proxy remembers at the end
 
 
 def touch(
@@ -76,25 +58,7 @@ def touch(
 ) -> Touched:
     """Lead a device over shapes.
 
-    Parameters
-    ----------
-    solids : sequence of Solid
-        The shapes.
-    path : ndarray, shape (ticks, 3)
-        Device positions [m].
-    tool_radius : float, optional
-        Radius of the ball that touches [m].
-    period : float, optional
-        Time between two positions [s].
-    interpreted : bool, optional
-        Run the same functions without numba.
-    memory : ndarray, optional
-        Go on from this memory, which is changed.
-
-    Returns
-    -------
-    Touched
-        Proxies and what goes with them.
+    `path`, shape (ticks, 3): device positions [m]. Returns: proxies and what goes with them.
     """
     table = scene_table(solids, tool_radius, period)
     answers = np.zeros((len(path), _ANSWER))
@@ -115,10 +79,7 @@ def call_times(
 ) -> Rows:
     """Time single calls of the compiled proxy along a path, with what the interpreter adds to each (under 1 µs).
 
-    Returns
-    -------
-    ndarray
-        One time for each position, of at most so many [s].
+    Returns: one time for each position, of at most so many [s].
     """
     table, memory = np.array(scene_table(solids, tool_radius, period)), np.array(new_memory(len(solids)))
     times = []

@@ -41,12 +41,7 @@ def _vector(numbers: tuple[float, float, float]) -> dict[str, float]:
 class Service:
     """The service.
 
-    Parameters
-    ----------
-    world : World
-        Its device's arm.
-    version : str
-        ``3.1`` takes forces under another name, and none of those of today.
+    `version`: ``3.1`` takes forces under another name, and none of those of today.
     """
 
     def __init__(self, world: World, version: str) -> None:
@@ -151,20 +146,11 @@ class Service:
 
 
 class Started(NamedTuple):
-    """A service that runs.
+    """A service that runs."""
 
-    Attributes
-    ----------
-    process : subprocess.Popen
-        Its process.
-    world : World
-        Its device's arm.
-    port, events_port : int
-        Where it listens.
-    """
-
-    process: subprocess.Popen[str]
-    world: World
+    process: subprocess.Popen[str]  # its process
+    world: World  # its device's arm
+    # Where it listens.
     port: int
     events_port: int
 

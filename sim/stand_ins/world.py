@@ -125,19 +125,7 @@ class World:
 def library(name: str, folder: Path, *options: str) -> tuple[Path, World]:
     """Compile a stand-in of a vendor's library into a folder, with its world.
 
-    Parameters
-    ----------
-    name : str
-        ``hd`` or ``dhd``.
-    folder : Path
-        Where to.
-    *options : str
-        For the compiler: another version of it.
-
-    Returns
-    -------
-    tuple of Path and World
-        The library and its arm.
+    Returns: the library and its arm.
     """
     # A name of its own: who holds a device is told by the name of its library.
     path = folder / f"lib{name}-{os.urandom(4).hex()}.so"

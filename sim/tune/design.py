@@ -19,54 +19,23 @@ from sim.scene.richer import RicherModel
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a tuning asks for.
+    """What a tuning asks for."""
 
-    Attributes
-    ----------
-    taps : int
-        Length of the law.
-    spread : float
-        Factor by which the mass may be off in either direction.
-    radius : float
-        Largest pole radius.
-    nyquist : float
-        Largest |H(−1)| [N/m].
-    land : bool
-        Whether every drop must settle too.
-    effort : int
-        Multiplies the search.
-    poses : tuple of float, shape (2,)
-        By how much the device is lighter and heavier in other poses than in the one that it was identified in [kg].
-    """
-
-    taps: int = 4
-    spread: float = 1.25
-    radius: float = 0.99
-    nyquist: float = 1e4
-    land: bool = True
-    effort: int = 1
+    taps: int = 4  # length of the law
+    spread: float = 1.25  # factor by which the mass may be off in either direction
+    radius: float = 0.99  # largest pole radius
+    nyquist: float = 1e4  # largest |H(−1)| [N/m]
+    land: bool = True  # whether every drop must settle too
+    effort: int = 1  # multiplies the search
+    # By how much the device is lighter and heavier in other poses than in the one that it was identified in [kg], shape (2,).
     poses: tuple[float, float] = (0.0, 0.0)
 
 
 def demand(found: Identified, wanted: Wanted) -> Demand:
     """Ask for a law that suits everything that a device may be.
 
-    Parameters
-    ----------
-    found : Identified
-        The device.
-    wanted : Wanted
-        Margins.
-
-    Returns
-    -------
-    Demand
-        Mass interval widened, least damping, range of delay, range of a hand's stiffness.
-
-    Raises
-    ------
-    ValueError
-        When mass, damping or delay could not be told; the text says why.
+    Returns: mass interval widened, least damping, range of delay, range of a hand's stiffness. Raises ValueError when mass,
+    damping or delay could not be told; the text says why.
     """
     _, lightest, heaviest = found.mass.known()
     _, damping, _ = found.damping.known()
@@ -107,34 +76,12 @@ def _beyond(found: Identified) -> tuple[tuple[float, float, float, float], ...]:
 
 
 def to_record(asked: Demand) -> dict[str, Any]:
-    """Write a demand down, for a step that is run alone.
-
-    Parameters
-    ----------
-    asked : Demand
-        The demand.
-
-    Returns
-    -------
-    dict
-        What JSON can hold.
-    """
+    """Write a demand down, for a step that is run alone."""
     return asdict(asked)
 
 
 def from_record(told: dict[str, Any]) -> Demand:
-    """Read a demand back: the inverse of `to_record`.
-
-    Parameters
-    ----------
-    told : dict
-        What was written down.
-
-    Returns
-    -------
-    Demand
-        The demand.
-    """
+    """Read a demand back: the inverse of `to_record`."""
     beyond = tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in told.get("beyond", ()))
     pairs = {name: (float(told[name][0]), float(told[name][1])) for name in ("mass", "delay", "stiffness")}
     lands = tuple((bool(raw), bool(clamp)) for raw, clamp in told["lands"])
@@ -144,22 +91,8 @@ def from_record(told: dict[str, Any]) -> Demand:
 def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
     """Design taps, and tune PD in the same way to compare.
 
-    Parameters
-    ----------
-    found : Identified
-        The device.
-    wanted : Wanted
-        Margins and length.
-
-    Returns
-    -------
-    tuple of Tuned, Tuned and Demand
-        The designed law, PD, and what both keep; the better of the two comes first should the search find no better taps.
-
-    Raises
-    ------
-    ValueError
-        When the device is not known well enough.
+    Returns: the designed law, PD, and what both keep; the better of the two comes first should the search find no better taps.
+    Raises ValueError when the device is not known well enough.
     """
     asked = demand(found, wanted)
     law, pd = designed(asked, wanted.taps, wanted.effort), best_pd(asked)
@@ -171,16 +104,8 @@ def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
 def model(found: Identified) -> DeviceModel | RicherModel:
     """Put the identified device into a model that has the whole delay of the loop.
 
-    Parameters
-    ----------
-    found : Identified
-        The device.
-
-    Returns
-    -------
-    DeviceModel or RicherModel
-        Free, or with the hand's stiffness about its present place; the richer one where the data asked for a joint, a lag or
-        quadratic damping.
+    Returns: free, or with the hand's stiffness about its present place; the richer one where the data asked for a joint, a lag
+    or quadratic damping.
     """
     mass, _, _ = found.mass.known()
     damping, _, _ = found.damping.known()

@@ -56,40 +56,20 @@ FAR = 3.0
 
 @dataclass(frozen=True)
 class KnockVerdict:
-    """What came of one knock.
+    """What came of one knock."""
 
-    Attributes
-    ----------
-    factor : float
-        All taps were multiplied by it.
-    left : float
-        Motion in the last third of the window, as a part of the knock, peak to peak.
-    rests : bool
-        Whether that is little enough, or still dying after the longest window.
-    why : str
-        What ended the trial before its time; empty when nothing did.
-    """
-
-    factor: float
-    left: float
-    rests: bool
-    why: str = ""
+    factor: float  # all taps were multiplied by it
+    left: float  # motion in the last third of the window, as a part of the knock, peak to peak
+    rests: bool  # whether that is little enough, or still dying after the longest window
+    why: str = ""  # what ended the trial before its time; empty when nothing did
 
 
 @dataclass
 class KnockedEdge:
-    """The steps towards the edge.
+    """The steps towards the edge."""
 
-    Attributes
-    ----------
-    steps : list of KnockVerdict
-        In the order of the stiffness.
-    ended : str
-        Why no more were tried.
-    """
-
-    steps: list[KnockVerdict] = field(default_factory=list)
-    ended: str = ""
+    steps: list[KnockVerdict] = field(default_factory=list)  # in the order of the stiffness
+    ended: str = ""  # why no more were tried
 
     @property
     def factor(self) -> float | None:
@@ -109,21 +89,11 @@ class KnockedEdge:
 
 @dataclass(frozen=True)
 class Plan:
-    """Which steps are tried: n stands for the factor `STEP` to the power of n.
+    """Which steps are tried: n stands for the factor `STEP` to the power of n."""
 
-    Attributes
-    ----------
-    first : int
-        Where the climb begins.
-    near : int
-        From here on every step is tried.
-    last : int
-        Where it ends at the latest.
-    """
-
-    first: int
-    near: int
-    last: int
+    first: int  # where the climb begins
+    near: int  # from here on every step is tried
+    last: int  # where it ends at the latest
 
 
 def factor_of(step: int) -> float:

@@ -42,22 +42,8 @@ class StalledError(RefusedError):
 class Trials:
     """Knocks on one device.
 
-    Parameters
-    ----------
-    loop : PushedLaunch
-        The launch; its limits are known.
-    held : Borrowed
-        Its law and surface.
-    taps : sequence of float
-        The law, as it was designed [N/m].
-    knock : float
-        Size of a knock [m].
-    load : float
-        The force that carries the device's weight [N].
-    say : callable
-        Told how it goes.
-    rearm : bool
-        Whether the driver of a device that exists takes forces again after a stop.
+    `load`: the force that carries the device's weight [N]. `rearm`: whether the driver of a device that exists takes forces
+    again after a stop.
     """
 
     def __init__(

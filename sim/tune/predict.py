@@ -21,15 +21,7 @@ from sim.tune.knocking import KnockedEdge, Plan, knocked, planned, scaled
 def plant_of(found: Identified) -> Plant:
     """Put the identified device into a plant.
 
-    Parameters
-    ----------
-    found : Identified
-        The device.
-
-    Returns
-    -------
-    Plant
-        With the whole delay of the loop.
+    Returns: with the whole delay of the loop.
     """
     values = (found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
     return Plant(found.period, *values, found.stiffness.value or 0.0)
@@ -38,21 +30,7 @@ def plant_of(found: Identified) -> Plant:
 def knock_size(taps: tuple[float, ...], edge: float, found: Identified, peak: float | None) -> float:
     """Choose a knock that the encoder sees well and the driver does not limit.
 
-    Parameters
-    ----------
-    taps : tuple of float
-        The law [N/m].
-    edge : float
-        Largest factor that is tried.
-    found : Identified
-        The device.
-    peak : float or None
-        Largest force of the driver [N].
-
-    Returns
-    -------
-    float
-        At most 1 mm, at least eight encoder steps [m].
+    Returns: at most 1 mm, at least eight encoder steps [m].
     """
     strongest = 0.8 * (peak or 4.0) / (edge * max(map(abs, taps)))
     return max(min(1e-3, strongest), 8.0 * (found.encoder.value or 1e-6))
@@ -61,19 +39,7 @@ def knock_size(taps: tuple[float, ...], edge: float, found: Identified, peak: fl
 def linear_edge(law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None = None) -> float:
     """Find the factor of all taps at which a pole of the loop reaches the unit circle.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps.
-    plant : Plant or FlexiblePlant
-        The device and its loop.
-    period : float or None
-        Sampling period of a flexible device [s].
-
-    Returns
-    -------
-    float
-        Above 1, at most 100; 1 for a law that is not stable itself.
+    Returns: above 1, at most 100; 1 for a law that is not stable itself.
     """
 
     def radius(factor: float) -> float:
@@ -95,26 +61,8 @@ def predict(
 ) -> tuple[dict[str, Any], KnockedEdge, Plan]:
     """Tell what a law will do on the identified device.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps.
-    asked : Demand
-        What it was designed for.
-    found : Identified
-        The device.
-    peak, slew : float or None
-        Limits of the driver: force [N], change per tick [N].
-
-    Returns
-    -------
-    tuple of dict, Edge and Plan
-        Figures; the knocks on the model; the steps to be tried for real.
-
-    Raises
-    ------
-    ValueError
-        When the law does not come to rest on the model.
+    `peak`, `slew`: limits of the driver: force [N], change per tick [N]. Returns: figures; the knocks on the model; the steps
+    to be tried for real. Raises ValueError when the law does not come to rest on the model.
     """
     plant = plant_of(found)
     whole = found.plant()

@@ -82,10 +82,7 @@ _DECODER: Final = msgspec.json.Decoder(ServiceMessage)
 def read(message: str | bytes) -> ServiceMessage:
     """Read a message of the service.
 
-    Raises
-    ------
-    ValueError
-        When it is none.
+    Raises ValueError when it is none.
     """
     try:
         return _DECODER.decode(message)

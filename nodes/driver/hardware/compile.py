@@ -16,26 +16,7 @@ from nodes.compiled import cache
 def shared_library(name: str, sources: Iterable[Path], options: Sequence[str | Path], what: str) -> Any:
     """Load what a C compiler makes of some options.
 
-    Parameters
-    ----------
-    name : str
-        What it is kept as.
-    sources : iterable of Path
-        The files that it is made of.
-    options : sequence of str or Path
-        For the compiler.
-    what : str
-        What it is, for an error.
-
-    Returns
-    -------
-    ctypes.CDLL
-        The library.
-
-    Raises
-    ------
-    OSError
-        When there is no compiler, or it fails.
+    Raises OSError when there is no compiler, or it fails.
     """
     # A path that is absolute stands for itself.
     digests = {

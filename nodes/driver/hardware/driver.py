@@ -43,15 +43,7 @@ class HardwareDriver(Driver):
     def find(cls, parameters: Any) -> Found:
         """Look for what the device needs on this machine.
 
-        Parameters
-        ----------
-        parameters : HardwareParameters
-            Of the kind.
-
-        Returns
-        -------
-        Found
-            Its library, and where it was looked for.
+        Returns: its library, and where it was looked for.
         """
         return cls.hardware.find(parameters)
 

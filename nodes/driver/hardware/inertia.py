@@ -20,20 +20,8 @@ Inertia = tuple[Vector, Vector, Vector]
 def masses_along(inertia: Sequence[Sequence[float]]) -> tuple[Vector, tuple[float, float]]:
     """Give the mass along each axis, and the least and greatest along any direction [kg].
 
-    Parameters
-    ----------
-    inertia : sequence of sequence of float, shape (3, 3)
-        Symmetric [kg].
-
-    Returns
-    -------
-    tuple
-        Masses along x, y and z; least and greatest.
-
-    Raises
-    ------
-    ValueError
-        When it is no inertia: not finite, or not positive definite.
+    `inertia`, shape (3, 3): symmetric [kg]. Returns: masses along x, y and z; least and greatest. Raises ValueError when it is
+    no inertia: not finite, or not positive definite.
     """
     matrix = np.array(inertia, dtype=float)
     if not np.isfinite(matrix).all():

@@ -14,18 +14,10 @@ Functions = Mapping[str, tuple[Any, Sequence[Any]]]
 
 
 class Found(NamedTuple):
-    """Where a library was looked for.
+    """Where a library was looked for."""
 
-    Attributes
-    ----------
-    library : str or None
-        Where it is; None where it is not found.
-    searched : tuple of str
-        Where it was looked for.
-    """
-
-    library: str | None
-    searched: tuple[str, ...]
+    library: str | None  # where it is; None where it is not found
+    searched: tuple[str, ...]  # where it was looked for
 
 
 def find(name: str, folders: Sequence[str]) -> Found:
@@ -43,10 +35,7 @@ def find(name: str, folders: Sequence[str]) -> Found:
 def load(name: str, folders: Sequence[str], remedy: str, what: str, functions: Functions) -> Any:
     """Load a library and declare what is used of it.
 
-    Raises
-    ------
-    OSError
-        When it cannot be loaded, or is another one.
+    Raises OSError when it cannot be loaded, or is another one.
     """
     found = find(name, folders)
     try:

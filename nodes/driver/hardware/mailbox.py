@@ -98,24 +98,13 @@ class ServoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 
 class HandleSample(NamedTuple):
-    """What a device gives beside its position, in the scene's axes.
+    """What a device gives beside its position, in the scene's axes."""
 
-    Attributes
-    ----------
-    orientation : tuple of float, shape (4,)
-        Quaternion x, y, z, w; (0, 0, 0, 1) for a device without one.
-    gripper : float
-        How far it is open [m]; 0 without one.
-    buttons : int
-        One bit each.
-    velocity : tuple of float, shape (3,)
-        As the vendor computes it [m/s]: recorded, not used.
-    """
-
+    # Quaternion x, y, z, w; (0, 0, 0, 1) for a device without one, shape (4,).
     orientation: tuple[float, float, float, float]
-    gripper: float
-    buttons: int
-    velocity: Vector
+    gripper: float  # how far it is open [m]; 0 without one
+    buttons: int  # one bit each
+    velocity: Vector  # as the vendor computes it [m/s]: recorded, not used, shape (3,)
 
 
 class MailboxDevice(ABC):
@@ -198,10 +187,7 @@ class MailboxDevice(ABC):
     def connect(self) -> None:
         """Take hold of the device with forces off, and read its limits and facts.
 
-        Raises
-        ------
-        OSError
-            When it cannot be used; the text says what to do.
+        Raises OSError when it cannot be used; the text says what to do.
         """
 
     def identify(self) -> None:  # noqa: B027  # most kinds know all by then
@@ -211,10 +197,7 @@ class MailboxDevice(ABC):
     def open(self) -> None:
         """Start the servo loop, calibrate with forces off, then let forces through, at zero.
 
-        Raises
-        ------
-        OSError
-            When it cannot be used; the text says what to do.
+        Raises OSError when it cannot be used; the text says what to do.
         """
 
     @abstractmethod

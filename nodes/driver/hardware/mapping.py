@@ -90,17 +90,8 @@ def _cosine_sine(degrees: float) -> tuple[float, float]:
 def matrix(mapping: Mapping, usual: Sequence[str]) -> Matrix:
     """Make the matrix from the device's axes into the scene's.
 
-    Parameters
-    ----------
-    mapping : Mapping
-        As asked for.
-    usual : sequence of str, shape (3,)
-        The device's own axes that are forward, left and up where nothing was asked for.
-
-    Returns
-    -------
-    tuple of tuple of float, shape (3, 3)
-        s R A, row by row.
+    `usual`, shape (3,): the device's own axes that are forward, left and up where nothing was asked for. Returns, shape (3,
+    3): s R A, row by row.
     """
     turned = _rows(mapping.axes or usual)
     for axis, degrees in enumerate(mapping.rotation):
@@ -117,20 +108,8 @@ def matrix(mapping: Mapping, usual: Sequence[str]) -> Matrix:
 def limits_in_scene(limits: DeviceLimits, mapping: Mapping, turn: Matrix) -> DeviceLimits:
     """Turn what the device bears along its own axes into what a scene may ask for.
 
-    Parameters
-    ----------
-    limits : DeviceLimits
-        Along the device's own axes.
-    mapping : Mapping
-        As asked for.
-    turn : tuple of tuple of float, shape (3, 3)
-        As from `matrix`.
-
-    Returns
-    -------
-    DeviceLimits
-        Forces: so low that no axis of the device gets more than it bears, whatever the direction. Workspace: the box round the
-        device's own, and where there is a clutch what it can reach beyond.
+    `turn`, shape (3, 3): as from `matrix`. Returns: forces: so low that no axis of the device gets more than it bears,
+    whatever the direction. Workspace: the box round the device's own, and where there is a clutch what it can reach beyond.
     """
     # On axis j of the device acts Σ turn[i][j] F[i].
     worst = max(sum(abs(turn[i][j]) for i in range(3)) for j in range(3))

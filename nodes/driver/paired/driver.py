@@ -54,13 +54,7 @@ class PairedDriverParameters(DriverParameters, frozen=True, forbid_unknown_field
 
 
 class PairedDevice:
-    """Two devices as one.
-
-    Parameters
-    ----------
-    first, second : Device
-        They.
-    """
+    """Two devices as one."""
 
     def __init__(self, first: Device, second: Device) -> None:
         self.first, self.second = first, second

@@ -40,18 +40,10 @@ _PRESS = """<mujoco><option timestep="{step!r}" cone="{cone}" impratio="{ratio!r
 
 
 class PairStiffness(NamedTuple):
-    """What a contact of the tool is.
+    """What a contact of the tool is."""
 
-    Attributes
-    ----------
-    geom : str
-        What the tool presses on, held where it is.
-    stiffness : float
-        Force over depth between two loads, measured [N/m].
-    """
-
-    geom: str
-    stiffness: float
+    geom: str  # what the tool presses on, held where it is
+    stiffness: float  # force over depth between two loads, measured [N/m]
 
 
 def load_mujoco(where: str) -> Any:

@@ -28,19 +28,7 @@ def poses_file(run_dir: str | Path, node: str) -> Path:
 class Poses:
     """Poses of the geoms of a scene, in a mapped file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    count : int
-        Geoms of the scene.
-    make : bool
-        Whether to make the file: the environment does.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be made, or is not there.
+    `make`: whether to make the file: the environment does. Raises OSError when the file cannot be made, or is not there.
     """
 
     def __init__(self, path: Path, count: int, make: bool = False) -> None:

@@ -111,23 +111,8 @@ def core(
 ) -> tuple[bool, float, float, float]:
     """Where the normals of a round part meet that a point pulls to: whether there is such, and the point.
 
-    Parameters
-    ----------
-    scene : sequence of float
-        The shapes.
-    row : int
-        Where this one begins.
-    face : float
-        Triangle of a mesh.
-    x, y, z : float
-        What the proxy is pulled to [m].
-    nx, ny, nz : float
-        Outward normal where the proxy touches: it tells the part.
-
-    Returns
-    -------
-    tuple
-        Whether that part is round, and the centre of its curvature beside the point [m].
+    `nx`, `ny`, `nz`: outward normal where the proxy touches: it tells the part. Returns: whether that part is round, and the
+    centre of its curvature beside the point [m].
     """
     kind, at = scene[row + KIND], row + GIVEN
     cx, cy, cz = scene[at], scene[at + 1], scene[at + 2]
@@ -159,21 +144,7 @@ def convex_hit(
 ) -> tuple[float, float, float, float]:
     """Part of a straight step that the tool can go before it hits a convex shape, and the normal there; 2.0 for no hit.
 
-    Parameters
-    ----------
-    scene : sequence of float
-        The shapes.
-    row : int
-        Where this one begins.
-    x, y, z : float
-        Where the step begins, outside [m].
-    sx, sy, sz : float
-        The step [m].
-
-    Returns
-    -------
-    tuple of float
-        0.0 to 1.0, or 2.0; and the normal.
+    Returns: 0.0 to 1.0, or 2.0; and the normal.
     """
     part, nx, ny, nz = 0.0, 0.0, 0.0, 1.0
     for _ in range(_STEPS):

@@ -26,57 +26,24 @@ _SLIVER = 1e-9
 
 
 class PreparedMesh(NamedTuple):
-    """What the geometry needs of a mesh.
+    """What the geometry needs of a mesh."""
 
-    Attributes
-    ----------
-    corners : ndarray, shape (n, 3, 3)
-        Triangles in the order of the tree [m].
-    normals : ndarray, shape (n, 3)
-        Outward normals.
-    neighbours : ndarray, shape (n, 3)
-        Triangle across each edge, −1 for none.
-    boxes : ndarray, shape (2 * leaves, 6)
-        Nodes of the tree in heap order, the root at 1: lower and upper corner [m].
-    leaves : int
-        Leaves of the tree.
-    closed : bool
-        Whether it is the border of a solid.
-    repairs : tuple of str
-        What was repaired, in words.
-    """
-
-    corners: Corners
-    normals: NDArray[np.float64]
-    neighbours: NDArray[np.int64]
+    corners: Corners  # triangles in the order of the tree [m], shape (n, 3, 3)
+    normals: NDArray[np.float64]  # outward normals, shape (n, 3)
+    neighbours: NDArray[np.int64]  # triangle across each edge, −1 for none, shape (n, 3)
+    # Nodes of the tree in heap order, the root at 1: lower and upper corner [m], shape (2 * leaves, 6).
     boxes: NDArray[np.float64]
-    leaves: int
-    closed: bool
-    repairs: tuple[str, ...]
+    leaves: int  # leaves of the tree
+    closed: bool  # whether it is the border of a solid
+    repairs: tuple[str, ...]  # what was repaired, in words
 
 
 def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh:
     """Check triangles, and build what a proxy needs.
 
-    Parameters
-    ----------
-    corners : ndarray, shape (n, 3, 3)
-        Triangles [m].
-    both_sides : bool
-        Whether it is a surface to be felt from both sides; otherwise it must be the closed border of a solid.
-    where : str
-        Path of the parameter, for errors.
-
-    Returns
-    -------
-    PreparedMesh
-        The mesh.
-
-    Raises
-    ------
-    ParameterError
-        When a coordinate is not finite, the extent is not that of something to touch, or the mesh is open or its faces disagree
-        about where outside is.
+    `corners`, shape (n, 3, 3): triangles [m]. `both_sides`: whether it is a surface to be felt from both sides; otherwise it
+    must be the closed border of a solid. Raises ParameterError when a coordinate is not finite, the extent is not that of
+    something to touch, or the mesh is open or its faces disagree about where outside is.
     """
     repairs = []
     if not np.isfinite(corners).all():

@@ -21,22 +21,8 @@ _RECORD: Final = 50
 def read_triangles(path: Path, where: str) -> NDArray[np.float64]:
     """Read the triangles of a file, as they stand there.
 
-    Parameters
-    ----------
-    path : Path
-        ``.stl`` or ``.obj``.
-    where : str
-        Path of the parameter, for errors.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, 3)
-        Corners, in the unit of the file.
-
-    Raises
-    ------
-    ParameterError
-        When the file cannot be read, is too large, is cut off, or has no triangles.
+    Returns, shape (n, 3, 3): corners, in the unit of the file. Raises ParameterError when the file cannot be read, is too
+    large, is cut off, or has no triangles.
     """
     kind = path.suffix.lower()
     if kind not in (".stl", ".obj"):

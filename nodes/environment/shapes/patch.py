@@ -27,23 +27,8 @@ def nearer_in_patch(
 ) -> tuple[bool, float, float, float]:
     """Look for a triangle nearer to the device than the one touched, over edges that are hardly further.
 
-    Parameters
-    ----------
-    scene : sequence of float
-        The shapes.
-    row : int
-        Where the mesh begins.
-    memory : sequence of float
-        What the proxy remembers; the triangles seen are noted in it.
-    face : int
-        Triangle touched.
-    x, y, z : float
-        Device position, behind it [m].
-
-    Returns
-    -------
-    tuple
-        Whether there is one, and where the proxy would be on it [m].
+    `memory`: what the proxy remembers; the triangles seen are noted in it. Returns: whether there is one, and where the proxy
+    would be on it [m].
     """
     triangles, neighbours = int(scene[row + TRIANGLES]), int(scene[row + NEIGHBOURS])
     px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)

@@ -18,20 +18,6 @@ def step_between(
     It is the v that minimises |step − v|² subject to n·step ≥ −gap for each plane. In three dimensions at most three planes
     carry it, so each one, pair and triple is tried, and the first that satisfies the conditions of Karush, Kuhn and Tucker is
     the answer. The multipliers, which are the normal parts of the deflection [m], are written beside the planes.
-
-    Parameters
-    ----------
-    memory : sequence of float
-        The contacts, in and out.
-    count : int
-        How many.
-    vx, vy, vz : float
-        Step that is wanted [m].
-
-    Returns
-    -------
-    tuple of float
-        Step [m].
     """
     best, bi, bj, bk = 1e300, -1, -1, -1
     for size in range(4):

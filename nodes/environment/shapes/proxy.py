@@ -81,14 +81,8 @@ _TURNS = 9
 def meet(scene: Sequence[float], memory: MutableSequence[float], x: float, y: float, z: float) -> None:
     """Let the proxy follow the device to a position, and write the answer into its memory.
 
-    Parameters
-    ----------
-    scene : sequence of float
-        The shapes (see nodes/environment/shapes/tables.py).
-    memory : sequence of float
-        What the proxy remembers; proxy, normal, distance and contact are written into it.
-    x, y, z : float
-        Device position [m].
+    `scene`: the shapes (see nodes/environment/shapes/tables.py). `memory`: what the proxy remembers; proxy, normal, distance
+    and contact are written into it.
     """
     memory[ROUNDS] = 0.0
     if not (abs(x) < _FAR and abs(y) < _FAR and abs(z) < _FAR):

@@ -105,19 +105,7 @@ def rotation(turn: Vector) -> tuple[Vector, Vector, Vector]:
 def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> array[float]:
     """Put shapes into a table (nodes/environment/shapes/tables.py).
 
-    Parameters
-    ----------
-    solids : sequence of Solid
-        At least one.
-    tool_radius : float
-        Of the ball that touches them; 0 for a point [m].
-    period : float
-        Time between two calls [s].
-
-    Returns
-    -------
-    array of float
-        The table.
+    `tool_radius`: of the ball that touches them; 0 for a point [m].
     """
     rows = array("d", [0.0]) * (ROWS + ROW * len(solids))
     rows[SHAPES], rows[RADIUS], rows[PERIOD] = len(solids), tool_radius + SKIN, period

@@ -64,23 +64,7 @@ def mesh_gap(
 ) -> tuple[float, float, float, float]:
     """Distance of a tool's centre from where it touches a mesh [m], negative inside of a closed one, and the outward normal.
 
-    Parameters
-    ----------
-    scene : sequence of float
-        The shapes.
-    row : int
-        Where this one begins.
-    memory : sequence of float
-        What the proxy remembers.
-    last : int
-        Where in it the nearest triangle stands: the search begins with that one, which makes it short.
-    x, y, z : float
-        The point [m].
-
-    Returns
-    -------
-    tuple of float
-        Distance and normal.
+    `last`: where in it the nearest triangle stands: the search begins with that one, which makes it short.
     """
     count, leaves = int(scene[row + COUNT]), int(scene[row + LEAVES])
     triangles, tree = int(scene[row + TRIANGLES]), int(scene[row + TREE])

@@ -97,23 +97,7 @@ def triangle_hit(
 ) -> tuple[float, float, float, float]:
     """Part of a straight step that a tool can go before it hits a triangle, and the normal there; 2.0 when it does not.
 
-    Parameters
-    ----------
-    scene : sequence of float
-        The shapes.
-    at : int
-        Where the triangle begins.
-    radius : float
-        Of the tool, with the skin [m].
-    x, y, z : float
-        Where the step begins [m].
-    sx, sy, sz : float
-        The step [m].
-
-    Returns
-    -------
-    tuple of float
-        0.0 to 1.0, or 2.0; and the normal.
+    Returns: 0.0 to 1.0, or 2.0; and the normal.
     """
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     before = height_above(scene, at, x, y, z)

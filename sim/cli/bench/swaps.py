@@ -36,41 +36,22 @@ STILL = 1e-17
 
 @dataclass
 class Block:
-    """One stretch of requests, or of none.
+    """One stretch of requests, or of none."""
 
-    Attributes
-    ----------
-    busy : bool
-        Whether requests were made.
-    began, ended : float
-        On the host's monotonic clock [s].
-    """
-
-    busy: bool
+    busy: bool  # whether requests were made
+    # On the host's monotonic clock [s].
     began: float
     ended: float
 
 
 @dataclass
 class Asked:
-    """What was asked of the coupling, and what it answered.
+    """What was asked of the coupling, and what it answered."""
 
-    Attributes
-    ----------
-    answers : list of dict
-        One per request that was answered.
-    times : list of float
-        How long each answer took [s].
-    refused : list of str
-        Errors.
-    blocks : list of Block
-        Busy and idle stretches, alternating.
-    """
-
-    answers: list[dict[str, Any]] = field(default_factory=list)
-    times: list[float] = field(default_factory=list)
-    refused: list[str] = field(default_factory=list)
-    blocks: list[Block] = field(default_factory=list)
+    answers: list[dict[str, Any]] = field(default_factory=list)  # one per request that was answered
+    times: list[float] = field(default_factory=list)  # how long each answer took [s]
+    refused: list[str] = field(default_factory=list)  # errors
+    blocks: list[Block] = field(default_factory=list)  # busy and idle stretches, alternating
 
 
 def add(parser: argparse.ArgumentParser) -> None:
