@@ -19,12 +19,12 @@ pytestmark = pytest.mark.filterwarnings("default")  # of the kernel client's own
 
 def says_ready(message: dict[str, Any]) -> bool:
     """Tell whether a message is the cell's own word that it has begun."""
-    return message["msg_type"] == "stream" and "ready" in message["content"]["text"]
+    return message["msg_type"] == "stream" and "ready" in str(message["content"]["text"])
 
 
 def shows_progress(message: dict[str, Any]) -> bool:
     """Tell whether a message is the first picture of a progress bar."""
-    return message["msg_type"] == "display_data"
+    return bool(message["msg_type"] == "display_data")
 
 
 def in_a_kernel(
