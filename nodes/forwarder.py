@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import msgspec
 import zmq
 
+from messages.transport.context import new_context
 from messages.transport.open_port import OpenPort
-from messages.transport.sockets import Subscription, new_context
+from messages.transport.sockets import Subscription
 from nodes.base.node import IDLE_MS, Node
 
 if TYPE_CHECKING:

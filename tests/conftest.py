@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from messages.transport import keys
+from messages.transport.context import new_context
 from messages.transport.keys import Identity
-from messages.transport.sockets import new_context
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.machine import machine

@@ -31,7 +31,7 @@ ZAP = "inproc://zeromq.zap.01"
 FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
 _FAILED: dict[int, str] = {
     zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL: "without a valid handshake: a plain client, or an altered or replayed stream",
-    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL: "that ended before its handshake was complete: who connected gave up, "
+    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL: "that ended before its handshake was complete: the client gave up, "
     "took too long or has no keys",
 }
 _STOP = "inproc://haptic.gate.stop"
@@ -182,8 +182,8 @@ class Gate(threading.Thread):
         if gone:
             self._entered -= gone
             self._denied(
-                f"the key {', '.join(sorted(gone))} is not allowed any more; all connections over tcp end, and whoever is "
-                "still allowed connects again"
+                f"the key {', '.join(sorted(gone))} is not allowed any more; all connections over tcp end, and those "
+                "still allowed connect again"
             )
             self._evict()
 

@@ -44,7 +44,7 @@ _EVENTS = (
     FAILURES | zmq.EVENT_CONNECTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_HANDSHAKE_SUCCEEDED
 )
 _NOT_LET_IN = "this machine's key is not let in there; there: haptic keys allow NAME KEY"
-_NO_KEY = "whoever answers there does not have the key that is expected; nothing is taken from it"
+_NO_KEY = "what answers there does not have the expected key; its messages are ignored"
 _NO_NODE = "whoever answers there is not a node"
 _STATES: dict[int, str] = {
     zmq.EVENT_CONNECTED: "no handshake",
@@ -130,7 +130,7 @@ class Links:
         for link in self._links:
             trouble = link.trouble(now)
             if trouble:
-                self._renew(link, f"{trouble}; connecting anew", now)
+                self._renew(link, f"{trouble}; reconnecting", now)
         self._listen_for_silence(heard, now)
 
     def _renew(self, link: _Link, reason: str, now: float) -> None:
@@ -153,7 +153,7 @@ class Links:
                 self._call()
             elif link.is_revoked and link.key in there:
                 link.is_revoked = False
-                self._renew(link, "its key is allowed again; connecting anew", now)
+                self._renew(link, "its key is allowed again; reconnecting", now)
 
     def _listen_for_silence(self, heard: int | None, now: float) -> None:
         # Time in which this thread was starved itself is nobody's silence.
@@ -167,7 +167,7 @@ class Links:
             # Once for each time that it lasts so long. Over a slow cable a new link takes longer than that.
             is_long = math.floor(self._silent / limit) > math.floor(before / limit)
             if is_long and not link.is_revoked and now - link.since > limit and link.state != "no handshake":
-                self._renew(link, f"no message for {limit:g} s ({link.failed or link.state}); connecting anew", now)
+                self._renew(link, f"no message for {limit:g} s ({link.failed or link.state}); reconnecting", now)
 
     def keep(self) -> None:
         """Look and tend twice a second, for a listener that has one thread; called as often as it likes."""

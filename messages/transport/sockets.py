@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING
 
 import zmq
 
-from messages.transport.context import move_aside as move_aside
-from messages.transport.context import new_context as new_context
 from messages.transport.endpoints import connect
-from messages.transport.publisher import SEND_QUEUE, Publisher
+from messages.transport.publisher import Publisher
 
 if TYPE_CHECKING:
     from messages.transport.endpoints import Context
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
     from messages.transport.waker import Waker
 
 __all__ = [
-    "SEND_QUEUE",
     "Publisher",
     "Subscription",
     "TimedOut",

@@ -196,9 +196,7 @@ class ControlServer(threading.Thread):
             except Exception as error:  # noqa: BLE001  # as for requests: told, and served on
                 self._node.events.emit_each("lease", f"lease {name!r} has run out, but {op} failed: {error}")
             else:
-                self._node.events.emit_each(
-                    "lease", f"lease {name!r} has run out, nobody renewed it: {op} {args}"[:4000]
-                )
+                self._node.events.emit_each("lease", f"lease {name!r} expired without a renewal: {op} {args}"[:4000])
 
     def _answer(self, frames: list[bytes]) -> Reply:
         name = self._node.setup.name

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from messages import topics
+from messages.transport.context import move_aside, new_context
 from messages.transport.gate import Gate
 from messages.transport.links import Links
-from messages.transport.sockets import Publisher, Subscription, move_aside, new_context
+from messages.transport.sockets import Publisher, Subscription
 from messages.transport.waker import Waker
 from nodes.base import descriptors, realtime
 from nodes.base.control_thread import ControlServer

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import math
 import re
+import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
@@ -49,7 +50,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     play = declare("play", _play, "Publish a recording at its original pace, for PlotJuggler or a node to listen to.")
     _add_play(play)
 
-    cut = declare("cut", _extract, "Copy a while of a recording into one of its own.")
+    cut = declare("cut", _extract, "Copy a part of a recording into a new one.")
     cut.set_defaults(topics=[])
     few = declare("filter", _extract, "Copy some topics of a recording into one of their own.")
     few.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="whole names of topics")
@@ -179,8 +180,6 @@ def _free(out: Path, force: bool) -> Path:
 
 
 def _record(arguments: argparse.Namespace) -> int:
-    import signal
-
     # First: who ends it while it starts gets a recording that is complete, too.
     ended: list[int] = []
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -293,10 +292,9 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _play(arguments: argparse.Namespace) -> int:
-    import signal
     import time
 
-    from messages.transport.sockets import new_context
+    from messages.transport.context import new_context
     from nodes.cli.relay import local_publisher
     from nodes.recording.play import play
     from nodes.recording.reader import Recording

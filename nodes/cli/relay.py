@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING
 import zmq
 
 from messages.errors import UsageError
+from messages.transport.context import new_context
 from messages.transport.links import Links
 from messages.transport.open_port import OpenPort
-from messages.transport.sockets import Subscription, new_context
+from messages.transport.sockets import Subscription
 from nodes.base import realtime
 from nodes.cli.ask import chosen_run
 from nodes.cli.main import add_json, add_run_name, answer

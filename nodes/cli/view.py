@@ -70,8 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> int:
+    from messages.transport.context import new_context
     from messages.transport.links import Links, say_link
-    from messages.transport.sockets import Subscription, new_context
+    from messages.transport.sockets import Subscription
     from nodes.recording.logger import QUEUE
     from nodes.view.run_pages import RunPages
 

@@ -12,8 +12,8 @@ from typing import Any
 
 from messages import topics
 from messages.errors import UsageError
+from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
-from messages.transport.sockets import new_context
 from nodes.launcher.runs import RunError, RunInfo, find_run, runs
 
 TIMEOUT = 10.0

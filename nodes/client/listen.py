@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 from messages.codec import Decoder, MessageRefusedError
 from messages.topics import message_type, within
+from messages.transport.context import new_context
 from messages.transport.links import Links, say_link
-from messages.transport.sockets import Subscription, new_context
+from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.base import realtime
 from nodes.launcher.runs import RunInfo

@@ -134,6 +134,8 @@ class LawOnAxis:
         Taps, sections or an evaluator of its own.
     history : History
         What it reads.
+    axis : int
+        Which of the axes that the scene computes, from 0.
 
     Attributes
     ----------
@@ -154,7 +156,7 @@ class LawOnAxis:
         When the law is longer than the history.
     """
 
-    def __init__(self, law: CompiledLaw, history: History) -> None:
+    def __init__(self, law: CompiledLaw, history: History, axis: int = 0) -> None:
         if len(law.taps) > history.length:
             raise ValueError(f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory")
         self._history = history
@@ -165,7 +167,9 @@ class LawOnAxis:
         self.taps = law.taps
         self.plain = not law.sections and law.evaluate is None
         self.sum_of_taps = sum_of_taps(law.taps, history)
-        self._own = law.evaluate
+        self._own = law.own_code(axis)
+        self._own_force: float | None = None
+        self._law, self._axis = law, axis
 
     def of_taps(self, taps: tuple[float, ...]) -> LawOnAxis:
         """Make another law over the same history."""
@@ -194,9 +198,10 @@ class LawOnAxis:
             values = self._history.values
             sections(self.coefficients, self.state, values[head], values[head + 1])
 
-    def own(self, history: History) -> float:
-        """Call the law's own code once."""
-        return 0.0 if self._own is None else self._own(history.values, history.head)
+    def first_force(self, history: History) -> float:
+        """Force that the law's own code begins with; nothing of it is remembered."""
+        own = self._law.own_code(self._axis)
+        return 0.0 if own is None else own(history.values, history.head)
 
     def force(self, head: int) -> float:
         """Render the newest deflection, which is at `head`; once per tick."""
@@ -206,13 +211,14 @@ class LawOnAxis:
             force = force + sections(self.coefficients, self.state, values[head], values[head + 1])
             self._pushes = self._history.pushes
         if self._own is not None:
-            force = force + self._own(self._history.values, head)
+            self._own_force = self._own(self._history.values, head)
+            force = force + self._own_force
         return force
 
     def present(self) -> float:
         """Force for the newest deflection, which the sections have already seen; changes nothing."""
         force = self.sum_of_taps(self._history.head) + sum(self.state[::2])
-        return force + self.own(self._history)
+        return force + (self.first_force(self._history) if self._own_force is None else self._own_force)
 
 
 Share: TypeAlias = tuple[LawOnAxis, float]

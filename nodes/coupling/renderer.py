@@ -27,7 +27,7 @@ class ActiveLaw:
         self.name = name
         self.text = text
         self.compiled = compiled
-        self.axes = [LawOnAxis(compiled, history) for history in histories]
+        self.axes = [LawOnAxis(compiled, history, n) for n, history in enumerate(histories)]
 
     @property
     def watched(self) -> bool:
@@ -48,7 +48,7 @@ class ActiveLaw:
         """Call the law's own code once, before it may render."""
         for axis, history in zip(self.axes, histories, strict=True):
             try:
-                force = axis.own(history)
+                force = axis.first_force(history)
                 finite = math.isfinite(force)
             except Exception as error:  # a law of another package may raise anything
                 raise ParameterError(f"law {self.name!r}: raised {type(error).__name__}: {error}") from error

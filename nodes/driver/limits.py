@@ -44,7 +44,7 @@ class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         The same after damping, zero force, a fault or a driver that was started again [s]; `ramp` where that is longer. A force
         that was away for less than a fifth of it begins with a part: each tick away costs five ticks of ramp.
     workspace : tuple of tuple of float, shape (3, 2), or None
-        Smallest and largest coordinate of each axis [m]; a position outside is a fault and no data, and there is no force.
+        Smallest and largest coordinate of each axis [m]; a position outside is a fault, not data, and the force is zero.
     stop_after : int or None
         How often within 2 s the force may come to `peak_force` while the loop gives out energy; then the loop is unstable, and
         the driver stops for good: damping, then no force until it is started again. At most 64; None for never.

@@ -304,12 +304,12 @@ class Driver(Node):
         }
 
     def _rearm(self, beside: bool = False) -> dict[str, Any]:
-        """Take forces again after a stop; of a device that exists only when whoever asks says to stand beside it."""
+        """Take forces again after a stop; of a real device only where the request says that somebody stands beside it."""
         name = self.setup.name
         if not (self.virtual or beside):
             raise ParameterError(
-                f"{name}: the device exists, and its driver has stopped a loop that swings; whoever stands beside it may ask "
-                "for forces again, after a softer law: haptic node rearm"
+                f"{name}: a real device, whose driver has stopped a loop that swings; choose a softer law, stand beside "
+                "the device, and ask for forces again: haptic node rearm"
             )
 
         def apply(seq: int) -> dict[str, Any]:

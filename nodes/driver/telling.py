@@ -39,8 +39,8 @@ _WORDS: Final[tuple[Callable[..., str], ...]] = (
     ),
     lambda tick, _, most, *__: f"continuous force at tick {tick}: limit {most:.3g} N reached",
     lambda tick, written, *_: f"no force from tick {written:.0f} to {tick}; the device let go by itself",
-    lambda *_: "armed again on request: the force comes back by its ramp, and swings are counted anew",
-    lambda tick, _, answers, *__: f"a force for tick {answers:.0f}, which has not been: now is {tick}",
+    lambda *_: "armed again on request: the force comes back by its ramp, and swings are counted from zero",
+    lambda tick, _, answers, *__: f"a force for tick {answers:.0f}, which is still to come: now is {tick}",
     lambda _, __, answers, last, *___: (
         f"a force for tick {answers:.0f} once more: {last:.0f} was the last (replayed or out of order)"
     ),

@@ -21,11 +21,11 @@ import msgspec
 import zmq
 
 from messages.codec import MessageRefusedError
+from messages.transport.context import new_context
 from messages.transport.endpoints import bind, split
 from messages.transport.gate import Gate
 from messages.transport.keys import identity
 from messages.transport.requests import Desk, Reply, decode_request
-from messages.transport.sockets import new_context
 from nodes.base import realtime
 from nodes.base.node_kinds import load, node_kinds
 from nodes.base.process import live

@@ -21,8 +21,8 @@ from typing import IO, Any
 import zmq
 
 from messages.errors import HapticError
+from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
-from messages.transport.sockets import new_context
 from nodes.base import realtime
 from nodes.launcher import reaper, runs
 from nodes.launcher.child import PYTHON, Child

@@ -11,7 +11,7 @@ import cmath
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
 
 import msgspec
 
@@ -48,12 +48,28 @@ class CompiledLaw:
         A law's own code beside taps and sections, for what is not linear: from (ring, head), with ``ring[head + m]`` the
         deflection m ticks ago, to a force [N] that is added. It is tried once before it may render, and watched then:
         when it raises, returns a force that is not finite or overruns its budget, the fallback takes over within the
-        same tick.
+        same tick. Code that remembers something from tick to tick has a method ``on_axis`` (see `own_code`).
     """
 
     taps: tuple[float, ...]
     sections: tuple[tuple[float, float, float, float], ...] = ()
     evaluate: Callable[[Sequence[float], int], float] | None = None
+
+    def own_code(self, axis: int = 0) -> Callable[[Sequence[float], int], float] | None:
+        """Give the law's own code for one axis, before its first tick.
+
+        Parameters
+        ----------
+        axis : int
+            Which of the axes that the scene computes, from 0. Code with a method ``on_axis`` is made anew by it, for this axis.
+
+        Returns
+        -------
+        callable or None
+            `evaluate`, or what its ``on_axis`` makes; None for a law without code of its own.
+        """
+        made = getattr(self.evaluate, "on_axis", None)
+        return self.evaluate if made is None else cast(Callable[[Sequence[float], int], float], made(axis))
 
     @overload
     def response(self, z: complex) -> complex: ...

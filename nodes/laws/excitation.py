@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
 
@@ -115,52 +115,28 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Push:
-    """The push, over the newest deflection of each axis.
+    """The push, over the newest deflection of one axis; `axis` is its number, so that each has signs of its own."""
 
-    Parameters
-    ----------
-    law : Excitation
-        How it pushes.
-    period : float
-        Sampling period T [s].
-
-    Attributes
-    ----------
-    law : Excitation
-        The same.
-    ticks : int
-        How long it pushes.
-    growing : float
-        In which time it grows to its full size [ticks].
-    fade : int
-        In which time the load fades out after it [ticks].
-    """
-
-    def __init__(self, law: Excitation, period: float) -> None:
+    def __init__(self, law: Excitation, period: float, axis: int = 0) -> None:
         self.law, self._period = law, period
         self.ticks, self.growing = max(1, round(law.duration / period)), law.start / period
         self.fade = max(1, round(FADE / period))
-        self._axes: dict[int, list[Any]] = {}
+        self._pushed, self._astray, self._signal = 0, 0, self.signal(axis)
 
-    def fresh(self) -> Push:
-        """Give the same push before its first tick."""
-        return Push(self.law, self._period)
+    def on_axis(self, axis: int) -> Push:
+        """Give the push of an axis before its first tick."""
+        return Push(self.law, self._period, axis)
 
     def signal(self, axis: int) -> Telegraph:
-        """Give the pseudo-random force of an axis, numbered in the order in which they are pushed."""
+        """Give the pseudo-random force of an axis."""
         return Telegraph(self.law.amplitude, self.law.clocks, self.law.seed + axis)
 
     def __call__(self, ring: Sequence[float], head: int) -> float:
-        """Push one axis for a tick [N]."""
-        # Every axis has its own ring, and so its own push.
-        axis = self._axes.get(id(ring))
-        if axis is None:
-            axis = self._axes[id(ring)] = [0, 0, self.signal(len(self._axes))]
-        k, astray, signal = axis
-        load, reach = self.law.load, self.law.reach
+        """Push for a tick [N]."""
+        load, reach, k = self.law.load, self.law.reach, self._pushed
         if k >= self.ticks:
-            axis[0] = min(k + 1, self.ticks + self.fade)
-            return faded(load, axis[0] - self.ticks, self.fade)
-        axis[0], axis[1] = went_on(k, astray, ring[head], reach, self.ticks)
+            self._pushed = min(k + 1, self.ticks + self.fade)
+            return faded(load, self._pushed - self.ticks, self.fade)
+        self._pushed, self._astray = went_on(k, self._astray, ring[head], reach, self.ticks)
         share = (k + 1) / self.growing if k + 1 < self.growing else 1.0
-        return load + share * held_back(signal.next(), ring[head], reach)
+        return load + share * held_back(self._signal.next(), ring[head], reach)

@@ -7,8 +7,8 @@ it, and whether or not that process still lives. So no law stays that was only t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any, ClassVar
+from collections.abc import Sequence
+from typing import Annotated, ClassVar
 
 import msgspec
 
@@ -39,8 +39,6 @@ class Knock(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Damper before and after the trial [N s/m].
     load : float
         Constant force on the first axis, for a device whose weight nothing else carries [N].
-    axes : int
-        How many axes the scene has.
     """
 
     kind: ClassVar[str] = "knock"
@@ -52,37 +50,44 @@ class Knock(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     stiffness: Positive = 20.0
     damping: NonNegative = 0.5
     load: float = 0.0
-    axes: Annotated[int, msgspec.Meta(ge=1, le=3)] = 1
 
     def compile(self, period: float) -> CompiledLaw:
         """Turn spring and damper into taps; the trial is the law's own code beside them."""
         damper = self.damping / period
-        return CompiledLaw((self.stiffness + damper, -damper), evaluate=self._trial(damper))
+        return CompiledLaw((self.stiffness + damper, -damper), evaluate=Trial(self, damper))
 
-    def _trial(self, damper: float) -> Callable[[Sequence[float], int], float]:
-        taps, length, far = self.taps, len(self.taps), self.far * abs(self.step)
-        # By the ring that it reads: deflection at the start, ticks since, step, last head and force, load.
-        axes: dict[int, list[Any]] = {}
 
-        def trial(ring: Sequence[float], head: int) -> float:
-            axis = axes.get(id(ring))
-            if axis is None:
-                # Copies of the rings, on which a law is tried before it may render, come in the same order.
-                step, load = (self.step, self.load) if len(axes) % self.axes == 0 else (0.0, 0.0)
-                axis = axes[id(ring)] = [ring[head], 0, step, head, load, load]
-            start, since, step, last, force, load = axis
-            if head == last or since > self.ticks:
-                return float(force)
+class Trial:
+    """The trial on one axis; the first one is knocked and carries the load."""
+
+    def __init__(self, law: Knock, damper: float, axis: int = 0) -> None:
+        self._law, self._damper = law, damper
+        self._step, self._load = (law.step, law.load) if axis == 0 else (0.0, 0.0)
+        self._far = law.far * abs(law.step)
+        # Deflection at its start, ticks since, and where the head was in its last tick; nothing before the first.
+        self._start, self._since, self._last = 0.0, 0, -1
+
+    def on_axis(self, axis: int) -> Trial:
+        """Give the trial of an axis before its first tick."""
+        return Trial(self._law, self._damper, axis)
+
+    def __call__(self, ring: Sequence[float], head: int) -> float:
+        """Force of a tick beside spring and damper [N]."""
+        law, damper, newest = self._law, self._damper, ring[head]
+        if self._since > law.ticks:
+            return self._load
+        if self._last < 0:
+            # It takes over after the deflection of the tick before.
+            self._start, self._since = ring[head + 1], 1
+        else:
             # A ring holds everything twice, and its head goes down by one a tick; lost ticks are filled in.
-            since += (last - head) % (len(ring) // 2)
-            newest = ring[head]
-            if since > self.ticks or abs(newest - start + step) > far:
-                since, force = self.ticks + 1, load
-            else:
-                force = load + self.stiffness * start - (self.stiffness + damper) * newest + damper * ring[head + 1]
-                for m in range(min(length, since)):
-                    force += taps[m] * (ring[head + m] - start + step)
-            axis[1], axis[3], axis[4] = since, head, force
-            return float(force)
-
-        return trial
+            self._since += (self._last - head) % (len(ring) // 2)
+        self._last = head
+        start, step = self._start, self._step
+        if self._since > law.ticks or abs(newest - start + step) > self._far:
+            self._since = law.ticks + 1
+            return self._load
+        force = self._load + law.stiffness * start - (law.stiffness + damper) * newest + damper * ring[head + 1]
+        for m in range(min(len(law.taps), self._since)):
+            force += law.taps[m] * (ring[head + m] - start + step)
+        return force

@@ -17,8 +17,9 @@ import msgspec
 
 from messages.codec import Decoder, MessageRefusedError
 from messages.topics import FIXED, message_type, split
+from messages.transport.context import new_context
 from messages.transport.links import Links, say_link
-from messages.transport.sockets import Subscription, new_context
+from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.base import realtime
 from nodes.base.node import Node

@@ -169,7 +169,7 @@ def unpack_chunk(path: Path, record: Record) -> Iterator[Record]:
                 raise ValueError("the compressed frame has another size than the chunk says")
             data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
         elif compression:
-            raise ValueError(f"compressed with {compression!r}; zstd is what is read here")
+            raise ValueError(f"compressed with {compression!r}; only zstd is read here")
         if len(data) != size or (checksum and zlib.crc32(data) != checksum):
             raise ValueError(f"checksum or size does not match ({len(data)} of {size} bytes)")
         return data

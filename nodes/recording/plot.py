@@ -250,7 +250,7 @@ def form_of(out: Path) -> str:
     """Tell the format that the name of a picture asks for."""
     form = out.suffix.lower().removeprefix(".") or "png"
     if form not in FORMATS:
-        raise RecordError(f"{out}: {out.suffix} is none of the formats of a plot: .{', .'.join(FORMATS)}")
+        raise RecordError(f"{out}: {out.suffix} is not a format of plots: .{', .'.join(FORMATS)}")
     return form
 
 

@@ -18,8 +18,9 @@ import msgspec
 from messages import topics
 from messages.codec import Decoder, MessageRefusedError
 from messages.errors import HapticError
+from messages.transport.context import new_context
 from messages.transport.requests import Connection
-from messages.transport.sockets import Subscription, new_context
+from messages.transport.sockets import Subscription
 from messages.types import DeviceState, Force, Proxy
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup

@@ -58,7 +58,7 @@ def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> K
     with code of its own, which has no poles.
     """
     if derivative.evaluate is not None:
-        raise ValueError("law: has code of its own and no poles; take --method simulation or lockstep")
+        raise ValueError("law: has code of its own and no poles; use --method simulation or lockstep")
     closed = len(derivative.taps) <= 2 and not derivative.sections and plant.delay == 0.0
     if method == "closed_form" and not closed:
         raise ValueError(

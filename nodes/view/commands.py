@@ -23,8 +23,8 @@ import zmq
 
 from messages.errors import HapticError
 from messages.topics import DEVICE_STATE, FORCE
+from messages.transport.context import new_context
 from messages.transport.requests import Connection, call
-from messages.transport.sockets import new_context
 from nodes.base.node_kinds import load
 from nodes.base.setup import Setup
 from nodes.launcher.child import PYTHON

@@ -204,7 +204,7 @@ class DrawnScene:
         if not bodies.begun and state.seq > LATE:
             del self._bodies[chain]
             self.left_out.append(
-                f"{chain or 'bodies'}: where they are is known to who heard the run from its beginning: launch it with --view"
+                f"{chain or 'bodies'}: only a page that was launched with the run knows where they are: launch it with --view"
             )
             return None
         bodies.follow(state)

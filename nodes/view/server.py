@@ -97,7 +97,7 @@ def check_address(address: str, port: int) -> None:
         return
     shown = port or 8080
     raise ParameterError(
-        f"view.address: {address} is refused: whoever reaches the page can command the loop, so it is served on {ADDRESS} "
+        f"view.address: {address} is refused: anyone who reaches the page can command the loop, so it is served on {ADDRESS} "
         f"only. From another machine, set view.port to {shown}, run ssh -L {shown}:{ADDRESS}:{shown} "
         f"{getpass.getuser()}@{socket.gethostname()} there, and open the printed URL"
     )

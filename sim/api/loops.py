@@ -259,7 +259,7 @@ def drop(law: LawLike, plant: Plant, height: float = 0.01, ticks: int = 1500) ->
     from sim.scene.loop import run
 
     if plant.stiffness:
-        raise ValueError(f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: nobody holds what is dropped")
+        raise ValueError(f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: no hand holds a dropped mass")
     device = DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay)
     scene = drop_scene(device, plant.period, raw=False, clamp=False, height=height)
     taps = compiled(law, plant.period)

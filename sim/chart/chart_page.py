@@ -322,8 +322,8 @@ def page(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> st
     text = [
         "# Speed against accuracy",
         "",
-        "Every choice is a dot: to the left is cheaper, down is better. What is joined and named is the Pareto front; "
-        "everything else is beaten by something on it in both respects. Redraw it with `haptic study chart`.",
+        "Every choice is a dot: to the left is cheaper, down is better. The joined, named dots are the Pareto front; "
+        "each other dot is worse than one of them in both respects. Redraw it with `haptic study chart`.",
         "",
         "## In short",
         "",

@@ -26,13 +26,17 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_json(listed)
     listed.set_defaults(run=_list)
     for name, run, text in (
-        ("info", _info, "Connect to a device with forces off and tell what it is, and what it bears."),
+        ("info", _info, "Connect to a device with forces off; print what it is and which force it can give."),
         (
             "check",
             _check,
             "Check a device by hand: noise, rate, axes without a force, then a first force in steps, each asked for.",
         ),
-        ("free", _free, "Name who holds a device; where nobody does, switch its forces off and give it back."),
+        (
+            "free",
+            _free,
+            "Name the process that holds a device; where there is none, switch its forces off and release it.",
+        ),
     ):
         one = sub.add_parser(name, help=text, description=text)
         one.add_argument("kind", help="kind of node that drives it: haptic device list")
@@ -48,7 +52,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     centred.add_argument("driver", nargs="?", default="driver", help="node that drives it (default: %(default)s)")
     add_run(centred)
     centred.set_defaults(run=_recentre)
-    known = sub.add_parser("presets", help="what is known of real devices, and from where: device:=touch_x")
+    known = sub.add_parser("presets", help="known values of real devices, with their sources: device:=touch_x")
     add_json(known)
     known.set_defaults(run=_presets)
     text = "Push the device of a running launch (or of a scenario, started for it) and identify it."
@@ -119,7 +123,7 @@ def _free(arguments: argparse.Namespace) -> int:
     from sim.hands_on.free import free
 
     device = device_of(arguments.kind, arguments.parameters)
-    answer(arguments.json, free(device), f"{arguments.kind}: forces are off, and nobody holds it")
+    answer(arguments.json, free(device), f"{arguments.kind}: forces are off, and no process holds it")
     return 0
 
 

@@ -37,7 +37,7 @@ class Study(NamedTuple):
 
 def add_sweep(parser: argparse.ArgumentParser) -> None:
     """Declare where a sweep runs, and whether it goes on."""
-    parser.add_argument("--fresh", action="store_true", help="begin anew instead of going on where it stopped")
+    parser.add_argument("--fresh", action="store_true", help="start again instead of going on where it stopped")
     add_spread(parser, "one per core")
 
 
@@ -66,8 +66,8 @@ def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
     security = check_cluster(arguments)
     if not security:
         _say(
-            f"{arguments.cluster}: whoever of this machine's users holds that port is given the jobs, and believed; "
-            f"where there are others, use tls:// with --{', --'.join(TLS)}"
+            f"{arguments.cluster}: any user of this machine may hold that port, get the jobs and answer them; "
+            f"on a machine with several users, use tls:// with --{', --'.join(TLS)}"
         )
     try:
         import distributed

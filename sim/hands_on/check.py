@@ -271,7 +271,7 @@ def _pushes(device: MailboxDevice) -> list[TriedForce]:
     """Push with 0.1 N, 1 N and what the device bears, each asked for; the first that is not felt ends it."""
     pushes: list[TriedForce] = []
     for force in (0.1, 1.0, device.limits.peak_force):
-        largest = " (the largest that the device bears)" if force == device.limits.peak_force else ""
+        largest = " (the largest that the device allows)" if force == device.limits.peak_force else ""
         if not ask(f"Hold the handle loosely. Push upwards with {force:g} N{largest}? [y/n]").startswith("y"):
             break
         pushes.append(push(device, force))

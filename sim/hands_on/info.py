@@ -58,7 +58,8 @@ def text(told: dict[str, Any]) -> str:
     lines = [f"  {name}: {value}" for name, value in told["facts"].items()]
     limits = told["limits"]
     lines.append(
-        f"  bears {limits['peak_force']} N, {limits['continuous_force']} N continuously; holds a force for {limits['hold']} s"
+        f"  peak force {limits['peak_force']} N, {limits['continuous_force']} N continuous; "
+        f"holds a force for {limits['hold']} s"
     )
     lines += [
         f"  {axis}: {low:.3g} to {high:.3g} m" for axis, (low, high) in zip("xyz", limits["workspace"], strict=True)

@@ -142,7 +142,7 @@ class PushedLaunch:
 
     def soften(self, load: float) -> None:
         """Let a soft spring hold the device, whatever the surface is."""
-        law = {**SOFT, "load": load, "axes": len(self.axes)}
+        law = {**SOFT, "load": load}
         self.change(self.coupling, "param.set", values={f"laws.{SOFT_LAW}": law})
         self.change(self.coupling, "law.switch", law=SOFT_LAW, ramp=SOFT_RAMP)
         self.wait(SOFT_RAMP)

@@ -21,7 +21,7 @@ from typing import Any
 import msgpack
 import zmq
 
-from messages.transport.sockets import SEND_QUEUE
+from messages.transport.publisher import SEND_QUEUE
 
 ROLES = ("environment", "coupling", "driver")
 

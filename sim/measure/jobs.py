@@ -58,7 +58,7 @@ def run_chunk(job: Callable[[J], R], chunk: Sequence[J], wanted: str) -> list[R]
     if program() != wanted:
         raise RefusedError(
             f"the worker on {platform.node()} (process {os.getpid()}) has another version of haptic-nodes in {_ROOT}: "
-            "its figures would not be those of this one; install the same version there, and start the worker anew"
+            "its figures would not be those of this one; install the same version there, and restart the worker"
         )
     return [job(parameters) for parameters in chunk]
 

@@ -24,8 +24,8 @@ import zmq
 
 from messages import topics
 from messages.errors import HapticError
+from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
-from messages.transport.sockets import new_context
 from nodes.base.node_kinds import load
 from nodes.base.realtime import die_with_parent
 from nodes.launcher.child import PYTHON

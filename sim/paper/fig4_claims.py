@@ -59,7 +59,7 @@ def _conditional(setting: Setting, pd: Curve) -> Claim:
     passive, stiffest = 2.0 * setting.damping / setting.period, best(pd, felt=True)[0]
     return Claim(
         "THEORY.md §2",
-        "on a known device the loop bears more than the passive limit 2b/T: conditional stability",
+        "on a known device the loop allows more than the passive limit 2b/T: conditional stability",
         verdict(stiffest > passive),
         f"PD settles up to H(1) = {stiffest:.0f} N/m, 2b/T = {passive:.0f} N/m",
     )
@@ -183,7 +183,7 @@ def _against_pd(setting: Setting, pd: Curve, other: Curve, felt: bool) -> Claim:
     unit = "in H(1)" if felt else "in nominal K"
     return Claim(
         "paper, fig. 4" if other.law == "paper_optimum" else "THEORY.md §4",
-        f"{_NAMES[other.law]} bears more stiffness than PD at the same B, {unit}, d = {other.delay:g}, {sensor}",
+        f"{_NAMES[other.law]} reaches more stiffness than PD at the same B, {unit}, d = {other.delay:g}, {sensor}",
         verdict(low[0] > 1.0, bool(better)),
         f"{condition}better at {len(better)} of {len(pairs)} gains, ratio {low[0]:.2f} (B = {low[1]:.3g}) … {high[0]:.2f} "
         f"(B = {high[1]:.3g}); best over B: {best(other, felt)[0]:.0f} against {best(pd, felt)[0]:.0f} N/m",

@@ -170,7 +170,7 @@ class _Kept:
     def _refused(self, error: cache.CacheRefusedError) -> None:
         if not _Kept._told:
             _Kept._told = True
-            sys.stderr.write(f"compiled anew in each process, for nothing is kept: {error}\n")
+            sys.stderr.write(f"compiled again in each process, because nothing can be kept: {error}\n")
 
 
 def compiled() -> Callable[[Function], Function]:

@@ -111,7 +111,7 @@ def from_launch(launch: Launch) -> LaunchedScene:
         compiled = book.compile(coupling, name)
         if compiled.evaluate is not None and coupling.schedule:
             raise ParameterError(
-                f"{coupling_name}.laws.{name}: has code of its own, which one process swaps for no other; launch it"
+                f"{coupling_name}.laws.{name}: has code of its own, which one process cannot swap; launch it"
             )
         return compiled
 

@@ -19,7 +19,6 @@ from nodes.driver.passivity import PassivityParameters, line_of
 from nodes.driver.safety import REACH
 from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.laws import CompiledLaw
-from nodes.laws.excitation import Push
 from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.scene.compiled import numbers_of
 from sim.scene.driver_rules import DriverRules
@@ -190,9 +189,7 @@ def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
         if not candidate.finite:
             raise ValueError(f"law {i} of the run has a coefficient that is not finite: taps {candidate.taps}")
         if candidate.evaluate is not None and swaps:
-            raise ValueError(
-                f"law {i} of the run has code of its own, which one process swaps for no other: use the nodes"
-            )
+            raise ValueError(f"law {i} of the run has code of its own, which one process cannot swap: use the nodes")
 
 
 def _stops(safety: SafetyParameters, peak: float | None, asked: Array, measured: Array) -> bool:
@@ -216,10 +213,8 @@ def _played(
     rules: DriverRules | None,
 ) -> tuple[Trace, Array]:
     """Play once; what happened, and the forces that the driver's limits were asked for."""
-    own = law.evaluate
+    own = law.own_code()
     if own is not None:
-        # One that keeps count begins anew.
-        own = own.fresh() if isinstance(own, Push) else own
         numbered = None if interpreted else numbers_of(own, ticks)
         interpreted = numbered is None
         own = own if numbered is None else numbered

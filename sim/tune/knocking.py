@@ -244,7 +244,7 @@ def planned(knock: Callable[[int], KnockVerdict], linear: float) -> tuple[Plan, 
     return Plan(min(first, 0), (top if found is None else last - BEYOND) - NEAR, last), edge
 
 
-def law_of(taps: list[float], factor: float, knock: float, load: float, axes: int) -> dict[str, object]:
+def law_of(taps: list[float], factor: float, knock: float, load: float) -> dict[str, object]:
     """Describe a law on trial, as a coupling takes it."""
     return {
         "kind": Knock.kind,
@@ -253,5 +253,4 @@ def law_of(taps: list[float], factor: float, knock: float, load: float, axes: in
         "ticks": LONGEST,
         "far": FAR,
         "load": load,
-        "axes": axes,
     }

@@ -117,7 +117,7 @@ class Trials:
         loop = self._loop
         self._held.check()
         self._sign = -self._sign
-        law = law_of(self._taps, factor, self._sign * self._knock, self._load, len(loop.axes))
+        law = law_of(self._taps, factor, self._sign * self._knock, self._load)
         loop.change(loop.coupling, "param.set", values={f"laws.{TRIAL}": law})
         if self._guarded:
             # Afresh: every knock has the whole allowance.

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 
 from messages import topics
 from messages.codec import MAX_PAYLOAD, Decoder, MessageRefusedError, encode
+from messages.transport.context import new_context
 from messages.transport.requests import MAX_REPLY, decode_reply, decode_request
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.sockets import Publisher, Subscription
 from messages.types import MAX_COUNT, DeviceState, Force, Message, Proxy
 from tests.support.launching import private_runtime_dir, wait_for
 from tests.support.setups import setup_of

@@ -136,9 +136,7 @@ def test_a_handle_that_flies_off_is_let_go(tmp_path: Path) -> None:
 def test_the_delay_from_force_to_effect_is_told_with_its_uncertainty(stand: Bench, late: float) -> None:
     w = stand.world.state
     w.resolution, w.late = 2e-5, late
-    device = stand.device()
-    device.connect()
-    device.open()
+    device = stand.opened()
     # A hand: heavy, and slow; it reaches its speed in 10 ms, which is no delay.
     w.mass, w.damping, w.free_from = 1.0, 100.0, 0.0
     measured = measure(device)
@@ -150,9 +148,7 @@ def test_the_delay_from_force_to_effect_is_told_with_its_uncertainty(stand: Benc
 
 
 def test_a_handle_that_does_not_move_tells_no_delay(stand: Bench) -> None:
-    device = stand.device()
-    device.connect()
-    device.open()
+    device = stand.opened()
     measured = measure(device)
     assert (measured.delay, measured.pulses) == (None, 0)
     assert "hold it more loosely" in measured.why

@@ -12,12 +12,15 @@ from tempfile import mkdtemp
 from typing import Any, NamedTuple
 
 import msgspec
+import pytest
 
+from messages.types import Vector
 from nodes.base.node_kinds import NODES
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.mailbox import MailboxDevice
 from sim.stand_ins import inverse_service
 from sim.stand_ins.world import World, library, world_beside
+from tests.support.launching import wait_for
 
 LIBRARIES = {"touch_driver": ("hd", "touch"), "force_dimension_driver": ("dhd", "force_dimension")}
 """Of a device with a library: its stand-in, and the section of its parameters."""
@@ -65,6 +68,22 @@ class Bench(NamedTuple):
         made = self.driver.hardware(msgspec.convert(self.written(mapping, **given), self.driver.Parameters))
         self.made.append(made)
         return made
+
+    def opened(self, mapping: dict[str, Any] | None = None, **given: Any) -> MailboxDevice:
+        """Make the device, connected and open."""
+        device = self.device(mapping, **given)
+        device.connect()
+        device.open()
+        return device
+
+    def press(self, device: MailboxDevice, force: Vector) -> None:
+        """Write a force until the arm has it."""
+
+        def arrives() -> bool:
+            device.write_force(force, 0, 0.0)
+            return self.world.force() == pytest.approx(force, abs=1e-12)
+
+        wait_for(arrives, "the arm gets the force")
 
 
 def real_devices() -> dict[str, type[HardwareDriver]]:

@@ -161,7 +161,7 @@ class TouchDevice(MailboxDevice):
         workspace: Workspace = ((ends[0], ends[3]), (ends[1], ends[4]), (ends[2], ends[5]))
         (peak,), (continuous,) = self._doubles(MAX_FORCE, 1), self._doubles(MAX_CONTINUOUS_FORCE, 1)
         if not (peak > 0.0 and continuous > 0.0):
-            raise OSError(f"Touch: the device says that it bears {peak:g} N and {continuous:g} N continuously")
+            raise OSError(f"Touch: the device reports a peak force of {peak:g} N and {continuous:g} N continuously")
         return DeviceLimits(
             peak_force=peak,
             continuous_force=continuous,
@@ -201,7 +201,7 @@ class TouchDevice(MailboxDevice):
         hd.hdEnable(FORCE_OUTPUT)
         self._check("forces cannot be switched on")
         if error := self._code.servo_watch(ctypes.byref(servo)):
-            raise OSError(error, "Touch: nobody can look after the servo loop")
+            raise OSError(error, "Touch: the servo loop cannot be watched")
 
     def _calibrate(self) -> None:
         until = time.monotonic() + self._touch.calibration_time

@@ -179,7 +179,7 @@ def _text(figures: dict[str, Any]) -> str:
     lines.append("  predicted for " + ", ".join(f"{key} {value}" for key, value in figures["law"].items()))
     if figures["hand"] == "force":
         lines.append(
-            "  the hand acts as the force that it gave; one that gives way needs hand: {stiffness: K} in --model's YAML"
+            "  the hand is replayed as its recorded force; one that yields needs hand: {stiffness: K} in --model's YAML"
         )
     if figures["left_out"]:
         lines.append(f"  not replayed: {', '.join(figures['left_out'])}")

@@ -25,8 +25,9 @@ from messages import topics
 from messages.codec import Decoder, encode
 from messages.errors import RefusedError
 from messages.transport import keys
+from messages.transport.context import new_context
 from messages.transport.gate import Gate
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.sockets import Publisher, Subscription
 from messages.types import DeviceState, Force
 from nodes.base import realtime
 from nodes.base.setup import Scheduling, Setup

@@ -21,7 +21,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.rounds < 1:
         raise UsageError(f"--rounds {arguments.rounds}: at least 1")
     if arguments.ticks < 100:
-        raise UsageError(f"--ticks {arguments.ticks}: at least 100, or calling is what is timed")
+        raise UsageError(f"--ticks {arguments.ticks}: at least 100, or mostly the call is timed")
     from sim.experiments.simulator_speed import FLAGS, measure
     from sim.measure.stopwatch import Progress, machine
 

@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     parts = [part for part in arguments.parts.split(",") if part]
     for part in parts:
         if part not in PARTS:
-            raise UsageError(f"--parts {part}: there is none of that name; choose from {', '.join(PARTS)}")
+            raise UsageError(f"--parts {part}: no such part; choose from {', '.join(PARTS)}")
     from sim.chart.chart_page import conclusions, draw, page
     from sim.chart.points import as_json, save
     from sim.measure.stopwatch import machine

@@ -188,7 +188,7 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
         figures |= {"designed": told, "plot": str(plot)}
         if not told["lands"]:
             lines.insert(
-                0, "This law does NOT bear a landing: a drop on a floor does not settle; without --no-land it would"
+                0, "This law does NOT survive a landing: a drop on a floor does not settle; without --no-land it would"
             )
         lines += [*said, str(plot)]
         if arguments.friction is not None:

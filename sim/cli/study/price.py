@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.taps <= 12:
         raise UsageError(f"--taps {arguments.taps}: between 1 and 12; the search is over each of them")
     if arguments.share >= 1.0:
-        raise UsageError(f"--share {arguments.share:g}: the joint bears a part of the mass, below 1")
+        raise UsageError(f"--share {arguments.share:g}: expected a part of the mass, below 1")
     given = ("mass", "damping", "delay", "jitter", "share", "frequency", "loss", "taps", "rate")
     device = {name: getattr(arguments, name) for name in given}
     jobs: list[dict[str, Any]] = [

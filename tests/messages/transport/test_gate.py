@@ -68,7 +68,8 @@ import sys, threading, time
 import zmq
 from messages.transport.endpoints import bind
 from messages.transport.open_port import OpenPort
-from messages.transport.sockets import Publisher, new_context
+from messages.transport.context import new_context
+from messages.transport.sockets import Publisher
 context = new_context(aside=True)
 publisher = Publisher(context, sys.argv[1], listen=[sys.argv[2]])
 port = OpenPort(context, sys.argv[3], print)

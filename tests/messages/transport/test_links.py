@@ -14,11 +14,12 @@ import pytest
 import zmq
 
 from messages.transport import keys
+from messages.transport.context import new_context
 from messages.transport.endpoints import MAX_MESSAGE
 from messages.transport.gate import Gate
 from messages.transport.keys import Identity
 from messages.transport.links import Links
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.sockets import Publisher, Subscription
 from tests.support.launching import wait_for
 from tests.support.ports import free_ports
 

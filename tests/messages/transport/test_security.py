@@ -20,12 +20,13 @@ import zmq
 from messages import topics
 from messages.codec import encode
 from messages.transport import keys
+from messages.transport.context import new_context
 from messages.transport.endpoints import bind, connect, split
 from messages.transport.gate import Gate
 from messages.transport.keys import Identity, KeyRefusedError
 from messages.transport.links import Links
 from messages.transport.requests import ControlError, call
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.sockets import Publisher, Subscription
 from messages.types import Force
 from tests.support.launching import DEADLINE, HAPTIC, haptic, running, wait_for
 from tests.support.ports import free_ports

@@ -15,9 +15,10 @@ from typing import IO, TYPE_CHECKING
 import pytest
 import zmq
 
+from messages.transport.context import new_context
 from messages.transport.endpoints import EndpointRefusedError, bind, connect, is_open_place, is_remote, split
 from messages.transport.open_port import OpenPort
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.sockets import Publisher, Subscription
 from messages.transport.waker import Waker
 from nodes.launcher.runs import RunError, new_run_dir, runtime_dir
 from tests.support.launching import wait_for
@@ -147,7 +148,8 @@ def test_a_listener_cannot_talk_back(context: Context, place: str) -> None:
 
 PUBLISH = """
 import sys
-from messages.transport.sockets import Publisher, new_context
+from messages.transport.context import new_context
+from messages.transport.sockets import Publisher
 publisher = Publisher(new_context(), sys.argv[1])
 for line in sys.stdin:
     publisher.send(b"/t", line.strip().encode())

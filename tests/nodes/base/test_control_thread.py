@@ -17,10 +17,10 @@ import pytest
 import zmq
 
 from messages.transport import keys
+from messages.transport.context import new_context
 from messages.transport.endpoints import connect, split
 from messages.transport.links import Links
 from messages.transport.requests import Connection, Request, call
-from messages.transport.sockets import new_context
 from nodes.base import control_thread
 from nodes.base.control_thread import ControlServer
 from nodes.base.node import Node

@@ -13,7 +13,8 @@ import pytest
 
 from messages import topics
 from messages.codec import MAX_PAYLOAD, Decoder, encode
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.context import new_context
+from messages.transport.sockets import Publisher, Subscription
 from messages.types import Force, Proxy
 from nodes.compiled.choose_tick import choose
 from nodes.coupling.node import Coupling

@@ -11,7 +11,8 @@ import msgspec
 import pytest
 
 from messages.codec import Decoder, encode
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.context import new_context
+from messages.transport.sockets import Publisher, Subscription
 from messages.types import MAX_COUNT, DeviceState, Message, NodeStatus, Proxy, Vector
 from nodes.base.node import Node
 from nodes.compiled.choose_tick import choose

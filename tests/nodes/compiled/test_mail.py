@@ -11,7 +11,8 @@ import pytest
 
 from messages import topics
 from messages.codec import Decoder
-from messages.transport.sockets import Publisher, Subscription, new_context
+from messages.transport.context import new_context
+from messages.transport.sockets import Publisher, Subscription
 from messages.types import Event, NodeStatus
 from nodes.coupling.node import Coupling
 from nodes.coupling.state import CouplingState

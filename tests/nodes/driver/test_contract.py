@@ -1,20 +1,22 @@
 """What every device must do, whichever it is: one contract over all that are registered, each on its stand-in.
 
-A check is a function of a bench; the table of the contract (nodes/driver/DEVICES.md) names the same checks.
+A check is a test of a bench; the table of the contract (nodes/driver/DEVICES.md) names the same checks.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 
-from nodes.driver.hardware.mailbox import MailboxDevice
 from nodes.driver.limits import SafetyParameters, lower, undeclared
 from tests.support import ROOT
 from tests.support.devices import Bench, bench, real_devices
@@ -52,36 +54,42 @@ CALLS = {
 """What of the vendor's may fail, each by itself."""
 
 
-def opened(stand: Bench) -> MailboxDevice:
-    device = stand.device()
-    device.connect()
-    device.open()
-    return device
-
-
-def pressed(device: MailboxDevice, stand: Bench) -> None:
-    """Write a force until the arm has it."""
-
-    def arrives() -> bool:
-        device.write_force(FORCE, 0, 0.0)
-        return stand.world.force() == pytest.approx(FORCE, abs=1e-12)
-
-    wait_for(arrives, "the arm gets the force")
-
-
 def without_force(stand: Bench) -> bool:
     return not any(stand.world.force())
 
 
-def position_before_force(stand: Bench) -> None:
+def checks(module: ModuleType) -> set[str]:
+    """Name what a module checks of a device, as the page does."""
+    return {
+        name.removeprefix("test_").replace("_", " ")
+        for name, found in vars(module).items()
+        if name.startswith("test_")
+        and inspect.isfunction(found)
+        and list(inspect.signature(found).parameters)[:1] in (["stand"], ["virtual"])
+    }
+
+
+@pytest.fixture(params=sorted(real_devices()))
+def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
+    with bench(request.param, tmp_path) as made:
+        made.world.state.peak = 100.0  # what the driver asks of its device is looked at, not what the arm bears
+        if request.param != "inverse3_driver":
+            made.world.state.peak = 7.9
+        yield made
+        # The stand-in counts what breaks the vendor's rules.
+        if request.function is not test_every_call_may_fail:
+            assert made.world.state.broken == 0
+
+
+def test_position_before_force(stand: Bench) -> None:
     stand.world.state.position[:] = HERE
-    device = opened(stand)
+    device = stand.opened()
     assert device.read_position(0) == pytest.approx(HERE, abs=1e-12)
     assert stand.world.state.largest == 0.0
     device.close()
 
 
-def forces_off_until_asked_for(stand: Bench) -> None:
+def test_forces_off_until_asked_for(stand: Bench) -> None:
     device = stand.device()
     device.connect()
     if stand.kind != "inverse3_driver":  # which knows no switch for forces
@@ -89,13 +97,13 @@ def forces_off_until_asked_for(stand: Bench) -> None:
     device.open()
     wait_for(lambda: device._box.ticks > 20, "the servo loop goes on")
     assert stand.world.state.largest == 0.0
-    pressed(device, stand)
+    stand.press(device, FORCE)
     device.close()
     wait_for(lambda: without_force(stand), "no force after the end")
 
 
-def limits_are_read_and_kept(stand: Bench) -> None:
-    device = opened(stand)
+def test_limits_are_read_and_kept(stand: Bench) -> None:
+    device = stand.opened()
     assert undeclared(SafetyParameters(), device.limits) == ""
     peak = device.limits.peak_force
     asked = lower(SafetyParameters(peak_force=1000.0, watchdog=10_000), device.limits, 0.002)
@@ -114,30 +122,30 @@ def limits_are_read_and_kept(stand: Bench) -> None:
         return without_force(stand)
 
     wait_for(no_number, "what is no number is no force")
-    pressed(device, stand)
+    stand.press(device, FORCE)
     assert stand.world.force()[2] == pytest.approx(FORCE[2], abs=1e-12)
     device.close()
 
 
-def silence_ends_the_force_within_hold(stand: Bench) -> None:
-    device = opened(stand)
+def test_silence_ends_the_force_within_hold(stand: Bench) -> None:
+    device = stand.opened()
     assert 0.0 < device.limits.hold <= 0.1
     lets = device.let_go
-    pressed(device, stand)
+    stand.press(device, FORCE)
     # Nobody writes any more: this thread could be stopped as well.
     wait_for(lambda: without_force(stand), "it lets go")
     assert device.let_go > lets
     # When the force went, by the servo loop's own clock: the newest command is the last one of a force.
     silence = time.monotonic() - device._box.commanded_at
     assert silence >= device.limits.hold * 0.5
-    pressed(device, stand)
+    stand.press(device, FORCE)
     device.close()
 
 
-def unplugged_it_says_so_and_ends_safely(stand: Bench) -> None:
+def test_unplugged_it_says_so_and_ends_safely(stand: Bench) -> None:
     stand.world.state.position[:] = HERE
-    device = opened(stand)
-    pressed(device, stand)
+    device = stand.opened()
+    stand.press(device, FORCE)
     stand.world.state.unplugged = 1
     told: list[str] = []
 
@@ -157,10 +165,10 @@ def unplugged_it_says_so_and_ends_safely(stand: Bench) -> None:
     device.close()
 
 
-def a_read_that_blocks_holds_up_nobody(stand: Bench) -> None:
+def test_a_read_that_blocks_holds_up_nobody(stand: Bench) -> None:
     stand.world.state.position[:] = HERE
-    device = opened(stand)
-    pressed(device, stand)
+    device = stand.opened()
+    stand.press(device, FORCE)
     ticks = device._box.ticks
     stand.world.state.block_ms = 150
     seen = 0
@@ -182,13 +190,13 @@ def a_read_that_blocks_holds_up_nobody(stand: Bench) -> None:
     assert device._box.ticks - blocked_at <= 1
     wait_for(lambda: not math.isnan(device.read_position(0)[0]), "positions are back")
     assert device._box.ticks > ticks
-    pressed(device, stand)
+    stand.press(device, FORCE)
     device.close()
 
 
-def a_failed_read_is_no_zero(stand: Bench) -> None:
+def test_a_failed_read_is_no_zero(stand: Bench) -> None:
     stand.world.state.position[:] = HERE
-    device = opened(stand)
+    device = stand.opened()
     stand.world.fail(
         {"touch_driver": "hdGetDoublev", "force_dimension_driver": "dhdGetPosition"}.get(stand.kind, "state")
     )
@@ -208,9 +216,9 @@ def a_failed_read_is_no_zero(stand: Bench) -> None:
     device.close()
 
 
-def nan_is_no_position(stand: Bench) -> None:
+def test_nan_is_no_position(stand: Bench) -> None:
     stand.world.state.position[:] = HERE
-    device = opened(stand)
+    device = stand.opened()
     stand.world.state.nan = 1
     wait_for(lambda: all(map(math.isnan, device.read_position(0))), "no position")
     stand.world.state.nan = 0
@@ -218,17 +226,17 @@ def nan_is_no_position(stand: Bench) -> None:
     device.close()
 
 
-def remarks_are_no_errors(stand: Bench) -> None:
+def test_remarks_are_no_errors(stand: Bench) -> None:
     stand.world.state.position[:] = HERE
     stand.world.state.positive = 1
-    device = opened(stand)
-    pressed(device, stand)
+    device = stand.opened()
+    stand.press(device, FORCE)
     assert device.read_position(0) == pytest.approx(HERE, abs=1e-12)
     wait_for(lambda: device.condition() == "", "nothing keeps forces off")
     device.close()
 
 
-def every_call_may_fail(stand: Bench) -> None:
+def test_every_call_may_fail(stand: Bench) -> None:
     failures: list[str] = []
     for call in CALLS[stand.kind]:
         stand.world.state.calibrations = 1
@@ -257,18 +265,18 @@ def every_call_may_fail(stand: Bench) -> None:
     assert [text for text in failures if not any(name in text for name in names)] == []
 
 
-def closed_twice_is_closed(stand: Bench) -> None:
+def test_closed_twice_is_closed(stand: Bench) -> None:
     stand.device().close()
     device = stand.device()
     device.connect()
     device.close()
-    device = opened(stand)
+    device = stand.opened()
     device.close()
     device.close()
     wait_for(lambda: stand.world.state.open == 0, "it is given back")
 
 
-def the_wrong_device_first(stand: Bench) -> None:
+def test_the_wrong_device_first(stand: Bench) -> None:
     """Of two devices the one that is meant, and a clear answer where it is not there."""
     wrong: dict[str, Any] = {"serial": 1 if stand.kind == "force_dimension_driver" else "1"}
     if stand.kind == "inverse3_driver":
@@ -292,43 +300,10 @@ def the_wrong_device_first(stand: Bench) -> None:
     wait_for(lambda: stand.world.state.open == 0, "what was not meant is given back")
 
 
-CHECKS: tuple[Callable[[Bench], None], ...] = (
-    position_before_force,
-    forces_off_until_asked_for,
-    limits_are_read_and_kept,
-    silence_ends_the_force_within_hold,
-    unplugged_it_says_so_and_ends_safely,
-    a_read_that_blocks_holds_up_nobody,
-    a_failed_read_is_no_zero,
-    nan_is_no_position,
-    remarks_are_no_errors,
-    every_call_may_fail,
-    closed_twice_is_closed,
-    the_wrong_device_first,
-)
-
-
-@pytest.fixture(params=sorted(real_devices()))
-def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
-    with bench(request.param, tmp_path) as made:
-        made.world.state.peak = 100.0  # what the driver asks of its device is looked at, not what the arm bears
-        if request.param != "inverse3_driver":
-            made.world.state.peak = 7.9
-        yield made
-
-
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))
-def test_contract(check: Callable[[Bench], None], stand: Bench) -> None:
-    check(stand)
-    # The stand-in counts what breaks the vendor's rules.
-    if check is not every_call_may_fail:
-        assert stand.world.state.broken == 0
-
-
 def test_the_table_of_the_contract_is_whole() -> None:
     page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
     table = page.partition("## The contract")[2]
-    for check in CHECKS:
-        assert f"| {check.__name__.replace('_', ' ')} |" in table
+    for check in checks(sys.modules[__name__]):
+        assert f"| {check} |" in table
     for kind in real_devices():
         assert f"`{kind}`" in table

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from nodes.driver.hardware.mailbox import MailboxDevice
 from tests.sim.test_stand_ins import SOFT, through
 from tests.support.devices import Bench, bench
 from tests.support.launching import running, wait_for
@@ -22,19 +21,6 @@ COLD = 1.0
 def stand(tmp_path: Path) -> Iterator[Bench]:
     with bench("inverse3_driver", tmp_path) as made:
         yield made
-
-
-def pressed(stand: Bench, force: tuple[float, float, float]) -> MailboxDevice:
-    device = stand.device()
-    device.connect()
-    device.open()
-
-    def arrives() -> bool:
-        device.write_force(force, 0, 0.0)
-        return any(stand.world.force())
-
-    wait_for(arrives, "the force")
-    return device
 
 
 def test_a_cold_start_is_waited_for_and_says_why(tmp_path: Path) -> None:
@@ -86,9 +72,7 @@ def test_a_launch_waits_for_a_cold_start(stand: Bench, tmp_path: Path) -> None:
 
 def test_a_service_that_takes_forces_under_another_name_is_refused_loudly(tmp_path: Path) -> None:
     with bench("inverse3_driver", tmp_path, "--version", "3.1") as stand:
-        device = stand.device()
-        device.connect()
-        device.open()
+        device = stand.opened()
         told: list[str] = []
 
         def refused() -> bool:
@@ -105,7 +89,8 @@ def test_a_service_that_takes_forces_under_another_name_is_refused_loudly(tmp_pa
 
 
 def test_what_another_session_adds_is_told(stand: Bench) -> None:
-    device = pressed(stand, (0.0, 0.0, 1.0))
+    device = stand.opened()
+    stand.press(device, (0.0, 0.0, 1.0))
     assert device.condition() == ""
     stand.world.state.other[2] = 0.5
     wait_for(lambda: "another session of the Inverse Service adds" in device.condition(), "the other session")
@@ -115,7 +100,8 @@ def test_what_another_session_adds_is_told(stand: Bench) -> None:
 
 
 def test_an_emergency_brake_is_told_and_its_end(stand: Bench) -> None:
-    device = pressed(stand, (0.0, 0.0, 1.0))
+    device = stand.opened()
+    stand.press(device, (0.0, 0.0, 1.0))
     stand.world.state.cause = 1
     wait_for(lambda: "emergency brake of the Inverse3 is on" in device.condition(), "the brake")
     stand.world.state.cause = 0
@@ -124,7 +110,8 @@ def test_an_emergency_brake_is_told_and_its_end(stand: Bench) -> None:
 
 def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Bench) -> None:
     """Each state 80 ms late, and the deadline is 50 ms: no position for most of the time, and no force with it."""
-    device = pressed(stand, (0.0, 0.0, 1.0))
+    device = stand.opened()
+    stand.press(device, (0.0, 0.0, 1.0))
     stand.world.state.slow_ms = 80
     unknown = 0
 

@@ -45,9 +45,7 @@ def test_a_mirror_or_a_missing_axis_is_refused(axes: list[str]) -> None:
 def test_power_is_the_same_on_both_sides(stand: Bench) -> None:
     mapping = {"scale": 2.0, "rotation": [20.0, -35.0, 60.0], "centre": [0.1, 0.0, -0.05]}
     stand.world.state.peak = 100.0
-    device = stand.device(mapping)
-    device.connect()
-    device.open()
+    device = stand.opened(mapping)
     centre = np.array(device.read_position(0))
     assert centre == pytest.approx(mapping["centre"], abs=1e-12)
     move = np.array([0.01, -0.02, 0.005])
@@ -83,9 +81,7 @@ def test_limits_hold_in_every_direction() -> None:
 
 
 def test_the_clutch_holds_the_scene_and_the_force_comes_back_by_a_ramp(stand: Bench) -> None:
-    device = stand.device({"clutch": 1, "clutch_ramp": 10.0, "reach": 0.05})
-    device.connect()
-    device.open()
+    device = stand.opened({"clutch": 1, "clutch_ramp": 10.0, "reach": 0.05})
     w = stand.world.state
 
     def settles(wanted: tuple[float, float, float]) -> None:
@@ -126,9 +122,7 @@ def test_the_clutch_holds_the_scene_and_the_force_comes_back_by_a_ramp(stand: Be
 
 def test_the_centre_is_where_the_handle_stands(stand: Bench) -> None:
     stand.world.state.position[:] = (0.03, -0.02, 0.01)
-    device = stand.device({"recentre": True, "centre": [0.0, 0.0, 0.1], "scale": 3.0})
-    device.connect()
-    device.open()
+    device = stand.opened({"recentre": True, "centre": [0.0, 0.0, 0.1], "scale": 3.0})
     assert device.read_position(0) == pytest.approx((0.0, 0.0, 0.1), abs=1e-12)
     stand.world.state.position[0] = 0.04
     wait_for(lambda: device.read_position(0) == pytest.approx((0.03, 0.0, 0.1), abs=1e-12), "three times as far")
@@ -140,9 +134,7 @@ def test_the_handle_turns_with_the_scene(stand: Bench) -> None:
     # The handle is turned by 90° about the device's own first axis; the columns of a turn, row by row.
     stand.world.state.turn[:] = [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0]
     stand.world.state.buttons = 3
-    device = stand.device()
-    device.connect()
-    device.open()
+    device = stand.opened()
     handle = device.handle()
     assert handle is not None
     half = math.sqrt(0.5)
@@ -172,9 +164,7 @@ def test_the_gripper_and_the_buttons_of_each_kind_are_in_the_handle(tmp_path: Pa
         folder.mkdir()
         with bench(kind, folder) as stand:
             stand.world.state.gripper, stand.world.state.buttons = 0.012, pressed
-            device = stand.device()
-            device.connect()
-            device.open()
+            device = stand.opened()
             handle = device.handle()
             assert handle is not None
             assert (handle.gripper, handle.buttons) == (gripper, pressed)

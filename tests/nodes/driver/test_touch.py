@@ -60,9 +60,7 @@ def test_calibration_comes_before_forces(fake: Bench) -> None:
     [(0x0200, "warm motors"), (0x0302, "communication error"), (0x0600, "invalid licence"), (0x0999, "error")],
 )
 def test_a_fault_of_the_device_ends_forces_and_is_told(fake: Bench, code: int, name: str) -> None:
-    device = fake.device()
-    device.connect()
-    device.open()
+    device = fake.opened()
     fake.world.state.error = code
     told: list[str] = []
 
@@ -82,9 +80,7 @@ def test_a_fault_of_the_device_ends_forces_and_is_told(fake: Bench, code: int, n
 
 @needs_cc
 def test_a_servo_thread_that_stands_still_is_told(fake: Bench) -> None:
-    device = fake.device(deadline=0.02)
-    device.connect()
-    device.open()
+    device = fake.opened(deadline=0.02)
     fake.world.state.frozen = 1
 
     def told() -> bool:
@@ -101,9 +97,7 @@ def test_a_servo_thread_that_stands_still_is_told(fake: Bench) -> None:
 @needs_cc
 def test_a_refused_rate_and_a_missing_calibration(fake: Bench) -> None:
     fake.world.state.refuse_rate = 1
-    device = fake.device(servo_rate=500, deadline=0.05)
-    device.connect()
-    device.open()
+    device = fake.opened(servo_rate=500, deadline=0.05)
     device.close()
     fake.world.state.manual = 1
     device = fake.device(calibration_time=0.0)

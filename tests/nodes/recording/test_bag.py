@@ -15,8 +15,9 @@ import zstandard
 
 from messages import topics
 from messages.codec import Decoder
+from messages.transport.context import new_context
 from messages.transport.open_port import OpenPort
-from messages.transport.sockets import Subscription, new_context
+from messages.transport.sockets import Subscription
 from messages.types import Event, Message
 from nodes.cli import main
 from nodes.recording import mcap_walk

@@ -168,10 +168,11 @@ def test_a_device_that_stays_away_ends_it_for_good() -> None:
 
 
 def test_every_axis_has_a_push_of_its_own() -> None:
-    law = compiled()
-    assert law.evaluate is not None
-    x, y = [0.0, 0.0], [0.0, 0.0]
-    both = [(law.evaluate(x, 0), law.evaluate(y, 0)) for _ in range(300)]
+    law, x = compiled(), [0.0, 0.0]
+    first_axis, second_axis = law.own_code(0), law.own_code(1)
+    assert first_axis is not None
+    assert second_axis is not None
+    both = [(first_axis(x, 0), second_axis(x, 0)) for _ in range(300)]
     alone = pushes(compiled(), x, 300)
     assert [first for first, _ in both] == alone
     assert [second for _, second in both] != alone
