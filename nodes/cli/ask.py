@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
 from nodes.cli.main import add_json, add_run_name
 from nodes.client import launches
@@ -13,6 +14,19 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     """Declare --run and --json."""
     add_run_name(parser)
     add_json(parser)
+
+
+def sub_verb(
+    sub: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    text: str,
+) -> argparse.ArgumentParser:
+    """Declare a sub-verb that speaks to a running launch; the text is its help."""
+    own = sub.add_parser(name, help=text, description=text)
+    own.set_defaults(run=run)
+    add_run(own)
+    return own
 
 
 def chosen_run(arguments: argparse.Namespace) -> RunInfo:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.cli.ask import add_run, chosen_run
+from nodes.cli.ask import chosen_run, sub_verb
 from nodes.cli.main import answer
 from nodes.cli.param import FORCE, forced, told
 from nodes.cli.quantities import declare as declare_quantities
@@ -54,10 +54,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     sub = parser.add_subparsers(dest="chosen", metavar="list|show|switch", required=True)
 
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
-        own = sub.add_parser(name, help=text, description=text)
-        own.set_defaults(run=run)
+        own = sub_verb(sub, name, run, text)
         own.add_argument("--node", default="coupling", help="the coupling that is meant (default: %(default)s)")
-        add_run(own)
         return own
 
     declare("list", _list, "List the laws that a running coupling can switch to; the active one is marked.")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import RefusedError, UsageError
-from nodes.cli.ask import add_run, chosen_run
+from nodes.cli.ask import chosen_run, sub_verb
 from nodes.cli.main import answer
 from nodes.client.launches import ask, node_name
 from nodes.launcher.runs import RunError, RunInfo
@@ -16,18 +16,12 @@ from nodes.launcher.runs import RunError, RunInfo
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|info|start|rearm", required=True)
-    text = "List the nodes with kind, state and process number."
-    listing = sub.add_parser("list", help=text, description=text)
-    listing.set_defaults(run=_list)
-    add_run(listing)
-    text = "Tell a node's state, counters, topics and operations."
-    info = sub.add_parser("info", help=text, description=text)
-    info.set_defaults(run=_info)
+    sub_verb(sub, "list", _list, "List the nodes with kind, state and process number.")
+    info = sub_verb(sub, "info", _info, "Tell a node's state, counters, topics and operations.")
     info.add_argument("node")
-    add_run(info)
-    text = "Start a node that a launch waits for: one with by_hand or host in its launch file."
-    start = sub.add_parser("start", help=text, description=text)
-    start.set_defaults(run=_start)
+    start = sub_verb(
+        sub, "start", _start, "Start a node that a launch waits for: one with by_hand or host in its launch file."
+    )
     start.add_argument("node")
     start.add_argument(
         "--bind", metavar="HOST:PORT", help="for a launch on another machine: where this node is reached"
@@ -41,12 +35,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="with --bind: where its parameters may name files and libraries; may be given several times",
     )
-    add_run(start)
-    text = "Let a driver that has stopped a swinging loop take forces again, by its ramp. Change the law first."
-    again = sub.add_parser("rearm", help=text, description=text)
-    again.set_defaults(run=_rearm)
+    again = sub_verb(
+        sub,
+        "rearm",
+        _rearm,
+        "Let a driver that has stopped a swinging loop take forces again, by its ramp. Change the law first.",
+    )
     again.add_argument("node", nargs="?", help="the driver (default: the run's only one)")
-    add_run(again)
 
 
 def _state(run: RunInfo, name: str) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import msgspec
 
 from messages.errors import RefusedError, UsageError
 from nodes.base.node_kinds import load
-from nodes.cli.ask import add_run, chosen_run
+from nodes.cli.ask import chosen_run, sub_verb
 from nodes.cli.main import answer
 from nodes.client.launches import ask, node_name
 from nodes.environment.surfaces import SURFACES
@@ -34,12 +34,7 @@ SHORT = 60
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|get|set|describe|dump|load", required=True)
-
-    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
-        own = sub.add_parser(name, help=text, description=text)
-        own.set_defaults(run=run)
-        add_run(own)
-        return own
+    declare = partial(sub_verb, sub)
 
     def add_force(own: argparse.ArgumentParser) -> None:
         own.add_argument("--force", action="store_true", help=FORCE)

@@ -8,6 +8,7 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ import msgspec
 from messages.errors import UsageError
 from messages.schema import schema
 from messages.topics import LOOP, message_type
-from nodes.cli.ask import add_run, chosen_run
+from nodes.cli.ask import chosen_run, sub_verb
 from nodes.cli.main import answer
 from nodes.cli.publish import add as add_publish
 from nodes.cli.publish import publish
@@ -33,13 +34,7 @@ REPORT_PERIOD = 1.0
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|info|echo|hz|bw|delay|pub", required=True)
-
-    def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
-        own = sub.add_parser(name, help=text, description=text)
-        own.set_defaults(run=run)
-        add_run(own)
-        return own
-
+    declare = partial(sub_verb, sub)
     listing = declare("list", _list, "List the topics with their types and publishers.")
     listing.add_argument("--show-types", "-t", action="store_true", help="as ROS 2 does: name and [type] only")
     declare("info", _info, "Tell a topic's type, fields with units, and publisher.").add_argument("topic")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import RefusedError, UsageError
-from nodes.cli.ask import add_run
+from nodes.cli.ask import add_run, sub_verb
 from nodes.cli.main import add_json, answer
 from nodes.cli.quantities import declare
 from sim.identify.progress_line import say
@@ -47,11 +47,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         one.set_defaults(run=run)
         if name == "info":
             declare(one, rate=500.0, delay=1.0, gain=3.0)
-    text = "Put the device of a running launch into the middle of its scene, wherever its handle is."
-    centred = sub.add_parser("recentre", help=text, description=text)
+    centred = sub_verb(
+        sub,
+        "recentre",
+        _recentre,
+        "Put the device of a running launch into the middle of its scene, wherever its handle is.",
+    )
     centred.add_argument("driver", nargs="?", default="driver", help="node that drives it (default: %(default)s)")
-    add_run(centred)
-    centred.set_defaults(run=_recentre)
     known = sub.add_parser("presets", help="known values of real devices, with their sources: device:=touch_x")
     add_json(known)
     known.set_defaults(run=_presets)
