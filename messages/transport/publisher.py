@@ -36,30 +36,11 @@ class Publisher:
     Hop and listeners have a socket and an I/O thread each. So a tick goes on as soon as its message has left, what goes to
     loggers is carried by another core than the loop's, and no number of them is between a sample and its force.
 
-    Parameters
-    ----------
-    context : zmq.Context
-        Context of the process, made with ``aside`` when there is an endpoint for listeners.
-    endpoint : str
-        Where the next hop connects, see messages/transport/endpoints.py.
-    more : iterable of str
-        Further endpoints for hops, encrypted ones last.
-    listen : iterable of str
-        Endpoints for listeners; when there are none, they connect where the hops do.
-    batch : int
-        How many messages for listeners are collected before they are sent: waking another core costs more than a message.
-
-    Attributes
-    ----------
-    endpoint : str
-        Where the next hop connects.
-    apart : bool
-        Whether listeners have a socket of their own.
-
-    Raises
-    ------
-    EndpointRefusedError, KeyRefusedError
-        When an endpoint or this machine's keys cannot be used.
+    `context`: context of the process, made with ``aside`` when there is an endpoint for listeners. `endpoint`: where the next
+    hop connects, see messages/transport/endpoints.py. `more`: further endpoints for hops, encrypted ones last. `listen`:
+    endpoints for listeners; when there are none, they connect where the hops do. `batch`: how many messages for listeners are
+    collected before they are sent: waking another core costs more than a message. Raises EndpointRefusedError, KeyRefusedError
+    when an endpoint or this machine's keys cannot be used.
     """
 
     def __init__(
@@ -79,7 +60,7 @@ class Publisher:
         except ValueError:
             self._close_sockets(0)
             raise
-        self.apart = len(self._sockets) > 1
+        self.apart = len(self._sockets) > 1  # whether listeners have a socket of their own
         # pyzmq's own send, without the layer above it that looks for arguments nobody gives.
         self._hop = super(zmq.Socket, self._sockets[0]).send
         self._aside = super(zmq.Socket, self._sockets[-1]).send
@@ -87,7 +68,7 @@ class Publisher:
         self._held: list[tuple[bytes, bytes]] = []
         self._reopening = [Reopening(*one) for one in zip(self._sockets, filter(None, self._endpoints), strict=True)]
         self._subscriptions: Counter[bytes] = Counter()
-        self.endpoint = endpoint
+        self.endpoint = endpoint  # where the next hop connects
 
     def _bound(self, context: Context, thread: int, places: tuple[str, ...]) -> Socket:
         socket = context.socket(zmq.XPUB)

@@ -19,25 +19,13 @@ if TYPE_CHECKING:
 class Waker:
     """Sends a subscription of the same process a frame that is no message.
 
-    Parameters
-    ----------
-    context : zmq.Context
-        Context of the process.
-    topic : bytes
-        What the subscription takes: the frame begins with it, so that it passes the same filter.
-
-    Attributes
-    ----------
-    endpoint : str
-        Where the subscription connects.
-    frame : bytes
-        What it receives, alone.
+    `topic`: what the subscription takes: the frame begins with it, so that it passes the same filter.
     """
 
     def __init__(self, context: Context, topic: bytes) -> None:
         # Nobody else can make one: what looks like it is refused as any other topic.
-        self.frame = topic + b"\x00" + os.urandom(16)
-        self.endpoint = f"inproc://wake-{id(self)}"
+        self.frame = topic + b"\x00" + os.urandom(16)  # what it receives, alone
+        self.endpoint = f"inproc://wake-{id(self)}"  # where the subscription connects
         # A signal handler may interrupt its own thread here.
         self._lock = threading.RLock()
         self._socket = context.socket(zmq.PUB)

@@ -21,26 +21,13 @@ from nodes.parameters.store import ParameterError
 
 
 class Clock:
-    """The run's time, on this machine.
-
-    Parameters
-    ----------
-    setup : Setup
-        Who the node is and how it is paced.
-    seq : callable
-        The tick that the node is at.
-
-    Attributes
-    ----------
-    simulated : bool
-        Whether time is that of the ticks: lockstep.
-    offset, error : float
-        What is added to this host's monotonic clock to get the run's time, and how far off that may be [s].
-    """
+    """The run's time, on this machine."""
 
     def __init__(self, setup: Setup, seq: Callable[[], int]) -> None:
+        # Whether time is that of the ticks: lockstep.
         self._name, self._period, self.simulated = setup.name, setup.period, setup.pace == "lockstep"
         self._seq = seq
+        # What is added to this host's monotonic clock to get the run's time, and how far off that may be [s].
         self.offset = self.error = 0.0
 
     def now(self) -> float:
@@ -57,41 +44,20 @@ class Clock:
 
 
 class Events:
-    """The events of a node.
-
-    Parameters
-    ----------
-    name : str
-        The node's name.
-    clock : Clock
-        The run's time.
-    seq : callable
-        The tick that the node is at.
-
-    Attributes
-    ----------
-    outbox : deque of tuple of bytes
-        Topics and payloads that wait for the end of the tick.
-    waiting : bool
-        Whether something waits to be done between two ticks: the one thing that a loop looks at.
-    interrupt : callable
-        Ends the loop's wait for a message, where it waits without end.
-    mail : callable or None
-        Has compiled ticks that go on send a message; whether they will.
-    refused, denied : int
-        Messages refused; connections not let in.
-    loop_thread : int
-        Identifier of the thread that runs the loop.
-    """
+    """The events of a node."""
 
     def __init__(self, name: str, clock: Clock, seq: Callable[[], int]) -> None:
         self._name, self._clock, self._seq = name, clock, seq
+        # Topics and payloads that wait for the end of the tick.
         self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
-        self.waiting = False
+        self.waiting = False  # whether something waits to be done between two ticks: the one thing that a loop looks at
+        # Ends the loop's wait for a message, where it waits without end.
         self.interrupt: Callable[[], None] = lambda: None
+        # Has compiled ticks that go on send a message; whether they will.
         self.mail: Callable[[bytes, bytes], bool] | None = None
         # Nodes are made on the thread that runs their loop.
-        self.loop_thread = threading.get_ident()
+        self.loop_thread = threading.get_ident()  # identifier of the thread that runs the loop
+        # Messages refused; connections not let in.
         self.refused = self.denied = 0
         self._counts: dict[str, int] = {}
 

@@ -69,21 +69,7 @@ class Change:
 class Changes:
     """How a node's parameters change while it runs, all or nothing: prepared on the control thread, applied by the loop.
 
-    Parameters
-    ----------
-    setup : Setup
-        Who the node is.
-    store : ParameterStore
-        Its parameters.
-    notify : callable
-        Calls the loop's attention.
-    lives : callable
-        Whether the loop still takes up what is handed over.
-
-    Attributes
-    ----------
-    serving : Stopwatch
-        How long the control thread was at work.
+    `lives`: whether the loop still takes up what is handed over.
     """
 
     def __init__(
@@ -91,7 +77,7 @@ class Changes:
     ) -> None:
         self._setup, self._store, self._notify, self._lives = setup, store, notify, lives
         self._waiting: deque[Change] = deque()
-        self.serving = Stopwatch()
+        self.serving = Stopwatch()  # how long the control thread was at work
 
     def __bool__(self) -> bool:
         return bool(self._waiting)

@@ -34,17 +34,7 @@ STDERR = 2
 class StderrQueue(io.TextIOBase):
     """A text stream that never blocks and never fails; it may stand in for ``sys.stderr``.
 
-    Parameters
-    ----------
-    descriptor : int
-        Where the text goes.
-    aside : callable
-        Called once on the writing thread, to take it out of the way of a loop.
-
-    Attributes
-    ----------
-    dropped : int
-        Pieces of text that found the queue full, or nobody to read them.
+    `aside`: called once on the writing thread, to take it out of the way of a loop.
     """
 
     def __init__(self, descriptor: int = STDERR, aside: Callable[[], None] = lambda: None) -> None:
@@ -54,7 +44,7 @@ class StderrQueue(io.TextIOBase):
         self._queue: SimpleQueue[str] = SimpleQueue()
         self._taken = self._put = 0
         self._gone = False
-        self.dropped = 0
+        self.dropped = 0  # pieces of text that found the queue full, or nobody to read them
         self._thread = threading.Thread(target=self._run, name="words", daemon=True)
         self._thread.start()
 

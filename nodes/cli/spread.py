@@ -8,19 +8,12 @@ import math
 class Spread:
     """Running figures.
 
-    Attributes
-    ----------
-    count : int
-        Values so far.
-    mean : float
-        Their mean; 0 without values.
-    low, high : float
-        Smallest and largest; 0 without values.
+    `low`, `high`: smallest and largest; 0 without values.
     """
 
     def __init__(self) -> None:
-        self.count = 0
-        self.mean = self.low = self.high = 0.0
+        self.count = 0  # values so far
+        self.mean = self.low = self.high = 0.0  # their mean; 0 without values
         self._squares = 0.0
 
     def add(self, value: float) -> None:

@@ -180,15 +180,10 @@ def _echo(arguments: argparse.Namespace) -> int:
 
 
 class _Measure:
-    """What hz, bw and delay measure: takes what is heard, tells figures and one line.
-
-    Attributes
-    ----------
-    count, refused : int
-        Messages taken, and malformed ones.
-    """
+    """What hz, bw and delay measure: takes what is heard, tells figures and one line."""
 
     def __init__(self) -> None:
+        # Messages taken, and malformed ones.
         self.count = self.refused = self._gaps = 0
         self._first = self._last = 0.0
         self._seq: int | None = None

@@ -48,28 +48,14 @@ class AnsweringNode(Protocol):
 class CompiledTicks:
     """The compiled ticks of one node.
 
-    Parameters
-    ----------
-    node : AnsweringNode
-        The node; its sockets exist.
-    kernel : callable
-        What does the ticks.
-    expected, topic : str
-        What it listens to, and what it answers on: topics inside the chain.
-
-    Attributes
-    ----------
-    state : ctypes.Structure
-        The node's state, in which the kernel ticks.
-    inside : bool
-        Whether the kernel ticks now.
+    `expected`, `topic`: what it listens to, and what it answers on: topics inside the chain.
     """
 
     def __init__(self, node: AnsweringNode, kernel: Kernel, expected: str, topic: str) -> None:
         assert node.inbox is not None  # noqa: S101  # every kind that answers has one
         self._node, self._kernel, self._inbox = node, kernel, node.inbox
-        self.state = state = node.counters
-        self.inside = False
+        self.state = state = node.counters  # the node's state, in which the kernel ticks
+        self.inside = False  # whether the kernel ticks now
         self._mailing = threading.Lock()
         self._at = ctypes.addressof(state)
         realtime = node.setup.pace == "realtime"

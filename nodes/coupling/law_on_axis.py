@@ -24,28 +24,14 @@ UNROLLED_TAPS = 30
 class History:
     """The newest deflections of one axis, each written twice so that they are contiguous (see arithmetic.push).
 
-    Parameters
-    ----------
-    length : int
-        How many ticks it remembers.
-    state : CouplingState, optional
-        Where its head stands; a state of its own when left out.
-    n : int
-        Number of its axis among those of the scene.
-
-    Attributes
-    ----------
-    values : array of float, shape (2 * length,)
-        The ring [m].
-    known : int
-        How many of the newest values can be relied on: all, but for a snapshot.
+    `state`: where its head stands; a state of its own when left out. `n`: number of its axis among those of the scene.
     """
 
     def __init__(self, length: int, state: Any = None, n: int = 0) -> None:
         state = state_of(CouplingState) if state is None else state
         self._heads, self._counts, self._n = state.head, state.pushes, n
-        self.length = self.known = length
-        self.values = array("d", [0.0]) * (2 * length)
+        self.length = self.known = length  # how many of the newest values can be relied on: all, but for a snapshot
+        self.values = array("d", [0.0]) * (2 * length)  # the ring [m], shape (2 * length,)
         state.history[n] = self.values.buffer_info()[0]
 
     @property
@@ -128,45 +114,22 @@ def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], fl
 class LawOnAxis:
     """A compiled law over one history.
 
-    Parameters
-    ----------
-    law : CompiledLaw
-        Taps, sections or an evaluator of its own.
-    history : History
-        What it reads.
-    axis : int
-        Which of the axes that the scene computes, from 0.
-
-    Attributes
-    ----------
-    taps : tuple of float, shape (n + 1,)
-        Its taps [N/m].
-    numbers, coefficients : array of float, shapes (n + 1,) and (4 * s,)
-        The taps once more, and the coefficients of its sections (see `nodes.arithmetic.sections`), as compiled ticks take them.
-    state : array of float, shape (2 * s,)
-        State of the sections [N].
-    plain : bool
-        Whether it is nothing but taps.
-    sum_of_taps : callable
-        Adds them, from the history's head to the force [N].
-
-    Raises
-    ------
-    ValueError
-        When the law is longer than the history.
+    `axis`: which of the axes that the scene computes, from 0. Raises ValueError when the law is longer than the history.
     """
 
     def __init__(self, law: CompiledLaw, history: History, axis: int = 0) -> None:
         if len(law.taps) > history.length:
             raise ValueError(f"{len(law.taps)} taps, but the history remembers {history.length}: raise memory")
         self._history = history
+        # The taps once more, and the coefficients of its sections (see `nodes.arithmetic.sections`), as compiled ticks take
+        # them.
         self.numbers = array("d", law.taps)
         self.coefficients = array("d", [c for section in law.sections for c in section])
-        self.state = array("d", [0.0]) * (2 * len(law.sections))
+        self.state = array("d", [0.0]) * (2 * len(law.sections))  # state of the sections [N], shape (2 * s,)
         self._pushes = history.pushes
-        self.taps = law.taps
-        self.plain = not law.sections and law.evaluate is None
-        self.sum_of_taps = sum_of_taps(law.taps, history)
+        self.taps = law.taps  # its taps [N/m], shape (n + 1,)
+        self.plain = not law.sections and law.evaluate is None  # whether it is nothing but taps
+        self.sum_of_taps = sum_of_taps(law.taps, history)  # adds them, from the history's head to the force [N]
         self._own = law.own_code(axis)
         self._own_force: float | None = None
         self._law, self._axis = law, axis

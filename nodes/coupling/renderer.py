@@ -59,46 +59,21 @@ class ActiveLaw:
 class Renderer:
     """One deflection history per axis, the law that renders them, those that fade out, and the fallback.
 
-    Parameters
-    ----------
-    axes : sequence of int
-        The axes that the scene computes: 0, 1, 2.
-    memory : int
-        Ticks of deflection that are kept.
-    state : CouplingState, optional
-        Where all of it stands; one of its own when left out.
-
-    Attributes
-    ----------
-    state : CouplingState
-        The same.
-    axes : list of int
-        The same.
-    histories : list of History
-        One per axis.
-    law : ActiveLaw
-        What renders now; set before the first tick.
-    name : str
-        Its name.
-    watched : bool
-        Whether a tick runs a law's own code.
-    fallback : ActiveLaw
-        What renders when that fails; set before the first tick.
-    standby : list of ActiveLaw
-        Laws that will take over later and whose sections run along until then.
+    `axes`: the axes that the scene computes: 0, 1, 2. `state`: where all of it stands; one of its own when left out. `law`:
+    what renders now; set before the first tick.
     """
 
-    fallback: ActiveLaw
+    fallback: ActiveLaw  # what renders when that fails; set before the first tick
 
     def __init__(self, axes: Sequence[int], memory: int, state: Any = None) -> None:
         s = self.state = state_of(CouplingState) if state is None else state
         self.axes = list(axes)
         s.axes, s.axis[:], s.length, s.clamp = len(self.axes), (*axes, 0, 0)[:3], memory, 1
-        self.histories = [History(memory, s, n) for n in range(len(self.axes))]
-        self.standby: list[ActiveLaw] = []
+        self.histories = [History(memory, s, n) for n in range(len(self.axes))]  # one per axis
+        self.standby: list[ActiveLaw] = []  # laws that will take over later and whose sections run along until then
         self._leaving: list[list[Share]] = []
-        self.watched = False
-        self.name = ""
+        self.watched = False  # whether a tick runs a law's own code
+        self.name = ""  # its name
         rings = [history.values for history in self.histories]
         laws = self._laws = [[] for _ in self.axes]  # type: list[list[LawOnAxis]]
 

@@ -13,15 +13,7 @@ import time
 class Budget:
     """Watches one call per tick.
 
-    Parameters
-    ----------
-    seconds : float
-        Longest time that a law may take [s]; infinite for no watch.
-
-    Attributes
-    ----------
-    seconds : float
-        The same.
+    `seconds`: longest time that a law may take [s]; infinite for no watch.
     """
 
     def __init__(self, seconds: float) -> None:

@@ -91,23 +91,13 @@ class _Methods:
 class DeviceCalls:
     """The calls of a device, and what one of them raised.
 
-    Parameters
-    ----------
-    device : Device
-        The device.
-    target : callable
-        Where a simulated hand pulls to, once its position is read [m].
-
-    Attributes
-    ----------
-    calls : Calls
-        Its two calls.
+    `target`: where a simulated hand pulls to, once its position is read [m].
     """
 
     def __init__(self, device: Device, target: Callable[[], Vector]) -> None:
         own = device.calls() if isinstance(device, Compiled) else None
         self._methods = _Methods(device, target)
-        self.calls = own or self._methods.calls
+        self.calls = own or self._methods.calls  # its two calls
 
     def raise_error(self) -> None:
         """Raise what the last call raised, if anything."""

@@ -18,22 +18,7 @@ from nodes.driver.tick import SILENT, UNREAD
 
 
 class DriverTicks(CompiledTicks):
-    """The compiled ticks of one driver.
-
-    Parameters
-    ----------
-    node : Driver
-        The node; its device is open.
-    kernel : callable
-        nodes/driver/kernel.py, compiled.
-    device : Device
-        Its device.
-
-    Attributes
-    ----------
-    payload : bytes
-        The state that was published last.
-    """
+    """The compiled ticks of one driver."""
 
     def __init__(self, node: Any, kernel: Kernel, device: Device) -> None:
         s: Any = node.driving
@@ -48,7 +33,7 @@ class DriverTicks(CompiledTicks):
         self._texts = [ctypes.create_string_buffer(msgspec.msgpack.encode(text).ljust(32, b"\0")) for text in SAFETY]
         s.texts[:] = [ctypes.addressof(text) for text in self._texts]
         s.text_sizes[:] = [len(msgspec.msgpack.encode(text)) for text in SAFETY]
-        self.payload = b""
+        self.payload = b""  # the state that was published last
         # In and out once without a tick: the first time, with cold caches, it takes some ticks of 8 kHz.
         s.most = 0
         self.go()

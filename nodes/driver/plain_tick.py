@@ -17,22 +17,7 @@ from nodes.driver.tick import GOT, NONE, REFUSED, Port, make_ticks
 
 
 class PlainTicks:
-    """The plain ticks of one driver.
-
-    Parameters
-    ----------
-    node : Driver
-        The node; its device is open.
-    device : Device
-        Its device.
-
-    Attributes
-    ----------
-    run : callable
-        Ticks until something waits; why it ended, as of nodes/driver/tick.py.
-    payload : bytes
-        The state that was published last.
-    """
+    """The plain ticks of one driver."""
 
     def __init__(self, node: Any, device: Device) -> None:
         self._node, self._device, self._inbox = node, device, node.inbox
@@ -40,10 +25,11 @@ class PlainTicks:
         self._topic, self._expected = (node.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE))
         self._decoder, self._clock = Decoder(Force), time.monotonic
         self._what = f"{node.setup.name}: {type(device).__name__}"
-        self.payload = b""
+        self.payload = b""  # the state that was published last
         lockstep, paced = make_ticks(
             Port(_sleep_until, self._read, self._write, self.publish, self.receive, self.aside, self._called)
         )
+        # Ticks until something waits; why it ended, as of nodes/driver/tick.py.
         self.run = paced if node.driving.realtime else lockstep
 
     def _read(self, s: Any, seq: int) -> bool:

@@ -35,19 +35,12 @@ def note_response(s: Any, response: float) -> None:
 class ResponseTimes:
     """A histogram of response times, on a driver's state or one of its own.
 
-    Parameters
-    ----------
-    state : DriverState, optional
-        Where the newest responses stand.
-
-    Attributes
-    ----------
-    bins : array of int, shape (BINS + 1,)
-        How many took so many microseconds; the last one counts all that took longer.
+    `state`: where the newest responses stand.
     """
 
     def __init__(self, state: Any = None) -> None:
         self._state: Any = state_of(DriverState) if state is None else state
+        # How many took so many microseconds; the last one counts all that took longer, shape (BINS + 1,).
         self.bins = array("q", [0]) * (BINS + 1)
         self._state.bins = self.bins.buffer_info()[0]
 

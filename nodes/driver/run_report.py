@@ -18,31 +18,16 @@ REASONS: Final = 8
 
 
 class DriverReport:
-    """The report of one driver.
-
-    Parameters
-    ----------
-    state : DriverState
-        Its state.
-
-    Attributes
-    ----------
-    responses : ResponseTimes
-        Its response times.
-    first, last : float
-        When its first and its last tick were [s].
-    first_seq, soft_stop_ticks : int
-        Its first tick, and what it took to bring the force down.
-    complete : bool
-        Whether it came to its last tick.
-    """
+    """The report of one driver."""
 
     def __init__(self, state: Any) -> None:
         self._state = state
-        self.responses = ResponseTimes(state)
+        self.responses = ResponseTimes(state)  # its response times
+        # When its first and its last tick were [s].
         self.first = self.last = 0.0
+        # Its first tick, and what it took to bring the force down.
         self.first_seq = self.soft_stop_ticks = 0
-        self.complete = False
+        self.complete = False  # whether it came to its last tick
         self.own_guard = False
         self._told: tuple[str, ...] = ()
         self._limits = DeviceLimits()

@@ -30,29 +30,9 @@ START_TIMEOUT = 90.0
 class Child:
     """One node's process.
 
-    Parameters
-    ----------
-    setup : Setup
-        The node.
-    respawns : int
-        How often it may be started again, -1 for ever.
-    delay : float
-        Wait before that [s].
-    required : bool
-        Whether the launch ends when it does.
-
-    Attributes
-    ----------
-    patience : float
-        How long the launcher waits for it to be ready [s].
-    ready_at : float
-        When it was ready; before, when it was made [s].
-    opening, closing : float
-        How long its device may take to open, from then on, and to close [s].
-    unreported : bool
-        Whether it has ended as if it were done, and did not say so.
-    distance : float
-        How long the first answer over a new connection takes longer than on this machine [s].
+    `respawns`: how often it may be started again, -1 for ever. `required`: whether the launch ends when it does. `patience`:
+    how long the launcher waits for it to be ready [s]. `distance`: how long the first answer over a new connection takes
+    longer than on this machine [s].
     """
 
     patience = START_TIMEOUT
@@ -66,12 +46,13 @@ class Child:
         self.restarts = 0
         self.process: subprocess.Popen[bytes] | None = None
         self.again_at: float | None = None
-        self.ready_at = time.monotonic()
+        self.ready_at = time.monotonic()  # when it was ready; before, when it was made [s]
+        # How long its device may take to open, from then on, and to close [s].
         self.opening = self.closing = 0.0
         self.to_start = False
         self.ready = False
         self.over = False
-        self.unreported = False
+        self.unreported = False  # whether it has ended as if it were done, and did not say so
 
     @property
     def running(self) -> bool:

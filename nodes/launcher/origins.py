@@ -14,25 +14,10 @@ _LAST = re.compile(r"(?:^|\.)[^.\[\]]+$|\[\d+\]$")
 
 
 class Origins:
-    """Origins of one launch file's values.
-
-    Parameters
-    ----------
-    path : Path
-        The launch file.
-    given : mapping of str to object
-        Arguments as the user gave them.
-    nodes : mapping
-        Its nodes by name.
-
-    Attributes
-    ----------
-    folder : str
-        Where the launch file stands.
-    """
+    """Origins of one launch file's values."""
 
     def __init__(self, path: Path, given: Mapping[str, Any], nodes: Mapping[str, Any]) -> None:
-        self.folder = str(path.resolve().parent)
+        self.folder = str(path.resolve().parent)  # where the launch file stands
         self._name = path.name
         self._given = given
         self._nodes = set(nodes)

@@ -34,35 +34,19 @@ class RunError(UsageError):
 
 
 class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """What ``run.json`` holds.
+    """What ``run.json`` holds."""
 
-    Attributes
-    ----------
-    run, scenario : str
-        Name of the run (unique on the host) and of its launch file.
-    launcher, launcher_started : int
-        Process number of the launcher, and when it was started (`started_at`).
-    nodes : dict of str to Setup
-        All nodes by name.
-    wall_minus_monotonic : float
-        What to add to a stamp to get wall time [s].
-    manifest : dict of str to str
-        What goes into every recording.
-    namespace : str
-        Namespace of the one chain that this is about (`within`); empty for the whole run.
-    manifests : dict of str to dict
-        The same for one chain alone, by namespace.
-    """
-
+    # Name of the run (unique on the host) and of its launch file.
     run: str
     scenario: str
+    # Process number of the launcher, and when it was started (`started_at`).
     launcher: int
-    nodes: dict[str, Setup]
+    nodes: dict[str, Setup]  # all nodes by name
     launcher_started: int = 0
-    wall_minus_monotonic: float = 0.0
-    manifest: dict[str, str] = {}
-    namespace: str = ""
-    manifests: dict[str, dict[str, str]] = {}
+    wall_minus_monotonic: float = 0.0  # what to add to a stamp to get wall time [s]
+    manifest: dict[str, str] = {}  # what goes into every recording
+    namespace: str = ""  # namespace of the one chain that this is about (`within`); empty for the whole run
+    manifests: dict[str, dict[str, str]] = {}  # the same for one chain alone, by namespace
 
     @property
     def lives(self) -> bool:

@@ -29,30 +29,14 @@ _LIMITS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 
 
 class Description(msgspec.Struct, kw_only=True):
-    """What a parameter is.
+    """What a parameter is."""
 
-    Attributes
-    ----------
-    type : str
-        In words; for a branch ``parameters``.
-    unit : str
-        Its unit; empty without one.
-    limits : str
-        In words; empty without any.
-    default : object
-        What holds when it is left out; None with `required` when nothing does.
-    required : bool
-        Whether it must be given.
-    meaning : str
-        One sentence.
-    """
-
-    type: str
-    unit: str = ""
-    limits: str = ""
-    default: Any = None
-    required: bool = False
-    meaning: str = ""
+    type: str  # in words; for a branch ``parameters``
+    unit: str = ""  # its unit; empty without one
+    limits: str = ""  # in words; empty without any
+    default: Any = None  # what holds when it is left out; None with `required` when nothing does
+    required: bool = False  # whether it must be given
+    meaning: str = ""  # one sentence
 
 
 def described(target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]) -> Description:

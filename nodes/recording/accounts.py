@@ -14,30 +14,17 @@ from nodes.recording.reader import Recording
 
 
 class Account(msgspec.Struct):
-    """What a node says it sent against what was recorded of it.
+    """What a node says it sent against what was recorded of it."""
 
-    Attributes
-    ----------
-    sent : int
-        Messages sent, by the last status of each of its processes.
-    recorded : int
-        Messages of the node recorded before that status.
-    lost : int
-        Difference; 0 when everything arrived. For a logger that came late, only what is missing in ``seq`` since then
-        and was not left out by the driver.
-    early : int
-        Messages sent before the logger listened, as the first recorded status tells: not lost, nobody was there.
-    since : int
-        ``seq`` at which the recording begins: above 0 for a logger that came late.
-    finished : bool
-        Whether the last status is a final one: otherwise the node was killed, or the logger left before it.
-    """
-
-    sent: int
-    recorded: int
+    sent: int  # messages sent, by the last status of each of its processes
+    recorded: int  # messages of the node recorded before that status
+    # Difference; 0 when everything arrived. For a logger that came late, only what is missing in ``seq`` since then and was not
+    # left out by the driver.
     lost: int
+    # Messages sent before the logger listened, as the first recorded status tells: not lost, nobody was there.
     early: int
-    since: int
+    since: int  # ``seq`` at which the recording begins: above 0 for a logger that came late
+    # Whether the last status is a final one: otherwise the node was killed, or the logger left before it.
     finished: bool
 
     @property
@@ -51,27 +38,14 @@ class Account(msgspec.Struct):
 
 
 class Completeness(msgspec.Struct):
-    """Whether a recording holds everything: the one verdict that ``bag info``, plots and summaries tell.
+    """Whether a recording holds everything: the one verdict that ``bag info``, plots and summaries tell."""
 
-    Attributes
-    ----------
-    complete : bool
-        Whether its writer finished the file; not so for a cut one that was recovered.
-    end_s : float
-        Time of the run at which the recording ends [s].
-    missing_ticks : int or None
-        Ticks of the run that came after the end of a cut recording; None where no launch told how many the run had.
-    nodes : dict of str to Account
-        What each node sent against what was recorded.
-    left_out : int
-        Ticks that the driver left out: gaps in ``seq`` everywhere, but no losses.
-    """
-
-    complete: bool
-    end_s: float
+    complete: bool  # whether its writer finished the file; not so for a cut one that was recovered
+    end_s: float  # time of the run at which the recording ends [s]
+    # Ticks of the run that came after the end of a cut recording; None where no launch told how many the run had.
     missing_ticks: int | None
-    nodes: dict[str, Account]
-    left_out: int
+    nodes: dict[str, Account]  # what each node sent against what was recorded
+    left_out: int  # ticks that the driver left out: gaps in ``seq`` everywhere, but no losses
 
     @property
     def lost(self) -> int | None:
@@ -99,18 +73,11 @@ def completeness(recording: Recording) -> Completeness:
 
 
 class ClockRecord(msgspec.Struct):
-    """How far the clock of a node's host was from the launcher's; its stamps are corrected by that already.
+    """How far the clock of a node's host was from the launcher's; its stamps are corrected by that already."""
 
-    Attributes
-    ----------
-    offset : float
-        What was added to that clock to get the time of the run, as measured last [s]; 0 on the launcher's host.
-    error : float
-        How far off that was at most, the largest bound of the whole recording [s]; 0 on the launcher's host.
-    """
-
+    # What was added to that clock to get the time of the run, as measured last [s]; 0 on the launcher's host.
     offset: float
-    error: float
+    error: float  # how far off that was at most, the largest bound of the whole recording [s]; 0 on the launcher's host
 
 
 def clocks(recording: Recording) -> dict[str, ClockRecord]:

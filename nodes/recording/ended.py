@@ -9,18 +9,10 @@ import msgspec
 
 
 class Ended(msgspec.Struct, frozen=True):
-    """The end of the run that a recording misses.
+    """The end of the run that a recording misses."""
 
-    Attributes
-    ----------
-    ticks : int
-        Ticks of the whole run.
-    why : str
-        How the logger ended.
-    """
-
-    ticks: int
-    why: str
+    ticks: int  # ticks of the whole run
+    why: str  # how the logger ended
 
 
 def beside(path: Path) -> Path:

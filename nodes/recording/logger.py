@@ -66,23 +66,7 @@ def file_of(path: str, run: str, node: str) -> str:
 class Recorder:
     """Writes what a subscription receives.
 
-    Parameters
-    ----------
-    inbox : Subscription
-        Connected to all publishers.
-    writer : RecordWriter
-        The file.
-    topics : collection of str
-        Whole names of the topics to record; empty for all.
-
-    Attributes
-    ----------
-    recorded, refused : int
-        Messages written, and messages that were not of the protocol.
-    latest : float
-        Stamp of the message written last [s].
-    clock_offset : float
-        What to add to this host's monotonic clock to get the time of the run, in which receipt is recorded [s].
+    `topics`: whole names of the topics to record; empty for all.
     """
 
     def __init__(self, inbox: Subscription, writer: RecordWriter, topics: Collection[str] = ()) -> None:
@@ -92,9 +76,11 @@ class Recorder:
         self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
         self._last: dict[bytes, bytes] = {}
         self._next_flush = time.monotonic() + FLUSH_PERIOD
+        # Messages written, and messages that were not of the protocol.
         self.recorded = 0
         self.refused = 0
-        self.latest = -math.inf
+        self.latest = -math.inf  # stamp of the message written last [s]
+        # What to add to this host's monotonic clock to get the time of the run, in which receipt is recorded [s].
         self.clock_offset = 0.0
 
     def take(self, timeout_ms: int) -> bool:

@@ -29,17 +29,10 @@ _U64 = struct.Struct("<Q")
 
 
 class Recovered(msgspec.Struct):
-    """What `recover` saved.
+    """What `recover` saved."""
 
-    Attributes
-    ----------
-    messages : dict of str to int
-        Messages copied per topic.
-    problems : list of str
-        What was wrong with the source, with offsets; empty when it was complete and sound, so that nothing was lost.
-    """
-
-    messages: dict[str, int]
+    messages: dict[str, int]  # messages copied per topic
+    # What was wrong with the source, with offsets; empty when it was complete and sound, so that nothing was lost.
     problems: list[str]
 
 

@@ -104,48 +104,18 @@ class Spans:
 class Lines:
     """What a picture of a run is drawn from.
 
-    Parameters
-    ----------
-    recording : Recording
-        A recording with at least two messages on ``/device/state``.
-    start, stop : float, optional
-        From and up to which time after the first state [s].
-
-    Attributes
-    ----------
-    start, stop : float
-        The stretch, as stamps [s].
-    begin : float
-        Stamp of the recording's first state: time 0 of the picture [s].
-    position : Line
-        Device position by axis [m], 3 lines.
-    force : Line
-        Force handed to the device, at the tick at which it was [N], 3 lines.
-    energy : Line
-        Energy given out, and the passivity guard's account [J], 2 lines.
-    response : Line
-        Response time of the ticks answered in time [s].
-    sampled : list of tuple
-        Time and response time of every so many-th of them [s]: what is usual, where `response` tells the extremes.
-    proxy : Line
-        Proxy, and surface where there is one that faces this axis [m]: 6 lines.
-    normal : tuple of float, shape (3,)
-        Where the surface faces: largest component seen of each axis, sign included.
-    asked : Line
-        Force by the law, before limits [N], 3 lines.
-    safety, missed : Spans
-        Safety states other than active, and ticks that were not answered in time (named ``missed``).
-    receipts : list of tuple
-        The first 200 changes: stamp, action, and law from then on.
-    laws : list of str
-        Laws that computed a force.
+    `recording`: a recording with at least two messages on ``/device/state``. `start`, `stop`: from and up to which time after
+    the first state [s]. `force`: force handed to the device, at the tick at which it was [N], 3 lines. `response`: response
+    time of the ticks answered in time [s]. `proxy`: proxy, and surface where there is one that faces this axis [m]: 6 lines.
+    `asked`: force by the law, before limits [N], 3 lines.
     """
 
     def __init__(self, recording: Recording, start: float = 0.0, stop: float = math.inf) -> None:
         figures = recording.topics.get(DEVICE_STATE)
         if figures is None or figures.messages < 2:
             raise RecordError(f"{recording.path}: fewer than two messages on {DEVICE_STATE}; a plot needs at least two")
-        self.begin = figures.first_stamp
+        self.begin = figures.first_stamp  # stamp of the recording's first state: time 0 of the picture [s]
+        # The stretch, as stamps [s].
         self.start = max(self.begin + start, self.begin)
         self.stop = min(self.begin + stop, figures.last_stamp)
         if not self.start < self.stop and figures.first_stamp < figures.last_stamp:
@@ -153,14 +123,19 @@ class Lines:
                 f"{recording.path}: nothing between {start:g} and {stop:g} s; it lasts {recording.duration:.6g} s"
             )
         ends = self.start, self.stop
+        # Device position by axis [m], 3 lines.
         self.position, self.force, self.asked = Line(*ends, 3), Line(*ends, 3), Line(*ends, 3)
+        # Energy given out, and the passivity guard's account [J], 2 lines.
         self.energy, self.response, self.proxy = Line(*ends, 2), Line(*ends, 1), Line(*ends, 6)
+        # Safety states other than active, and ticks that were not answered in time (named ``missed``).
         self.safety, self.missed = Spans(*ends), Spans(*ends)
+        # Time and response time of every so many-th of them [s]: what is usual, where `response` tells the extremes.
         self.sampled: list[tuple[float, float]] = []
         self._stride = -(-figures.messages // POINTS)
+        # Where the surface faces: largest component seen of each axis, sign included, shape (3,).
         self.normal = [0.0, 0.0, 0.0]
-        self.receipts: list[tuple[float, str, str]] = []
-        self.laws: list[str] = []
+        self.receipts: list[tuple[float, str, str]] = []  # the first 200 changes: stamp, action, and law from then on
+        self.laws: list[str] = []  # laws that computed a force
         self._before: DeviceState | None = None
         self._named = -1
         self._read(recording)

@@ -17,33 +17,19 @@ QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
 
 
 class Summary(msgspec.Struct):
-    """Figures of one run, as its driver recorded them.
+    """Figures of one run, as its driver recorded them."""
 
-    Attributes
-    ----------
-    ticks : int
-        Ticks whose outcome is recorded: each state tells how the tick before it went, the last one ends the run.
-    duration_s : float
-        From the first state's stamp to the last one's [s].
-    rate_hz : float
-        Mean rate [1/s]; 0 for fewer than two ticks.
-    missed, overruns : int
-        Ticks of the recording that were not answered in time, and ticks left out because the driver was late.
-    response_us : dict of str to float
-        p50, p99, p999 and max of the response time of the ticks answered in time [µs]; empty when there are none.
-    age_ticks_max : int
-        Oldest force that was used [ticks].
-    position_m, force_n : list of float, shape (3,)
-        Position and force at the end [m, N]; empty when no state was recorded.
-    """
-
+    # Ticks whose outcome is recorded: each state tells how the tick before it went, the last one ends the run.
     ticks: int
-    duration_s: float
-    rate_hz: float
+    duration_s: float  # from the first state's stamp to the last one's [s]
+    rate_hz: float  # mean rate [1/s]; 0 for fewer than two ticks
+    # Ticks of the recording that were not answered in time, and ticks left out because the driver was late.
     missed: int
     overruns: int
+    # p50, p99, p999 and max of the response time of the ticks answered in time [µs]; empty when there are none.
     response_us: dict[str, float]
-    age_ticks_max: int
+    age_ticks_max: int  # oldest force that was used [ticks]
+    # Position and force at the end [m, N]; empty when no state was recorded, shape (3,).
     position_m: list[float]
     force_n: list[float]
 

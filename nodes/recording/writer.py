@@ -52,32 +52,15 @@ class Output:
 
     The MCAP writer hands over whole records only, so the file ends between two records whenever no write is under way.
 
-    Parameters
-    ----------
-    path : Path
-        The file to create.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Attributes
-    ----------
-    size : int
-        Bytes handed over so far.
-    descriptor : int
-        File descriptor; -1 once closed.
-
-    Raises
-    ------
-    RecordError
-        When the file cannot be created, or exists and must not be replaced.
+    Raises RecordError when the file cannot be created, or exists and must not be replaced.
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
-        self.size = 0
+        self.size = 0  # bytes handed over so far
         flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | (os.O_TRUNC if overwrite else os.O_EXCL)
         try:
-            self.descriptor = os.open(path, flags, 0o644)
+            self.descriptor = os.open(path, flags, 0o644)  # file descriptor; -1 once closed
         except FileExistsError as error:
             raise RecordError(f"{path}: exists already; give another name or ask for it to be overwritten") from error
         except OSError as error:
@@ -147,30 +130,8 @@ def mcap_writer(output: Output, library: str) -> Any:
 class RecordWriter:
     """Write messages to one MCAP file.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file to create.
-    manifest : mapping of str to str
-        What identifies the run: scenario, arguments, rate, pace, wall-clock offset and so on.
-    launch_file : str, optional
-        Text of the launch file as it was run.
-    parameters : mapping of str to str, optional
-        Parameters of each node (name to YAML text).
-    overwrite : bool, optional
-        Whether an existing file may be replaced.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    counts : dict of str to int
-        Messages written so far per topic.
-
-    Raises
-    ------
-    RecordError
-        When the file cannot be created, exists already, or the disk is full.
+    `manifest`: what identifies the run: scenario, arguments, rate, pace, wall-clock offset and so on. `parameters`: parameters
+    of each node (name to YAML text). Raises RecordError when the file cannot be created, exists already, or the disk is full.
     """
 
     def __init__(
@@ -182,8 +143,8 @@ class RecordWriter:
         parameters: Mapping[str, str] | None = None,
         overwrite: bool = False,
     ) -> None:
-        self.path = Path(path)
-        self.counts: dict[str, int] = {}
+        self.path = Path(path)  # the file
+        self.counts: dict[str, int] = {}  # messages written so far per topic
         self._encode = msgspec.json.Encoder().encode
         self._channels: dict[str, tuple[int, type[Message]]] = {}
         self._schemas: dict[type[Message], int] = {}

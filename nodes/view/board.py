@@ -12,19 +12,13 @@ KEPT = 500
 
 
 class Board:
-    """Documents by name, and the log. One thread uses it.
-
-    Attributes
-    ----------
-    logged : int
-        Entries of the log so far.
-    """
+    """Documents by name, and the log. One thread uses it."""
 
     def __init__(self) -> None:
         self._documents: dict[str, tuple[int, str]] = {}
         self._version = 0
         self._log: deque[str] = deque(maxlen=KEPT)
-        self.logged = 0
+        self.logged = 0  # entries of the log so far
 
     def put(self, kind: str, content: dict[str, Any]) -> None:
         """Replace a document; one that has not changed is not sent again."""

@@ -73,24 +73,7 @@ def _has_delay(driver: Setup) -> bool:
 
 
 class Commander:
-    """Asks the nodes of a run on behalf of its pages. One thread uses it, but for `stop` and `end`.
-
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-
-    Attributes
-    ----------
-    driver, coupling : str
-        Names of the nodes that publish position and force; empty for a run without.
-    beyond : bool
-        Whether pages may go past the edge of stability.
-    again : bool
-        Whether they may have the driver started again.
-    delays : bool
-        Whether they may turn the device's delay.
-    """
+    """Asks the nodes of a run on behalf of its pages. One thread uses it, but for `stop` and `end`."""
 
     def __init__(self, run: RunInfo, again: bool = False) -> None:
         self._run = run
@@ -99,10 +82,13 @@ class Commander:
         self._undo: list[tuple[str, dict[str, Any], dict[str, Any], float]] = []
         self._recorder: subprocess.Popen[bytes] | None = None
         self._recordings = 0
+        # Names of the nodes that publish position and force; empty for a run without.
         self.driver = publisher(run, DEVICE_STATE)
         self.coupling = publisher(run, FORCE)
+        # Whether pages may go past the edge of stability.
         self.beyond = bool(self.driver) and _may_go_beyond(run.nodes[self.driver])
-        self.again = again and self.beyond
+        self.again = again and self.beyond  # whether they may have the driver started again
+        # Whether they may turn the device's delay.
         self.delays = bool(self.driver and self.coupling) and _has_delay(run.nodes[self.driver])
         self._tells_inertia = bool(self.driver) and hasattr(load(run.nodes[self.driver].factory), "hardware")
 

@@ -47,24 +47,7 @@ def _begin(view: int) -> None:
 
 
 class Comparison:
-    """Plays B. The pages' thread uses it.
-
-    Parameters
-    ----------
-    run : RunInfo
-        The launch.
-    driver : str
-        Name of its driver.
-    put : callable
-        Tells all pages.
-
-    Attributes
-    ----------
-    law : str
-        Name of B; empty for none.
-    later : float
-        How much later the device answers by now than the launch file says [ticks].
-    """
+    """Plays B. The pages' thread uses it."""
 
     def __init__(self, run: RunInfo, driver: str, put: Callable[[str, dict[str, Any]], None]) -> None:
         self._setups, self._driver = run.nodes, driver
@@ -80,8 +63,8 @@ class Comparison:
         self._before: DeviceState | None = None
         self._job: asyncio.Task[None] | None = None
         self._played_at = 0.0
-        self.law = ""
-        self.later = 0.0
+        self.law = ""  # name of B; empty for none
+        self.later = 0.0  # how much later the device answers by now than the launch file says [ticks]
 
     @property
     def there(self) -> bool:

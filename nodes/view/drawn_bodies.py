@@ -19,27 +19,14 @@ from nodes.view.shape import bodies_of
 class RunningBodies:
     """The bodies of a running environment on this machine.
 
-    Parameters
-    ----------
-    setup : Setup
-        Of the environment.
-
-    Attributes
-    ----------
-    shape : dict
-        What they look like.
-
-    Raises
-    ------
-    OSError
-        When they are on another machine.
+    Raises OSError when they are on another machine.
     """
 
     def __init__(self, setup: Setup) -> None:
         parameters: MujocoParameters = convert(setup.parameters, MujocoParameters, setup.name)
         world = load_world(parameters, setup.period, setup.name)
         self._poses = Poses(poses_file(setup.run_dir, setup.name), world.model.ngeom)
-        self.shape = bodies_of(world)
+        self.shape = bodies_of(world)  # what they look like
 
     def news(self) -> dict[str, Any] | None:
         """Tell where they are; None when nobody knows yet."""
@@ -50,31 +37,12 @@ class RunningBodies:
 class RecordedBodies:
     """The bodies of a recording: its scene stepped again by what was recorded, as the node stepped it.
 
-    Parameters
-    ----------
-    parameters : dict
-        Of the environment, as they were recorded.
-    period : float
-        Sampling period of the loop [s].
-    name : str
-        Of the environment.
-
-    Attributes
-    ----------
-    world : MovingScene
-        The scene.
-    begun : bool
-        Whether it has followed a first tick.
-
-    Raises
-    ------
-    ParameterError
-        When MuJoCo or the scene's file is not there.
+    Raises ParameterError when MuJoCo or the scene's file is not there.
     """
 
     def __init__(self, parameters: dict[str, Any], period: float, name: str) -> None:
-        self.world: MovingScene = load_world(convert(parameters, MujocoParameters, name), period, name)
-        self.begun = False
+        self.world: MovingScene = load_world(convert(parameters, MujocoParameters, name), period, name)  # the scene
+        self.begun = False  # whether it has followed a first tick
 
     def follow(self, state: DeviceState) -> None:
         """Step the scene to a tick."""

@@ -37,40 +37,13 @@ def series_names(axes: Sequence[str]) -> list[str]:
 
 
 class Feed:
-    """Bins of the last minute, and the latest message of each topic.
-
-    Parameters
-    ----------
-    axes : sequence of str
-        Axes that the scene computes.
-    period : float
-        Sampling period T [s].
-    seconds : float
-        How much is kept.
-    bins_per_second : float
-        Most bins in a second.
-
-    Attributes
-    ----------
-    names : list of str
-        Series, see `series_names`.
-    per_bin : int
-        Ticks in a bin.
-    head : int
-        Bins filed so far; the newest is number ``head`` − 1.
-    late : int
-        Messages that came after their bin was filed.
-    state, proxy, force : Message or None
-        The latest ones.
-    force_before : Force or None
-        The one before.
-    """
+    """Bins of the last minute, and the latest message of each topic."""
 
     def __init__(
         self, axes: Sequence[str], period: float, seconds: float = 60.0, bins_per_second: float = BINS_PER_SECOND
     ) -> None:
-        self.names = series_names(axes)
-        self.per_bin = max(1, math.ceil(1.0 / (period * bins_per_second) - 1e-9))
+        self.names = series_names(axes)  # series, see `series_names`
+        self.per_bin = max(1, math.ceil(1.0 / (period * bins_per_second) - 1e-9))  # ticks in a bin
         self._period = period
         self._axes = [AXIS_INDEX[axis] for axis in axes]
         self._grace = max(2, math.ceil(GRACE / (self.per_bin * period)))
@@ -82,12 +55,13 @@ class Feed:
         self._fresh = [_EMPTY] * count + [-_EMPTY] * count
         self._filed = -1
         self._newest: dict[str, int] = dict.fromkeys(topics.LOOP, -1)
-        self.head = 0
-        self.late = 0
+        self.head = 0  # bins filed so far; the newest is number ``head`` − 1
+        self.late = 0  # messages that came after their bin was filed
+        # The latest ones.
         self.state: DeviceState | None = None
         self.proxy: Proxy | None = None
         self.force: Force | None = None
-        self.force_before: Force | None = None
+        self.force_before: Force | None = None  # the one before
         width = len(axes)
         self._at = {field: i * width for i, field in enumerate(_FIELDS)}
         self._energy = len(_FIELDS) * width

@@ -41,26 +41,8 @@ def load() -> Any:
 class Bridge:
     """Publishes a run to whoever connects with Foxglove's protocol.
 
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-    do : callable
-        Asks a node on a thread of its own: from operation, node and arguments to the answer, see `Commander`.
-    port : int
-        Port on 127.0.0.1; 0 takes a free one.
-
-    Attributes
-    ----------
-    port : int
-        Where it is served.
-    sent : int
-        Messages passed on.
-
-    Raises
-    ------
-    ParameterError
-        When the library is not installed, or the port is taken.
+    `do`: asks a node on a thread of its own: from operation, node and arguments to the answer, see `Commander`. `port`: port
+    on 127.0.0.1; 0 takes a free one. Raises ParameterError when the library is not installed, or the port is taken.
     """
 
     def __init__(self, run: RunInfo, do: Callable[..., Any], port: int) -> None:
@@ -71,7 +53,7 @@ class Bridge:
         self._context = library.Context()
         self._channels: dict[str, Any] = {}
         self._next: dict[str, float] = {}
-        self.sent = 0
+        self.sent = 0  # messages passed on
         setups = run.nodes.values()
         self._scene = DrawnScene(
             {name: setup.parameters for name, setup in run.nodes.items()}, next(setup.period for setup in setups)
@@ -112,7 +94,7 @@ class Bridge:
             )
         except Exception as error:  # the library raises types of its own
             raise ParameterError(f"view.foxglove: port {port}: {error}") from error
-        self.port: int = self._server.port
+        self.port: int = self._server.port  # where it is served
 
     def subscribed(self, topic: str) -> None:
         """Have the shape sent again for one who sees the scene from now on."""

@@ -137,23 +137,10 @@ class _Bodies(RecordedBodies):
 
 
 class DrawnScene:
-    """What is drawn of the chains of a run, recorded or live.
-
-    Parameters
-    ----------
-    nodes : mapping
-        Parameters of all nodes, by name.
-    period : float
-        Sampling period T [s].
-
-    Attributes
-    ----------
-    left_out : list of str
-        What cannot be drawn, and why.
-    """
+    """What is drawn of the chains of a run, recorded or live."""
 
     def __init__(self, nodes: Mapping[str, Mapping[str, Any]], period: float) -> None:
-        self.left_out: list[str] = []
+        self.left_out: list[str] = []  # what cannot be drawn, and why
         self._surfaces: dict[str, list[float]] = {}
         self._radius: dict[str, float] = {}
         self._bodies: dict[str, _Bodies] = {}

@@ -92,43 +92,19 @@ def facts_of(run: RunInfo, driver: str) -> Facts:
 
 
 class LiveRun:
-    """Takes a run's messages and keeps what pages are told. One thread uses it.
-
-    Parameters
-    ----------
-    facts : Facts
-        What does not change about the run.
-    kept : float
-        How many seconds of bins are kept.
-    bins_per_second : float
-        Most bins in a second.
-
-    Attributes
-    ----------
-    feed : Feed
-        The bins.
-    board : Board
-        Everything else.
-    delay : float
-        Measured delay of the loop, a mean over some 64 ticks [ticks].
-    changed : bool
-        Whether a receipt asks for the laws to be read again; who does that sets it back.
-    ended : str
-        Why the run is over; empty while it goes on.
-    refused : int
-        Messages that were not of the protocol.
-    """
+    """Takes a run's messages and keeps what pages are told. One thread uses it."""
 
     def __init__(self, facts: Facts, kept: float = KEPT, bins_per_second: float = BINS_PER_SECOND) -> None:
         self._period = facts.period
         self._run_dir = facts.run_dir
         self._driver_status = f"/{facts.driver}/status"
-        self.feed = Feed(facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND))
-        self.board = Board()
+        self.feed = Feed(facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND))  # the bins
+        self.board = Board()  # everything else
+        # Measured delay of the loop, a mean over some 64 ticks [ticks].
         self.delay = 1.0 if facts.apply == "next_tick" else 0.0
-        self.changed = True
-        self.ended = ""
-        self.refused = 0
+        self.changed = True  # whether a receipt asks for the laws to be read again; who does that sets it back
+        self.ended = ""  # why the run is over; empty while it goes on
+        self.refused = 0  # messages that were not of the protocol
         self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
         self._responses: deque[float] = deque(maxlen=max(100, round(RECENT / facts.period)))
         self._heard: dict[str, tuple[NodeStatus, float]] = {}

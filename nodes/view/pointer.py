@@ -71,33 +71,16 @@ def _mapped(path: Path, flags: int) -> mmap.mmap:
 class PointerReader:
     """The driver's end; it makes the file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    silence : float
-        When a value expires [s].
-
-    Raises
-    ------
-    OSError
-        When the file cannot be made.
-
-    Attributes
-    ----------
-    address : int
-        Where compiled code finds what is mapped.
-    silence : float
-        The same.
-    last : tuple of float
-        The target read last [m], and when it was written [s].
+    Raises OSError when the file cannot be made.
     """
 
     def __init__(self, path: Path, silence: float) -> None:
         self._map = _mapped(path, os.O_CREAT)
+        # Where compiled code finds what is mapped.
         self.address = ctypes.addressof(ctypes.c_char.from_buffer(self._map))
         self.silence = silence
         self._unpack = _VALUE.unpack_from
+        # The target read last [m], and when it was written [s].
         self.last: tuple[float, float, float, float] = (0.0, 0.0, 0.0, -math.inf)
 
     def read(self) -> Vector | None:

@@ -91,24 +91,8 @@ def _facts(recording: Recording) -> Facts:
 class ReplayPages:
     """A recording behind pages.
 
-    Parameters
-    ----------
-    path : Path
-        An MCAP file.
-    over : Path or None
-        Another one, whose position and force are drawn over it, both from their first tick on.
-
-    Attributes
-    ----------
-    server : PageServer
-        Serves the pages.
-    begin, duration : float
-        First tick's time since tick 0, and from there to the last one [s].
-
-    Raises
-    ------
-    RecordError
-        When it cannot be read, or holds no ticks.
+    `over`: another one, whose position and force are drawn over it, both from their first tick on. Raises RecordError when it
+    cannot be read, or holds no ticks.
     """
 
     def __init__(self, path: Path, over: Path | None = None) -> None:
@@ -118,6 +102,7 @@ class ReplayPages:
         self._facts = _facts(recording)
         span = recording.topics[DEVICE_STATE]
         ticks = span.last_seq - span.first_seq + 1
+        # First tick's time since tick 0, and from there to the last one [s].
         self.begin = span.first_seq * self._facts.period
         self.duration = (ticks - 1) * self._facts.period
         self._scene_period = max(1.0 / SCENES, self.duration / MOST_SCENES)
@@ -143,7 +128,7 @@ class ReplayPages:
         }
         self.hello = msgspec.json.encode({"type": "hello", **self._facts.hello(), **told}).decode()
         self.over = "" if over is None else self._read_over(over)
-        self.server = PageServer(lambda: ReplayPage(self))
+        self.server = PageServer(lambda: ReplayPage(self))  # serves the pages
         self._mapping = ThreadPoolExecutor(1, "map")
         self._maps: dict[str, dict[str, Any]] = {}
 

@@ -82,27 +82,8 @@ class RunPage:
 class RunPages:
     """Everything behind the pages of one run.
 
-    Parameters
-    ----------
-    run : RunInfo
-        The run.
-    inbox : Subscription
-        Connected to all its publishers.
-    token : str
-        What the URL must hold; empty for a new one.
-    again : bool
-        Whether the launcher starts a virtual driver again that has stopped the loop.
-
-    Attributes
-    ----------
-    live : LiveRun
-        What the run tells.
-    server : PageServer
-        Serves the pages.
-    hand : SharedHand
-        The hand's target.
-    listeners : list of callable
-        Each is called with topic and message of all that comes in.
+    `token`: what the URL must hold; empty for a new one. `again`: whether the launcher starts a virtual driver again that has
+    stopped the loop.
     """
 
     def __init__(self, run: RunInfo, inbox: Subscription, token: str = "", again: bool = False) -> None:
@@ -112,11 +93,12 @@ class RunPages:
         facts = facts_of(run, self._commander.driver)
         self._period = facts.period
         self._axis = AXIS_INDEX[facts.axes[0]]
-        self.live = LiveRun(facts)
+        self.live = LiveRun(facts)  # what the run tells
         run_dir = next(iter(run.nodes.values())).run_dir
-        self.hand = SharedHand(pointer_file(run_dir, run.nodes[self._commander.driver].name))
-        self.server = PageServer(self._open_page, token)
+        self.hand = SharedHand(pointer_file(run_dir, run.nodes[self._commander.driver].name))  # the hand's target
+        self.server = PageServer(self._open_page, token)  # serves the pages
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
+        # Each is called with topic and message of all that comes in.
         self.listeners: list[Callable[[str, Message], None]] = [self._comparison.take]
         # One thread asks the nodes, one computes maps: neither holds up the pages.
         self._asking = ThreadPoolExecutor(1, "ask")

@@ -131,30 +131,14 @@ def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
 class PageServer:
     """Serves pages.
 
-    Parameters
-    ----------
-    open_page : callable
-        Makes what a newly opened page is shown.
-    token : str
-        What the URL must hold; empty for a new one.
-
-    Attributes
-    ----------
-    token : str
-        What the URL must hold.
-    port : int
-        Where it is served, once started.
-    pages : int
-        Pages that are open.
-    turned_away : int
-        Requests without the token, or from another origin.
+    `token`: what the URL must hold; empty for a new one.
     """
 
     def __init__(self, open_page: Callable[[], Page], token: str = "") -> None:
-        self.token = token or secrets.token_urlsafe(12)
-        self.port = 0
-        self.pages = 0
-        self.turned_away = 0
+        self.token = token or secrets.token_urlsafe(12)  # what the URL must hold
+        self.port = 0  # where it is served, once started
+        self.pages = 0  # pages that are open
+        self.turned_away = 0  # requests without the token, or from another origin
         self._open_page = open_page
         self._files = _files()
         self._server: Server | None = None

@@ -37,25 +37,14 @@ def _towards(here: Vector, there: Vector, way: float) -> Vector:
 
 
 class SharedHand:
-    """The hand's target among several pages. One thread uses it.
-
-    Parameters
-    ----------
-    path : Path
-        The driver's pointer file.
-
-    Attributes
-    ----------
-    taken : bool
-        Whether any page has taken it so far.
-    """
+    """The hand's target among several pages. One thread uses it."""
 
     def __init__(self, path: Path) -> None:
         try:
             self._writer: PointerWriter | None = PointerWriter(path)
         except FileNotFoundError:
             self._writer = None
-        self.taken = False
+        self.taken = False  # whether any page has taken it so far
         self._owner = 0
         self._lapsed = 0
         self._heard = self._stepped = -math.inf

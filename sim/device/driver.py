@@ -105,23 +105,8 @@ def parts_of(
 class SimDevice:
     """The virtual device in the driver's time: one of one axis along each axis of the scene, independent of each other.
 
-    Parameters
-    ----------
-    model : DeviceModel
-        The device.
-    setup : Setup
-        Pace, period and axes of the run.
-    hold : float or None
-        The device's own deadline [s].
-    pointer : PointerParameters or None
-        How a page may drag its hand, in real time.
-    workspace : sequence of tuple of float, shape (3, 2)
-        Where it stops [m]: as a real device does, it has a mechanical stop where its workspace ends.
-
-    Attributes
-    ----------
-    parts : list of VirtualDevice
-        The devices of all axes.
+    `pointer`: how a page may drag its hand, in real time. `workspace`, shape (3, 2): where it stops [m]: as a real device
+    does, it has a mechanical stop where its workspace ends.
     """
 
     def __init__(
@@ -136,6 +121,7 @@ class SimDevice:
         self._compiled = setup.tick == "compiled"
         self._limits = DeviceLimits(hold=math.inf if hold is None else hold, latency=model.delay * setup.period)
         next_tick = lockstep and setup.apply == "next_tick"
+        # The devices of all axes.
         self.parts = parts_of(
             model, setup.axes, setup.period, next_tick, workspace, lockstep, self._limits.hold, self._compiled
         )

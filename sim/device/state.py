@@ -229,29 +229,8 @@ def write_axis(d: Any, force: float, seq: int, offset: float) -> bool:
 class VirtualDevice:
     """A virtual device of one axis.
 
-    Parameters
-    ----------
-    model : DeviceModel
-        Its parameters.
-    period : float
-        Sampling period T [s].
-    next_tick : bool
-        Whether a force takes effect one tick later (``apply: next_tick``) in lockstep.
-    workspace : tuple of float, shape (2,)
-        Where it stops [m].
-    lockstep : bool
-        Whether a whole tick passes with each force.
-    hold : float
-        Its own deadline [s].
-    axis : int
-        Its axis.
-    compiled : bool
-        Whether compiled code moves it too.
-
-    Attributes
-    ----------
-    state : AxisState
-        All of it.
+    `next_tick`: whether a force takes effect one tick later (``apply: next_tick``) in lockstep. `workspace`, shape (2,): where
+    it stops [m]. `lockstep`: whether a whole tick passes with each force.
     """
 
     def __init__(
@@ -265,7 +244,7 @@ class VirtualDevice:
         axis: int = 0,
         compiled: bool = False,
     ) -> None:
-        self.state = state_of(AxisState, compiled)
+        self.state = state_of(AxisState, compiled)  # all of it
         d = self.state
         d.mass, d.damping, d.grip = model.moving_mass, model.moving_damping, model.grip
         for name, value in (

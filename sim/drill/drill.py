@@ -38,41 +38,21 @@ CALM = 25
 
 
 class DrillOutcome(msgspec.Struct, kw_only=True):
-    """What came of one fault.
+    """What came of one fault."""
 
-    Attributes
-    ----------
-    fault, what : str
-        Its name, and what was done.
-    safe_ticks : int
-        Longest time for which an old force or damping acted.
-    lost_ticks, window_ticks : int
-        Ticks without a timely answer, and ticks looked at, both from the strike on.
-    energy_j : float
-        Most energy given out since the strike [J].
-    recovered : bool
-        Whether fresh forces flow again at the end.
-    left : list of str
-        Orphans and stale files after the end.
-    passed : bool
-        Safe in time, as far recovered as it must be, nothing left.
-    reasons : list of str
-        Why not; or what the driver's safety said.
-    skipped : str
-        Why the drill could not be done here; empty when it was.
-    """
-
+    # Its name, and what was done.
     fault: str
     what: str
-    safe_ticks: int = 0
+    safe_ticks: int = 0  # longest time for which an old force or damping acted
+    # Ticks without a timely answer, and ticks looked at, both from the strike on.
     lost_ticks: int = 0
     window_ticks: int = 0
-    energy_j: float = 0.0
-    recovered: bool = False
-    left: list[str] = []
-    passed: bool = False
-    reasons: list[str] = []
-    skipped: str = ""
+    energy_j: float = 0.0  # most energy given out since the strike [J]
+    recovered: bool = False  # whether fresh forces flow again at the end
+    left: list[str] = []  # orphans and stale files after the end
+    passed: bool = False  # safe in time, as far recovered as it must be, nothing left
+    reasons: list[str] = []  # why not; or what the driver's safety said
+    skipped: str = ""  # why the drill could not be done here; empty when it was
 
 
 class FaultSkippedError(MeasurementError):

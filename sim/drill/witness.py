@@ -24,21 +24,11 @@ UNEXPLAINED = "unexplained"
 
 
 class Witness:
-    """Reads the kernel's counts until it is closed.
-
-    Parameters
-    ----------
-    period : float
-        Sampling period T of the loop [s].
-
-    Attributes
-    ----------
-    pids : dict of str to int
-        Process number of each node of the chain; whoever knows of a new one changes it.
-    """
+    """Reads the kernel's counts until it is closed."""
 
     def __init__(self, period: float) -> None:
         self._period = period
+        # Process number of each node of the chain; whoever knows of a new one changes it.
         self.pids: dict[str, int] = {}
         self._found: dict[int, dict[int, str]] = {}
         self._times: list[float] = []

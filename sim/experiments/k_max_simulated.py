@@ -35,15 +35,7 @@ class SimulatedKMax:
 class SearchInterrupted(KeyboardInterrupt):
     """Ctrl-C during a search.
 
-    Parameters
-    ----------
-    found : list of SimulatedKMax
-        What was done until then, in the order of the laws.
-
-    Attributes
-    ----------
-    found : list of SimulatedKMax
-        The same.
+    `found`: what was done until then, in the order of the laws.
     """
 
     def __init__(self, found: list[SimulatedKMax]) -> None:

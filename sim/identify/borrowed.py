@@ -195,26 +195,13 @@ def _at_rest(loop: PushedLaunch, amplitude: float) -> float:
 
 
 class Borrowed:
-    """Law and surface of a launch in other hands.
-
-    Parameters
-    ----------
-    loop : PushedLaunch
-        The launch.
-
-    Attributes
-    ----------
-    law : str
-        The law that comes back at the end.
-    not_put_back : str
-        Why law or surface could not be put back; empty when they were.
-    """
+    """Law and surface of a launch in other hands."""
 
     def __init__(self, loop: PushedLaunch) -> None:
         self._loop = loop
-        self.law = str(ask(loop.run, loop.coupling, "law.list")["active"])
+        self.law = str(ask(loop.run, loop.coupling, "law.list")["active"])  # the law that comes back at the end
         self._surface = ask(loop.run, loop.environment, "param.get", name="surface")
-        self.not_put_back = ""
+        self.not_put_back = ""  # why law or surface could not be put back; empty when they were
         self._lost = ""
         self._over = threading.Event()
         self._renewing = threading.Thread(target=self._renew, name="leases", daemon=True)

@@ -181,31 +181,11 @@ def end(process: subprocess.Popen[Any], patience: float = DEADLINE) -> None:
 class Running:
     """A launch in the background, with a runtime directory of its own; what is not ended yet is interrupted at the end.
 
-    Parameters
-    ----------
-    *words : str
-        Arguments of ``haptic launch``.
-    folder : Path, optional
-        Its working directory; one of its own, removed at the end of the ``with`` block, when left out.
-    environment : mapping of str to str, optional
-        Variables beside those of this process.
-    ready : bool
-        Whether the ``with`` block begins at the first tick.
-    stderr : int, optional
-        Descriptor to use as standard error in place of ``stderr.txt``.
-
-    Attributes
-    ----------
-    folder, runtime_dir : Path
-        Working and runtime directory.
-    environment : dict of str to str
-        Variables that lead another ``haptic`` command to this launch.
-    process : subprocess.Popen
-        The launcher, in a process group of its own, so that it can be sent what Ctrl-C on a terminal sends.
-    context : zmq.Context
-        For sockets beside the launch; ended with it.
+    `folder`: its working directory; one of its own, removed at the end of the ``with`` block, when left out. `ready`: whether
+    the ``with`` block begins at the first tick. `stderr`: descriptor to use as standard error in place of ``stderr.txt``.
     """
 
+    # The launcher, in a process group of its own, so that it can be sent what Ctrl-C on a terminal sends.
     process: subprocess.Popen[bytes]
 
     def __init__(
@@ -219,11 +199,13 @@ class Running:
         # Short, because the paths of sockets are.
         self._place = tempfile.TemporaryDirectory(prefix="hapt-", dir="/tmp", ignore_cleanup_errors=True)
         place = Path(self._place.name)
+        # Working and runtime directory.
         self.folder = folder or place
         self.runtime_dir = place / "run"
         self.runtime_dir.mkdir(mode=0o700)
+        # Variables that lead another ``haptic`` command to this launch.
         self.environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(self.runtime_dir), **(environment or {})}
-        self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()  # for sockets beside the launch; ended with it
         self._words = words
         self._run_dir: Path | None = None
         self._ready = ready

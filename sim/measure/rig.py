@@ -47,25 +47,7 @@ def full_pipe() -> tuple[int, int]:
 class Rig(Running):
     """One launch under maltreatment.
 
-    Parameters
-    ----------
-    content : mapping
-        The launch file, as builtins.
-    environment : mapping of str to str, optional
-        Variables beside those of this process.
-    unread : bool
-        Whether nobody reads what the launch prints to standard error.
-
-    Attributes
-    ----------
-    states : list of DeviceState
-        What the driver published, in the order of receipt.
-    summary : dict
-        What ``haptic launch --json`` answered; empty before the end.
-    exit_code : int or None
-        Exit code of the launcher.
-    left : list of str
-        Processes and files that outlived the launch.
+    `unread`: whether nobody reads what the launch prints to standard error.
     """
 
     def __init__(
@@ -74,10 +56,10 @@ class Rig(Running):
         self._pipe = full_pipe() if unread else ()
         super().__init__("drill.yaml", environment=environment, stderr=self._pipe[1] if self._pipe else None)
         (self.folder / "drill.yaml").write_bytes(msgspec.json.encode(content))  # JSON is YAML
-        self.states: list[DeviceState] = []
-        self.summary: dict[str, Any] = {}
-        self.exit_code: int | None = None
-        self.left: list[str] = []
+        self.states: list[DeviceState] = []  # what the driver published, in the order of receipt
+        self.summary: dict[str, Any] = {}  # what ``haptic launch --json`` answered; empty before the end
+        self.exit_code: int | None = None  # exit code of the launcher
+        self.left: list[str] = []  # processes and files that outlived the launch
         self._ending = threading.Event()
         self._listener: threading.Thread | None = None
 

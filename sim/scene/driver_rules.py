@@ -25,25 +25,8 @@ from sim.device.model import DeviceModel
 class DriverRules:
     """What a driver does with each force, in lockstep.
 
-    Parameters
-    ----------
-    device : DeviceModel
-        The device.
-    period : float
-        Sampling period T [s].
-    next_tick : bool
-        Whether forces take effect one tick later.
-    parameters : SafetyParameters
-        Of its safety; the first axis of the workspace is the scene's.
-    passivity : PassivityParameters or None
-        Of its guard.
-    axes : sequence of int
-        The axes that the scene computes; its one axis counts as the first.
-
-    Attributes
-    ----------
-    state : DriverState
-        All that it keeps.
+    `parameters`: of its safety; the first axis of the workspace is the scene's. `axes`: the axes that the scene computes; its
+    one axis counts as the first.
     """
 
     def __init__(
@@ -59,7 +42,7 @@ class DriverRules:
             nothing = (-math.inf, math.inf)
             parameters = msgspec.structs.replace(parameters, workspace=(parameters.workspace[0], nothing, nothing))
         s = state_of(DriverState)
-        self.state = s
+        self.state = s  # all that it keeps
         s.period, s.virtual, s.next_tick = period, 1, next_tick
         s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
         set_safety(s, parameters, lower(parameters, DeviceLimits(), period), period)

@@ -54,20 +54,7 @@ class WorldState(ctypes.Structure):
 class World:
     """One arm.
 
-    Parameters
-    ----------
-    path : Path
-        Its file; made, with an arm of 0.1 kg held at the origin, where there is none.
-
-    Attributes
-    ----------
-    state : WorldState
-        It, as it is now. Of the faults, ``unplugged`` fails every call; ``nan`` gives positions that are none; ``positive``
-        lets calls give remarks; ``block_ms`` lets the next read take so long; ``manual`` asks for a calibration by hand;
-        ``cause`` keeps forces off; ``error`` reports an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops
-        the vendor's own thread; ``slow_ms`` lets each read take so long; ``stuck`` lets the encoders stand still; ``fails``
-        lets the call named ``fail`` fail; ``other`` is a force of somebody else [N]; ``late`` is the delay of the device
-        itself [s].
+    `path`: its file; made, with an arm of 0.1 kg held at the origin, where there is none.
     """
 
     def __init__(self, path: Path) -> None:
@@ -77,6 +64,12 @@ class World:
         with path.open("r+b") as file:
             self._mapped = mmap.mmap(file.fileno(), ctypes.sizeof(WorldState))
         self.path = path
+        # It, as it is now. Of the faults, ``unplugged`` fails every call; ``nan`` gives positions that are none; ``positive``
+        # lets calls give remarks; ``block_ms`` lets the next read take so long; ``manual`` asks for a calibration by hand;
+        # ``cause`` keeps forces off; ``error`` reports an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops
+        # the vendor's own thread; ``slow_ms`` lets each read take so long; ``stuck`` lets the encoders stand still; ``fails``
+        # lets the call named ``fail`` fail; ``other`` is a force of somebody else [N]; ``late`` is the delay of the device
+        # itself [s].
         self.state = WorldState.from_buffer(self._mapped)
         code = shared_library(
             "stand-in-world.so", [HERE / "world.c", HERE / "world.h"], [HERE / "world.c", "-lm"], "an arm"

@@ -37,67 +37,27 @@ NYQUIST = (1e3, 1e4)
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True):
-    """What a tuning is asked for.
+    """What a tuning is asked for."""
 
-    Attributes
-    ----------
-    out : Path
-        Folder of what it leaves.
-    taps : int
-        Length of the law.
-    spread, radius : float
-        Factor by which the mass may be off; largest pole radius.
-    nyquist : float or None
-        Largest |H(−1)| [N/m]; None for what friction quiets.
-    land : bool
-        Whether every drop must settle.
-    refuted : bool
-        Whether to design on a model that the recording refutes.
-    amplitude : float
-        Of the push [N]: a force above it is taken for a hand's.
-    load : float or None
-        The force that carries the device's weight [N]; None for what acts at rest.
-    rearm : bool
-        Whether the driver of a device that exists takes forces again after it stopped a trial.
-    command : str
-        What was typed.
-    """
-
-    out: Path
-    taps: int = 4
+    out: Path  # folder of what it leaves
+    taps: int = 4  # length of the law
+    # Factor by which the mass may be off; largest pole radius.
     spread: float = 1.25
     radius: float = 0.99
-    nyquist: float | None = None
-    land: bool = True
-    refuted: bool = False
-    amplitude: float = 0.7
-    load: float | None = None
-    rearm: bool = False
-    command: str = ""
+    nyquist: float | None = None  # largest |H(−1)| [N/m]; None for what friction quiets
+    land: bool = True  # whether every drop must settle
+    refuted: bool = False  # whether to design on a model that the recording refutes
+    amplitude: float = 0.7  # of the push [N]: a force above it is taken for a hand's
+    load: float | None = None  # the force that carries the device's weight [N]; None for what acts at rest
+    rearm: bool = False  # whether the driver of a device that exists takes forces again after it stopped a trial
+    command: str = ""  # what was typed
 
 
 class Tuning:
     """The steps, each a method; a launch is asked for when one needs it.
 
-    Parameters
-    ----------
-    options : Options
-        What is asked for.
-    running : callable
-        Finds the launch.
-    identified : callable
-        Pushes and identifies: the recording, why the push ended, the device.
-    say : callable
-        Told how it goes.
-    fresh : bool
-        Whether nothing of an earlier tuning counts.
-
-    Attributes
-    ----------
-    told : dict
-        What is known.
-    files : dict of str to str
-        What was written.
+    `identified`: pushes and identifies: the recording, why the push ended, the device. `fresh`: whether nothing of an earlier
+    tuning counts.
     """
 
     def __init__(
@@ -110,8 +70,8 @@ class Tuning:
     ) -> None:
         self._options, self._find, self._identified, self._say = options, running, identified, say
         self._file = options.out / "tune.json"
-        self.files = {"html": str(options.out / "tune.html"), "json": str(self._file)}
-        self.told: dict[str, Any] = {}
+        self.files = {"html": str(options.out / "tune.html"), "json": str(self._file)}  # what was written
+        self.told: dict[str, Any] = {}  # what is known
         if not fresh and self._file.exists():
             self.told = json.loads(self._file.read_text(encoding="utf-8"))
             for key in ("interrupted", "refused", "headline", "not_put_back"):

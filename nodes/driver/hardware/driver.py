@@ -22,20 +22,12 @@ HANDLE_PERIOD: Final = 0.02
 
 
 class HardwareDriver(Driver):
-    """A driver node with a real device; a kind names its class.
-
-    Attributes
-    ----------
-    hardware : type
-        The device.
-    checked : str
-        What its driver was tested against.
-    """
+    """A driver node with a real device; a kind names its class."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = HardwareParameters
     publishes: ClassVar[tuple[str, ...]] = (*Driver.publishes, topics.HANDLE)
-    hardware: ClassVar[type[MailboxDevice]]
-    checked: ClassVar[str] = ""
+    hardware: ClassVar[type[MailboxDevice]]  # the device
+    checked: ClassVar[str] = ""  # what its driver was tested against
 
     _condition = ""
 

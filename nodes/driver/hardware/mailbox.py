@@ -108,39 +108,20 @@ class HandleSample(NamedTuple):
 
 
 class MailboxDevice(ABC):
-    """One device; a kind defines how it is found, opened and closed, and what its errors mean.
+    """One device; a kind defines how it is found, opened and closed, and what its errors mean."""
 
-    Parameters
-    ----------
-    parameters : HardwareParameters
-        Of its driver.
-
-    Attributes
-    ----------
-    TITLE : str
-        What it is called in errors.
-    AXES : tuple of str
-        Its axes that are forward, left and up here, where it stands upright.
-    UNIT : float
-        Its unit of length [m].
-    facts : dict
-        What is known of it once it is connected: model, serial number, versions.
-    servo_rate : float
-        Samples that are asked for [Hz].
-    say : callable
-        Told what is waited for while it is opened, which may take long; whoever makes it takes that.
-    """
-
-    TITLE: ClassVar[str] = ""
+    TITLE: ClassVar[str] = ""  # what it is called in errors
+    # Its axes that are forward, left and up here, where it stands upright.
     AXES: ClassVar[Sequence[str]] = ("+x", "+y", "+z")
-    UNIT: ClassVar[float] = 1.0
+    UNIT: ClassVar[float] = 1.0  # its unit of length [m]
     SERVO: ClassVar[Path] = Path(__file__).with_name("mailbox.c")
     Shared: ClassVar[type[Any]] = Mailbox
 
     def __init__(self, parameters: Any) -> None:
         self.parameters = parameters
-        self.facts: dict[str, Any] = {}
-        self.servo_rate = 1000.0
+        self.facts: dict[str, Any] = {}  # what is known of it once it is connected: model, serial number, versions
+        self.servo_rate = 1000.0  # samples that are asked for [Hz]
+        # Told what is waited for while it is opened, which may take long; whoever makes it takes that.
         self.say: Callable[[str], None] = _silent
         self._waits = ""
         self._limits = DeviceLimits()

@@ -58,34 +58,8 @@ def load_mujoco(where: str) -> Any:
 class MovingScene:
     """A scene and its tool.
 
-    Parameters
-    ----------
-    file : Path
-        MJCF.
-    tool : str
-        Body that is the tool: a child of the world on three slide joints.
-    period : float
-        Sampling period of the loop [s].
-    where : str
-        Path of the parameters, for errors.
-    held : bool
-        Whether all but the tool is held where it begins.
-
-    Attributes
-    ----------
-    tool : int
-        The tool's body in the model.
-    mass : float
-        Of the tool, with what is fixed to it [kg].
-    steps : int
-        Steps of the scene in a tick: its own step, made shorter so that a whole number fits.
-    resets : int
-        How often the scene diverged and was put back to its beginning.
-
-    Raises
-    ------
-    ParameterError
-        When MuJoCo is not installed, the file cannot be read, or the tool is none.
+    `tool`: body that is the tool: a child of the world on three slide joints. `held`: whether all but the tool is held where
+    it begins. Raises ParameterError when MuJoCo is not installed, the file cannot be read, or the tool is none.
     """
 
     def __init__(self, file: Path, tool: str, period: float, where: str, held: bool = False) -> None:
@@ -111,8 +85,9 @@ class MovingScene:
         except ValueError as error:
             raise ParameterError(f"{where}.scene: {file}: {' '.join(str(error).split())}") from error
         self.data = mujoco.MjData(self.model)
+        # The tool's body in the model.
         self.tool, self._slides = self._find_tool(tool, file, where)
-        self.mass = float(self.model.body_subtreemass[self.tool])
+        self.mass = float(self.model.body_subtreemass[self.tool])  # of the tool, with what is fixed to it [kg]
         if self.mass < _LIGHTEST:
             raise ParameterError(
                 f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg"
@@ -125,6 +100,7 @@ class MovingScene:
                 f"{where}.scene: {file}: a geom of body {tool!r} reaches {widest:.4g} m, expected at most {WIDEST:g} m; "
                 "MJCF is in metres"
             )
+        # Steps of the scene in a tick: its own step, made shorter so that a whole number fits.
         self.steps = max(1, math.ceil(period / float(self.model.opt.timestep) - 1e-9))
         if self.steps > _MOST_STEPS:
             raise ParameterError(
@@ -135,7 +111,7 @@ class MovingScene:
         # Forces handed to the device: when they take effect [steps], and what they are [N]. Before the first, none.
         self._forces: deque[tuple[int, Vector]] = deque([(-1, (0.0, 0.0, 0.0))])
         self._done = 0
-        self.resets = 0
+        self.resets = 0  # how often the scene diverged and was put back to its beginning
         mujoco.mj_forward(self.model, self.data)
 
     def _find_tool(self, tool: str, file: Path, where: str) -> tuple[int, list[int]]:
