@@ -239,7 +239,8 @@ def test_a_trial_that_goes_far_is_over_for_good() -> None:
 def test_a_load_is_carried_before_during_and_after_on_the_first_axis() -> None:
     law = Knock(taps=TAPS, step=1e-4, ticks=5, load=0.98)
     forces = rendered(law, [0.0] * 10)
-    assert (forces[0], forces[-1]) == (pytest.approx(0.98 + TAPS[0] * 1e-4, rel=1e-12), 0.98)
+    assert forces[0] == pytest.approx(0.98 + TAPS[0] * 1e-4, rel=1e-12)
+    assert forces[-1] == 0.98
     second = law.compile(T).own_code(1)
     assert second is not None
     assert second([0.0] * 32, 0) == 0.0
