@@ -131,12 +131,15 @@ def test_one_word_is_one_module() -> None:
     assert {name: places for name, places in found.items() if len(places) > 1} == {}
 
 
-def test_the_tables_of_rooms_name_every_room() -> None:
+def test_the_tables_of_rooms_name_every_room_and_no_other() -> None:
     for floor in ("nodes", "sim"):
         page = (ROOT / floor / "README.md").read_text(encoding="utf-8")
-        told = set(re.findall(r"`([\w.]+?)/?`", "".join(re.findall(r"^\| (`.*?) \|", page, re.MULTILINE))))
+        table = re.search(r"^\| room .*\n\| ---.*\n((?:\|.*\n)+)", page, re.MULTILINE)
+        assert table is not None, floor
+        told = set(re.findall(r"`([\w.]+?)/?`", "".join(re.findall(r"^\| (`.*?) \|", table[1], re.MULTILINE))))
         there = {path.name for path in (ROOT / floor).iterdir() if path.is_dir() and path.name != "__pycache__"}
         assert there - told == set(), floor
+        assert {name for name in told if not (ROOT / floor / name).exists()} == set(), floor
 
 
 WITH_ARGUMENTS = {"sim.stand_ins.inverse_service": "a process of its own, that stands for a vendor's service"}
