@@ -38,6 +38,9 @@ AT_ONCE = 5000
 MAP_PERIOD = 0.25
 """Shortest time between two maps of stability [s]."""
 
+PICTURE_FIRST = 0.5
+"""How long the first page draws before the first map is computed, which takes longest: they may share a processor [s]."""
+
 FINAL = 0.5
 """How long pages may take to receive the end of a run [s]."""
 
@@ -109,7 +112,7 @@ class RunPages:
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
         self._mapped: tuple[str, float] = ("", -1.0)
-        self._mapped_at = 0.0
+        self._mapped_at = self._opened_at = 0.0
         feed = self.live.feed
         told = {
             "series": feed.names,
@@ -143,6 +146,7 @@ class RunPages:
         return shape_of(environment.parameters)
 
     def _open_page(self) -> RunPage:
+        self._opened_at = time.monotonic()
         return RunPage(self)
 
     async def command(self, request: dict[str, Any]) -> Any:
@@ -259,12 +263,14 @@ class RunPages:
             self._start("laws", self._read_laws)
         wanted = self._laws.get("active", "")
         described = self._laws.get("laws", {}).get(wanted)
-        if self.server.pages and described is not None and time.monotonic() - self._mapped_at > MAP_PERIOD:
+        now = time.monotonic()
+        rested = now - self._mapped_at > MAP_PERIOD if self._mapped_at else now - self._opened_at > PICTURE_FIRST
+        if self.server.pages and described is not None and rested:
             judged = (wanted, described, self._laws.get("plant"), self._laws.get("device_delay"))
             key, delay = repr(judged), self._mapped[1]
             # A delay that merely trembles draws no new map.
             if key != self._mapped[0] or abs(live.delay - delay) > 0.02 + 0.05 * delay:
-                self._mapped, self._mapped_at = (key, live.delay), time.monotonic()
+                self._mapped, self._mapped_at = (key, live.delay), now
                 self._start("map", self._draw_map)
 
     def _start(self, name: str, job: Callable[[], Any]) -> None:

@@ -26,6 +26,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from nodes.parameters.store import ParameterError
+from nodes.view.bundle import bundle
 from nodes.view.commands import CommandError
 
 ADDRESS = "127.0.0.1"
@@ -104,7 +105,7 @@ def check_address(address: str, port: int) -> None:
 
 
 def _files() -> dict[str, tuple[str, bytes]]:
-    """Read the page's files: a few, and small."""
+    """Read the page's files: a few, and small; those of its first screen in as few as can be, for each costs a connection."""
     found: dict[str, tuple[str, bytes]] = {}
 
     def walk(folder: Any, prefix: str) -> None:
@@ -116,6 +117,8 @@ def _files() -> dict[str, tuple[str, bytes]]:
                 found[prefix + entry.name] = (f"{kind}; charset=utf-8", entry.read_bytes())
 
     walk(importlib.resources.files("nodes.view") / "web", "")
+    kind = found["main.js"][0]
+    found["main.js"] = kind, bundle({name: body.decode() for name, (_, body) in found.items() if name.endswith(".js")}, "main").encode()
     return found
 
 

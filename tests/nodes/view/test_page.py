@@ -61,6 +61,8 @@ def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
     wait_for(lambda: "Hz" in shown(page, "#figures"), "the rate")
     # What is not on this machine is not asked for.
     assert page.evaluate("performance.getEntriesByType('resource').every((e) => e.name.startsWith(location.origin))")
+    # Each file is a connection, and a browser on one processor feels thirty of them.
+    assert page.evaluate("performance.getEntriesByType('resource').length") <= 6
 
 
 def test_the_mouse_is_a_hand(page: Page, launch: Running) -> None:
