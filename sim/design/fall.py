@@ -130,6 +130,45 @@ def settles_one(i: int, drops: Any, taps: Any, recursive: Any, ticks: int, toler
     return near
 
 
+def fallen(plant: FlexiblePlant, period: float, taps: Sequence[float], height: float, ticks: int) -> tuple[Any, Any]:
+    """Let a device with all that it has fall on the wall of a law, and watch it.
+
+    Parameters
+    ----------
+    plant : FlexiblePlant
+        The device; its joint and lag included.
+    period : float
+        Sampling period T [s].
+    taps : sequence of float
+        The law [N/m].
+    height : float
+        From which it falls [m].
+    ticks : int
+        How long.
+
+    Returns
+    -------
+    ndarray, ndarray
+        Position [m] and force [N] of each tick; the penetration is the history, and no force pulls into the floor.
+    """
+    whole, step, new, old = plant.held(period)
+    pull = plant.pulled(period, GRAVITY)
+    law, history, head, forces = np.array(taps), np.zeros(2 * max(len(taps), 2)), 0, [0.0] * (whole + 2)
+    state = np.zeros(len(new))
+    state[0] = height
+    if len(new) >= 4:
+        state[2] = height
+    told = np.empty((2, ticks))
+    for k in range(ticks):
+        x = float(state[0])
+        head = push(history, head, len(history) // 2, max(0.0, -x))
+        force = fir(law, history, head)
+        forces = [one_sided(force, 1.0, force, x < 0.0, False, True), *forces[:-1]]
+        told[:, k] = x, forces[0]
+        state = step @ state + pull + new * forces[whole] + old * forces[whole + 1]
+    return told[0], told[1]
+
+
 def _settled(drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, told: Any) -> None:
     for i in range(len(told)):
         told[i] = settles_one(i, drops, taps, recursive, ticks, tolerance, False)

@@ -13,7 +13,21 @@ from sim.identify.encoder import encoder
 from sim.identify.experiment import Experiment
 from sim.identify.first_guess import first_guess
 from sim.identify.identified import Identified
-from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS, window
+from sim.identify.identified_motion import (
+    DAMPING,
+    DELAY,
+    FREQUENCY,
+    FRICTION,
+    LAG,
+    LOAD,
+    LOSS,
+    MOBILITY,
+    NAMES,
+    QUADRATIC,
+    SHARE,
+    STIFFNESS,
+    window,
+)
 from sim.identify.output_error import Fit, fit, windows
 
 Array = NDArray[np.float64]
@@ -62,8 +76,8 @@ def initial_state(experiment: Experiment, found: Identified) -> tuple[float, flo
 def followed(experiment: Experiment, found: Identified, count: int) -> tuple[NDArray[np.int64], Array]:
     """Let an identified device move through the first windows of a run, each from where the run has it at its beginning.
 
-    `found`: the device, its mass known; its joint and lag, if any, are left out. Returns `starts` (first tick of each window),
-    `positions` (of the model [m]).
+    `found`: the device, its mass known; with its joint, lag and quadratic damping, where it has any. Returns `starts` (first
+    tick of each window), `positions` (of the model [m]).
     """
     starts = windows(experiment, found.ticks)[:count]
     begun = _begun(experiment, found, starts)
@@ -74,11 +88,18 @@ def followed(experiment: Experiment, found: Identified, count: int) -> tuple[NDA
 
 
 def _begun(experiment: Experiment, found: Identified, starts: NDArray[np.int64]) -> Fit:
-    """Find where a device that is known begins each window."""
+    """Find where a device that is known begins each window, with all that was found of it."""
     mass, _, _ = found.mass.known()
-    parts = (found.damping, found.friction, found.stiffness, found.load)
-    theta = np.zeros(11)
-    theta[:6] = np.array([1.0, *(part.value or 0.0 for part in parts), mass * (found.device_delay.value or 0.0)]) / mass
+    per_mass = {DAMPING: found.damping, FRICTION: found.friction, STIFFNESS: found.stiffness, LOAD: found.load}
+    per_mass[QUADRATIC] = found.quadratic
+    direct = {DELAY: found.device_delay, SHARE: found.share, FREQUENCY: found.frequency, LOSS: found.loss}
+    theta = np.zeros(len(NAMES))
+    theta[MOBILITY] = 1.0 / mass
+    for which, part in per_mass.items():
+        theta[which] = (part.value or 0.0) / mass
+    for which, part in direct.items():
+        theta[which] = part.value or 0.0
+    theta[LAG] = (found.lag.value or 0.0) / experiment.period
     return fit(experiment, starts, found.ticks, theta, (), found.encoder.value or 1e-6)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,23 +85,18 @@ def _felt(told: Mapping[str, Any]) -> Figure | None:
         return None
     from matplotlib.figure import Figure
 
-    from nodes.laws import CompiledLaw
-    from sim.design.landing import HEIGHTS, dropped
+    from sim.design.fall import fallen
+    from sim.design.landing import HEIGHTS
     from sim.identify.identified_text import from_figures
-    from sim.scene.loop import run
-    from sim.tune.design import from_record
 
-    designed = told["designed"]
-    mass = from_figures(told["identified"]).anyway().mass.value
-    if mass is None:
+    designed, found = told["designed"], from_figures(told["identified"]).anyway()
+    if None in (found.mass.value, found.damping.value, found.delay.value):
         return None
-    asked = from_record(designed["demand"])
-    trace = run(
-        dropped(asked, mass, False, True, HEIGHTS[0]),
-        CompiledLaw(tuple(designed["taps_n_per_m"])),
-        round(FALL / asked.period),
-    )
-    depth, force = -1e3 * trace.measured, trace.force
+    # Nobody holds what falls.
+    plant = replace(found.plant(), stiffness=0.0)
+    ticks = round(FALL / found.period)
+    position, force = fallen(plant, found.period, designed["taps_n_per_m"], HEIGHTS[0], ticks)
+    depth = -1e3 * position
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     axes = figure.subplots()
     axes.plot(depth, force, color=COLOURS[0], ls="-", lw=1.0, label="a fall from 10 mm")

@@ -113,7 +113,7 @@ def viewing(launch_folder: Path, *words: str, environment: Any = None, stderr: A
 
 
 def shown(page: Page, selector: str) -> str:
-    """Read what stands at a place of the page.
+    """Read what stands at a place of the page; a space that keeps number and unit on one line is read as any other.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def shown(page: Page, selector: str) -> str:
     str
         Its text.
     """
-    return page.locator(selector).inner_text()
+    return page.locator(selector).inner_text().replace("\u00a0", " ")
 
 
 def bins(page: Page) -> int:

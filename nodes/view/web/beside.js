@@ -1,5 +1,5 @@
 // A | B: what the same hand feels with another law, played beside the launch, drawn over what the launch does.
-import { fixed } from "./format.js";
+import { fixed, unbroken } from "./format.js";
 
 const KEPT = 8000;
 
@@ -40,7 +40,7 @@ export class Beside {
     const over = this.times.length - KEPT;
     if (over > 0) for (const list of [this.times, this.position, this.force]) list.splice(0, over);
     const strongest = force.reduce((most, each) => Math.max(most, Math.abs(each)), 0);
-    this.told.textContent = `up to ${fixed(strongest, 2)} N`;
+    this.told.textContent = unbroken(`up to ${fixed(strongest, 2)} N`);
   }
 
   get on() { return this.law !== "" && this.times.length > 0; }

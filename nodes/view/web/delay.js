@@ -1,5 +1,5 @@
 // How late a virtual device answers: as far as the loop bears it, and past that only where the dial may go past, too.
-import { fixed } from "./format.js";
+import { fixed, unbroken } from "./format.js";
 
 const STEPS = 400, BELOW = 0.98, FARTHEST = 8, RESTS = 700;
 
@@ -47,7 +47,7 @@ export class Delay {
 
   write(ticks) {
     const edge = this.edge === null ? "" : this.edge <= 0 ? ", and past the edge all the same" : this.isPast(ticks) ? `, past the edge at ${fixed(this.edge, 1)}` : ` of ${fixed(this.edge, 1)} to the edge`;
-    this.told.textContent = `${fixed(ticks, 1)} ticks${edge} (${fixed(ticks * this.period, 1)} ms)`;
+    this.told.textContent = unbroken(`${fixed(ticks, 1)} ticks${edge} (${fixed(ticks * this.period, 1)} ms)`);
     this.told.classList.toggle("bad", this.isPast(ticks));
     this.slider.setAttribute("aria-valuetext", this.told.textContent);
   }

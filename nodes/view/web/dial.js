@@ -1,5 +1,5 @@
 // One dial: how hard the wall is. On a real device it ends at the edge of stability; a virtual one may be let go past it.
-import { figure } from "./format.js";
+import { figure, unbroken } from "./format.js";
 
 const STEPS = 1000, SOFTEST = 0.02, BELOW = 0.98, PAST = 8, RESTS = 700;
 
@@ -83,11 +83,11 @@ export class Dial {
 
   write(stiffness) {
     const past = this.isPast(stiffness);
-    this.hardness.textContent = `${figure(stiffness)} N/m`;
+    this.hardness.textContent = unbroken(`${figure(stiffness)} N/m`);
     this.hardness.classList.toggle("bad", past);
-    this.mark.textContent = this.edge === null ? "The edge is not known here."
+    this.mark.textContent = unbroken(this.edge === null ? "The edge is not known here."
       : past ? `${figure(stiffness / this.edge)} × the edge of ${figure(this.edge)} N/m`
-      : `edge at ${figure(this.edge)} N/m: ${figure(this.edge / stiffness)} × this`;
+      : `edge at ${figure(this.edge)} N/m: ${figure(this.edge / stiffness)} × this`);
     this.dial.setAttribute("aria-valuetext", `${this.hardness.textContent}, ${this.mark.textContent}`);
   }
 }

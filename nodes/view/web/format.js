@@ -17,7 +17,10 @@ export function figure(value) {
   return fixed(value, Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value)))));
 }
 
-export function count(number, word) { return `${fixed(number, 0)} ${word}${number === 1 ? "" : "s"}`; }
+// A number and its unit stay on one line.
+export function unbroken(text) { return text.replace(/(\d) (?=(N|N\/m|N s\/m|mJ|mm|ms|µs|s|kg|Hz|ticks?|times|strokes)\b)/g, "$1\u00a0"); }
+
+export function count(number, word) { return `${fixed(number, 0)}\u00a0${word}${number === 1 ? "" : "s"}`; }
 
 // As many digits as tell one line of a ruler from the next.
 export function digits(step) { return Math.max(0, -Math.floor(Math.log10(step) + 1e-9)); }

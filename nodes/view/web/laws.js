@@ -1,5 +1,5 @@
 // The law: which one renders, and a control for each of its parameters, made from the law's own types and limits.
-import { figure } from "./format.js";
+import { figure, unbroken } from "./format.js";
 
 const WAIT = 60;
 const READ = 12000;
@@ -41,9 +41,9 @@ export class Laws {
   refuse(error) {
     const most = /the (largest|smallest) \S+?\.?(\w+) that would be taken is ([\d.e+-]+)/i.exec(error);
     const short = document.createElement("summary"), whole = document.createElement("details");
-    short.textContent = most ? `Refused: the loop would be unstable. The ${most[1].toLowerCase()} ${most[2]} that would be taken is ${figure(Number(most[3].replace(/\.$/, "")))}.` : error;
+    short.textContent = most ? `Refused: the loop would be unstable. The ${most[1].toLowerCase()} ${most[2]} that would be taken is ${figure(Number(most[3].replace(/\.$/, "")))}.` : unbroken(error);
     whole.append(short);
-    if (most) whole.append(error);
+    if (most) whole.append(unbroken(error));
     this.refusal.replaceChildren(whole);
     this.refusal.hidden = false;
     clearTimeout(this.reading);

@@ -1,5 +1,5 @@
 // The map of stability: which K and B of the present kind of law the loop bears, and where the law stands.
-import { digits, figure, fixed, step } from "./format.js";
+import { digits, figure, fixed, step, unbroken } from "./format.js";
 import { colour, onTheme } from "./theme.js";
 
 export class StabilityMap {
@@ -62,14 +62,14 @@ export class StabilityMap {
     if (before?.edge && map.edge && (before.k_n_per_m !== map.k_n_per_m || before.b_n_s_per_m !== map.b_n_s_per_m)) this.trail = [...this.trail.slice(-40), [before.b_n_s_per_m, before.k_n_per_m]];
     this.canvas.hidden = !map.edge;
     this.button.hidden = !map.edge;
-    this.words.replaceChildren(...this.tell(map));
+    this.words.replaceChildren(...this.tell(map).map((part) => (typeof part === "string" ? unbroken(part) : part)));
     this.canvas.setAttribute("aria-label", this.words.textContent);
     this.draw();
   }
 
   tell(map) {
     if (map.why) return [map.why];
-    const bold = (text, bad) => Object.assign(document.createElement("b"), { textContent: text, className: bad ? "bad" : "" });
+    const bold = (text, bad) => Object.assign(document.createElement("b"), { textContent: unbroken(text), className: bad ? "bad" : "" });
     const { mass, heaviest } = map.plant, least = figure(mass), most = figure(heaviest ?? mass);
     const worst = heaviest ? ` and with ${figure(map.mass_kg)} kg, the worst of ${least} to ${most} kg` : "";
     const at = ` at a delay of ${fixed(map.delay_ticks, 2)} ticks${worst}`;

@@ -79,6 +79,8 @@ function labels({ g, upright, length, breadth }, lines, letter) {
     g.textAlign = upright ? "left" : "center";
     if (upright) g.fillText(words, 10 - breadth / 2, -u - 4); else g.fillText(words, u, breadth / 2 - 10);
   }
+  // In the small lens of a phone it would lie over what is looked at.
+  if (Math.max(length, breadth) < 160) return;
   g.textAlign = "right";
   g.fillText(`${letter} [mm]`, (upright ? breadth : length) / 2 - 12, (upright ? length : breadth) / 2 - 26);
 }

@@ -1,5 +1,5 @@
 // Time plots: position, force, energy, response; each column of pixels shows its least and largest value.
-import { digits, fixed } from "./format.js";
+import { digits, fixed, unbroken } from "./format.js";
 import { colour, onTheme } from "./theme.js";
 
 const UNIT = { position: ["Position [mm]", 1e3], force: ["Force [N]", 1], energy: ["Energy of the wall [mJ]: + given out, − taken in", 1e3], response: ["Response [µs]", 1e6] };
@@ -142,7 +142,7 @@ export class Plots {
         if (value !== null && value !== undefined) parts.push(`${label} ${fixed(value, unit === "response" ? 0 : 2)} ${UNITS[unit]}`);
       }
     }
-    this.values.textContent = parts.join(" · ");
+    this.values.textContent = unbroken(parts.join(" · "));
   }
 
   zoom(factor) {

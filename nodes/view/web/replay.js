@@ -1,5 +1,5 @@
 // The time slider of a recording.
-import { fixed } from "./format.js";
+import { fixed, unbroken } from "./format.js";
 
 export class Replay {
   constructor(places, ask) {
@@ -37,7 +37,7 @@ export class Replay {
   at(t) {
     if (!this.on || Number.isNaN(t)) return;
     if (!this.moving) this.seek.value = t;
-    this.clock.textContent = `${fixed(t, 2)} s`;
+    this.clock.textContent = unbroken(`${fixed(t, 2)} s`);
     if (this.playing && t >= Number(this.seek.max) - 1e-6) this.show(false);
   }
 }

@@ -1,5 +1,5 @@
 // The scene to scale along one axis of those that the loop computes, and beside it the last millimetre around the surface.
-import { fixed } from "./format.js";
+import { fixed, unbroken } from "./format.js";
 import { Hand } from "./hand.js";
 import { paint } from "./picture.js";
 import { onTheme } from "./theme.js";
@@ -120,6 +120,6 @@ export class Scene {
     const parts = [`${fixed(now.position[axis] * 1e3, 2)} mm`];
     if (now.contact === 1 && this.surface) parts.push(`${fixed(Math.abs(now.distance * 1e3), 2)} mm deep`);
     parts.push(`${fixed(now.force[axis], 2)} N`);
-    this.reading.textContent = parts.join("   ·   ");
+    this.reading.textContent = unbroken(parts.join("   ·   "));
   }
 }

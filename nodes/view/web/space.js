@@ -1,5 +1,5 @@
 // The scene in three dimensions: its solids, drawn again only when they or the camera move, and over them device, proxy and force.
-import { fixed } from "./format.js";
+import { fixed, unbroken } from "./format.js";
 import { Solids } from "./solids.js";
 import { dotAt, line, ring, zigzag } from "./strokes.js";
 import { colour, onTheme } from "./theme.js";
@@ -222,7 +222,7 @@ export class Space {
     if (!this.now) return;
     const { contact, distance, normal, force } = this.now, parts = [];
     if (contact === 1 && normal.some(Boolean)) parts.push(`${fixed(Math.abs(distance) * 1e3, 2)} mm deep`);
-    place.textContent = [...parts, `${fixed(Math.hypot(...force), 2)} N`].join("   ·   ");
+    place.textContent = unbroken([...parts, `${fixed(Math.hypot(...force), 2)} N`].join("   ·   "));
   }
 
   // Inside it the contact sticks; red when the force lies on it or beyond.

@@ -1,5 +1,5 @@
 // How it stands: one sentence, and the figures.
-import { count, fixed } from "./format.js";
+import { count, fixed, unbroken } from "./format.js";
 
 export class Status {
   constructor(places) { Object.assign(this, places); this.rows = new Map(); this.ended = false; this.lost = 0; }
@@ -11,13 +11,13 @@ export class Status {
   }
 
   tell(text) {
-    this.notice.textContent = text;
+    this.notice.textContent = unbroken(text);
     this.notice.hidden = false;
   }
 
   show(found) {
     // A screen reader is told when the sentence changes in kind, not ten times a second.
-    this.words.textContent = found.words;
+    this.words.textContent = unbroken(found.words);
     this.words.dataset.level = this.dot.dataset.level = found.level;
     this.row("rate", found.rate_hz ? `${fixed(found.rate_hz, 1)} Hz` : "–");
     this.row("response p50", micro(found.response_us.p50));
@@ -35,7 +35,8 @@ export class Status {
     }
   }
 
-  row(name, text, bad = false) {
+  row(name, told, bad = false) {
+    const text = unbroken(told);
     if (!this.rows.has(name)) {
       const row = document.createElement("div"), value = document.createElement("dd");
       row.append(Object.assign(document.createElement("dt"), { textContent: name }), value);

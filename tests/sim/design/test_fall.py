@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant
 from sim.design.demand import CONVENTIONS, Demand, filtered
 from sim.design.evolution import _lands
-from sim.design.fall import Falls, falls, settled
+from sim.design.fall import Falls, fallen, falls, settled
 from sim.design.landing import HEIGHTS, dropped
 from sim.experiments.drop import Criterion, settles
+from sim.scene.loop import run
 
 T = 0.002
 RIGID = Demand((0.08, 0.125), 1.0, (1.0, 1.3), T, 0.99, 1e4, lands=CONVENTIONS)
@@ -41,6 +43,24 @@ def test_a_rigid_device_falls_as_in_the_simulator() -> None:
         assert ours == theirs
         seen |= set(ours)
     assert seen == {True, False}
+
+
+@pytest.mark.parametrize("law", laws()[::6])
+def test_a_fall_that_is_watched_is_the_simulator_s(law: CompiledLaw) -> None:
+    """Rigid: its positions and forces; with joint and lag: what it comes to is the verdict."""
+    scene = dropped(RIGID, 0.1, False, True, HEIGHTS[0])
+    trace, taps = run(scene, CompiledLaw(law.taps), 300), law.taps
+    position, force = fallen(FlexiblePlant(0.1, RIGID.damping, RIGID.delay[1]), T, taps, HEIGHTS[0], 300)
+    # Two exact maps of one tick, 300 times rounded; a bounce multiplies that.
+    assert position == pytest.approx(trace.measured, abs=1e-9)
+    assert force == pytest.approx(trace.force, abs=1e-5)
+    beyond = (0.004, 0.4, 30.0, 0.02)
+    whole, rules = replace(RIGID, beyond=(beyond,)), Criterion()
+    verdict = settled(CompiledLaw(taps), falls(whole, [0.1], [(False, True)], HEIGHTS[:1]), rules)[0]
+    position, _ = fallen(FlexiblePlant(0.1, 1.0, 1.3, 0.0, *beyond), T, taps, HEIGHTS[0], rules.ticks)
+    last = position[-(rules.ticks // 4) :]
+    rests = abs(last.mean() + 0.1 * 9.81 / sum(taps)) <= rules.tolerance and np.ptp(last) <= rules.tolerance
+    assert rests == verdict
 
 
 def test_the_quick_verdict_is_that_of_the_whole_drop() -> None:
