@@ -118,7 +118,8 @@ def _files() -> dict[str, tuple[str, bytes]]:
 
     walk(importlib.resources.files("nodes.view") / "web", "")
     kind = found["main.js"][0]
-    found["main.js"] = kind, bundle({name: body.decode() for name, (_, body) in found.items() if name.endswith(".js")}, "main").encode()
+    modules = {name: body.decode() for name, (_, body) in found.items() if name.endswith(".js")}
+    found["main.js"] = kind, bundle(modules, "main").encode()
     return found
 
 

@@ -128,7 +128,8 @@ def test_numbers_and_names_are_written_one_way(page: Page) -> None:
     # Number and unit stay on one line, here as in every sentence.
     broken = r"/\d (N|mJ|mm|ms|ticks?|s|µs|Hz)\b/.test(document.body.innerText)"
     assert not page.evaluate(broken)
-    sentence = page.evaluate("""async () => (await import("./format.js")).unbroken("10 N 6 times within 0.25 s, 31.8 mJ; 3 N/m")""")
+    join = "async (text) => (await import('./format.js')).unbroken(text)"
+    sentence = page.evaluate(join, "10 N 6 times within 0.25 s, 31.8 mJ; 3 N/m")
     assert sentence == "10\u00a0N 6\u00a0times within 0.25\u00a0s, 31.8\u00a0mJ; 3\u00a0N/m"
     offered = page.evaluate("[...document.querySelectorAll('#laws input, #laws option')].map((e) => e.value)")
     assert "pd" in offered
