@@ -6,7 +6,8 @@ between sample and force.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -71,6 +72,9 @@ class ControlError(RefusedError):
 
 
 T = TypeVar("T")
+
+_WATCHED = 250
+"""How often one who waits looks whether the node is there [ms]."""
 
 _request = msgspec.msgpack.Decoder(Request)
 _reply = msgspec.msgpack.Decoder(Reply)
@@ -187,11 +191,16 @@ class Connection:
         Context of the calling process.
     endpoint : str
         The node's control endpoint.
+    watch : callable, optional
+        Called again and again while an answer is waited for; it raises when there is nobody left who could give one.
     """
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str) -> None:
+    def __init__(
+        self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str, watch: Callable[[], None] | None = None
+    ) -> None:
         self._context = context
         self._endpoint = endpoint
+        self._watch = watch
         self._socket: zmq.Socket[bytes] | None = None
 
     def call(self, op: str, timeout: float = 2.0, **args: object) -> Any:
@@ -226,7 +235,7 @@ class Connection:
         socket.rcvtimeo = socket.sndtimeo = int(timeout * 1000)
         try:
             socket.send(payload)
-            frames = socket.recv_multipart()
+            frames = self._received(socket, time.monotonic() + timeout)
         except zmq.Again as error:
             # What comes later must not be taken for the answer to another request.
             self.drop()
@@ -240,6 +249,18 @@ class Connection:
         if not reply.ok:
             raise ControlError(reply.error)
         return reply.result
+
+    def _received(self, socket: zmq.Socket[bytes], until: float) -> list[bytes]:
+        """Wait for the reply; a node that has ended in the meantime gives none, and need not be waited for."""
+        while self._watch is not None and not socket.poll(_WATCHED):
+            if time.monotonic() >= until:
+                raise zmq.Again
+            try:
+                self._watch()
+            except ControlError:
+                self.drop()
+                raise
+        return socket.recv_multipart()
 
     def _refuse_revoked(self) -> None:
         """Ask no machine whose key is not allowed here any more, and hear nothing from it."""

@@ -13,8 +13,8 @@ from typing import Any
 from messages import topics
 from messages.errors import UsageError
 from messages.transport.context import new_context
-from messages.transport.requests import ControlError, call
-from nodes.launcher.runs import RunError, RunInfo, find_run, runs
+from messages.transport.requests import Connection, ControlError
+from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs
 
 TIMEOUT = 10.0
 """Longest wait for an answer [s]: judging a law of thousands of taps takes seconds."""
@@ -105,9 +105,15 @@ def ask(run: RunInfo, node: str, op: str, timeout: float = TIMEOUT, **args: Any)
     strings and numbers. Raises ControlError when the node refuses, does not answer, or cannot be asked that; the text says
     why.
     """
+
+    def watch() -> None:
+        if not alive(run.launcher, run.launcher_started):
+            raise ControlError(f"{run.run} has ended, and nobody answers {op} any more")
+
     context = new_context()
     try:
-        return call(context, run.nodes[node_name(run, node)].control, op, timeout=timeout, **args)
+        line = Connection(context, run.nodes[node_name(run, node)].control, watch)
+        return line.call(op, timeout, **args)
     except (ValueError, OverflowError, TypeError) as error:
         # An endpoint or key that cannot be used, a value that no message can carry.
         raise ControlError(str(error)) from error

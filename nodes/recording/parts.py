@@ -35,7 +35,8 @@ def _run_of(path: Path) -> str:
 def parts_of(path: Path) -> list[Path]:
     """Find the parts of a recording."""
     found = [path]
-    if not part(path, 2).is_file():
+    # A folder such as . or / has no name that could be followed by another; who opens it says so.
+    if not path.name or not part(path, 2).is_file():
         return found
     run = _run_of(path)
     while run and (following := part(path, len(found) + 1)).is_file() and _run_of(following) == run:

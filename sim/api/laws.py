@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
+import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw, Law
@@ -49,6 +50,8 @@ def law(kind: LawLike, **parameters: Any) -> Law:
         return parse_law({"kind": kind, **parameters}, kind)
     if isinstance(kind, Mapping):
         return parse_law({**kind, **parameters})
+    if not isinstance(kind, Sequence | np.ndarray):
+        raise TypeError(f"{kind!r} is no law: expected a kind, a preset, a mapping as in YAML, taps [N/m] or a law")
     return parse_law({"kind": "fir", "taps": [float(tap) for tap in kind], **parameters})
 
 

@@ -247,7 +247,7 @@ def drop(law: LawLike, plant: Plant, height: float = 0.01, ticks: int = 1500) ->
     Raises
     ------
     ValueError
-        When the plant has a hand: nobody holds what is dropped.
+        When the plant has a hand: nobody holds what is dropped; when the height is below 0.
 
     Examples
     --------
@@ -260,6 +260,8 @@ def drop(law: LawLike, plant: Plant, height: float = 0.01, ticks: int = 1500) ->
 
     if plant.stiffness:
         raise ValueError(f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: no hand holds a dropped mass")
+    if not 0.0 <= height < np.inf:
+        raise ValueError(f"height is {height:g} m, expected at least 0: the floor is at 0")
     device = DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay)
     scene = drop_scene(device, plant.period, raw=False, clamp=False, height=height)
     taps = compiled(law, plant.period)

@@ -10,7 +10,7 @@ import json
 import re
 import subprocess
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -29,6 +29,9 @@ _TABLES = ("rows", "points", "drops", "edges", "curves", "cases", "terms", "para
 
 _ON_OR_OFF = ("land",)
 """Options that are on unless they are switched off."""
+
+_USAGE = re.compile(r"^usage: .*\n(?: .*\n)*", re.MULTILINE)
+"""How argparse begins what it says of an option that there is not."""
 
 _SHARE = re.compile(r"^(\d+) % ")
 """How a verb says how far it is, where nobody looks at a terminal (sim/measure/stopwatch.py)."""
@@ -148,8 +151,13 @@ def _run(*words: str) -> Answer:
         out_pipe.close()
     lines = out.splitlines()
     if process.returncode not in (0, 1) or not lines:
-        raise LaunchError(f"{command}: exit code {process.returncode}: {''.join(told).strip()}")
+        raise LaunchError(f"{command}: exit code {process.returncode}: {_refusal(told)}")
     return Answer(command, json.loads(lines[-1]), process.returncode == 0)
+
+
+def _refusal(told: Iterable[str]) -> str:
+    """Take the refusal from what a verb wrote; how it is used is told by ``haptic ... --help``."""
+    return _USAGE.sub("", "".join(told)).strip()
 
 
 def _collect(stream: IO[str], told: collections.deque[str], step: Any) -> None:
@@ -290,11 +298,14 @@ def tune(
     Raises
     ------
     LaunchError
-        When a step refuses; the text says why.
+        When a step refuses; the text says why. What was found before it is in ``tune.json``.
 
     Examples
     --------
     >>> tune("identify", arguments={"pace": "lockstep"})  # doctest: +SKIP
     """
     given = [f"{name}:={value}" for name, value in plain(arguments or {}).items()]
-    return _run("tune", scenario, *given, "--out", str(out), *_words(options))
+    found = _run("tune", scenario, *given, "--out", str(out), *_words(options))
+    if "refused" in found.answer:
+        raise LaunchError(f"{found.command}: {found['refused']}")
+    return found

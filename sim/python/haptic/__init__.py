@@ -7,9 +7,11 @@
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # As typing has it, which takes longer to load than all of this.
 if TYPE_CHECKING:
+    from typing import Any
+
     from messages.errors import HapticError
     from nodes.laws.parse import LawRefusedError
     from nodes.stability.plant import Plant

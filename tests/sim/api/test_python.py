@@ -44,7 +44,7 @@ def test_it_loads_nothing_until_it_is_used() -> None:
     code = "import sys; before = set(sys.modules); import haptic; print(*sorted(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    assert loaded.isdisjoint({"numpy", "numba", "scipy", "matplotlib", "zmq", "msgspec", "asyncio"}), loaded
+    assert loaded.isdisjoint({"numpy", "numba", "scipy", "matplotlib", "zmq", "msgspec", "asyncio", "typing"}), loaded
 
 
 @pytest.mark.parametrize(
@@ -84,6 +84,8 @@ def test_whatever_means_a_law_is_taken() -> None:
     for law in (mapping, pd, [1500 + 3 / 0.002, -3 / 0.002], pd.compile(0.002)):
         assert haptic.poles(law, plant).radius == pytest.approx(haptic.poles(pd, plant).radius, abs=1e-12)
     assert haptic.law(pd, stiffness=800) == PD(stiffness=800.0, damping=3.0)
+    with pytest.raises(TypeError, match=r"3 is no law: expected a kind, a preset"):
+        haptic.law(3)  # type: ignore[arg-type]
 
 
 def test_k_max_is_the_closed_form_and_the_edge_of_the_poles() -> None:
@@ -111,6 +113,10 @@ def test_results_show_themselves() -> None:
     assert len(haptic.plot(fallen).axes) == 2
     with pytest.raises(ValueError, match="nobody holds"):
         haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0, stiffness=5.0))
+    with pytest.raises(ValueError, match="the floor is at 0"):
+        haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0), height=-0.01)
+    with pytest.raises(haptic.HapticError, match="Is a directory"):
+        haptic.read(".")
 
 
 def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
@@ -145,6 +151,8 @@ def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> Non
         assert len(extra["time"]) > 50
     assert run.summary.exit_reason == "SIGINT"
     assert not run.running
+    with pytest.raises(haptic.HapticError, match=r"has ended, and nobody answers param\.set any more"):
+        run.param["coupling.laws.pd.stiffness"] = 900
 
 
 def test_a_scenario_that_does_not_start_says_why(place: Path) -> None:

@@ -92,6 +92,13 @@ def test_an_answer_is_the_rows_of_its_study_and_its_picture(place: Path) -> None
     assert (none.held, none["k_max_n_per_m"]) == (False, None)
     with pytest.raises(haptic.LaunchError, match=r"--gain"):
         haptic.study("kmax", law="pd")
+    # The remedy, without a page of options before it.
+    with pytest.raises(
+        haptic.LaunchError, match=r"exit code 2: haptic study kmax: error: .*--gan.*did you mean --gain"
+    ):
+        haptic.study("kmax", law="pd", gan=3)
+    with pytest.raises(haptic.LaunchError, match="no launch file is named 'nosuch'"):
+        haptic.tune("nosuch")
 
 
 def test_an_option_that_is_on_can_be_switched_off() -> None:

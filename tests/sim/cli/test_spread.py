@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import haptic
 import pytest
 
 import sim.cli.study
@@ -121,6 +122,25 @@ def test_a_study_gives_the_same_bits_on_a_cluster(
     here = study(capsys, *words, *alone)
     assert here[1], "an empty answer is equal to any other"
     assert study(capsys, *words, *beside, *cluster.options()) == here
+
+
+def test_two_clients_from_python_give_the_same_bits_at_once(
+    cluster: DaskCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import distributed
+
+    monkeypatch.chdir(tmp_path)
+    options = {"law": "pd", "gain": "1..5", "points": 3, "method": "simulation", "horizon": 1000}
+    _, here = study(capsys, "kmax", *TINY["kmax"], "--out", "alone")
+    with ThreadPoolExecutor(2) as both, distributed.Client(cluster.address) as client:
+        answers = [both.submit(haptic.study, "kmax", client=client, out=f"{n}", **options) for n in range(2)]
+        for answer in answers:
+            assert without(answer.result(timeout=240.0).answer) == here
+    with (
+        distributed.Client(processes=False, n_workers=1, dashboard_address=":0") as inside,
+        pytest.raises(haptic.LaunchError, match="is inside this process"),
+    ):
+        haptic.study("kmax", client=inside, **options)
 
 
 # -- workers that come, go, and are not what they should be -----------------------------------------------------------
