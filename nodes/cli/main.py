@@ -38,6 +38,10 @@ class Parser(argparse.ArgumentParser):
         # The innermost one is left in the namespace: who finds words left over complains with its usage.
         self.set_defaults(parser=self)
 
+    def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
+        """Declare an argument; one that may be left out has a default, or argparse lists it among those that are missing."""
+        return super().add_argument(*names, **({"default": []} if options.get("nargs") == "*" else {}) | options)
+
     def error(self, message: str) -> NoReturn:
         """Complain and exit with 2."""
         wrong = _CHOICE.search(message)
@@ -160,7 +164,7 @@ def _run(argv: list[str]) -> int:
         # argparse does not take positional words after options; name:=value may stand anywhere.
         if not hasattr(arguments, "assignments") or any(":=" not in word for word in left_over):
             arguments.parser.refuse(left_over)
-        arguments.assignments += left_over
+        arguments.assignments = [*arguments.assignments, *left_over]
     if arguments.version:
         from importlib.metadata import version
 
