@@ -111,7 +111,7 @@ def test_results_show_themselves() -> None:
     assert "force_n" in table
     assert "settled" in fallen._repr_html_()
     assert len(haptic.plot(fallen).axes) == 2
-    with pytest.raises(ValueError, match="nobody holds"):
+    with pytest.raises(ValueError, match="no hand holds"):
         haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0, stiffness=5.0))
     with pytest.raises(ValueError, match="the floor is at 0"):
         haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0), height=-0.01)
