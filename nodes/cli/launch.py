@@ -30,6 +30,7 @@ from nodes.cli.status_line import StatusLine
 from nodes.compiled.choose_tick import compile_later
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
+from nodes.launcher.runs import STOPPED, ended_why, runs_dir
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
@@ -102,7 +103,7 @@ def _show_args(scenario: str) -> tuple[dict[str, Any], str]:
 def _signals(supervisor: Supervisor) -> Iterator[None]:
     def on_signal(number: int, frame: FrameType | None) -> None:
         del frame
-        supervisor.stop(signal.Signals(number).name)
+        supervisor.stop(ended_why(str(runs_dir() / supervisor.run)) or signal.Signals(number).name)
 
     before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
@@ -382,5 +383,5 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         _print(f"  plot      {figures['plot']}")
     if supervisor.failed or supervisor.failures:
         return 1
-    early = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
+    early = {STOPPED: 130, "SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
     return early.get(supervisor.exit_reason, 0) if launch.run.ticks else 0

@@ -11,7 +11,7 @@ import time
 from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_run
 from nodes.cli.main import add_json, answer
-from nodes.launcher.runs import RunInfo, alive, runs
+from nodes.launcher.runs import STOPPED, RunInfo, alive, runs, runs_dir, write_end
 
 TIMEOUT = 60.0
 """How long a launch may take to end [s]: a driver comes down from its largest force, a recorder writes what it holds."""
@@ -34,7 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
     ending = list(runs().values()) if arguments.all else [chosen_run(arguments)]
     for one in ending:
         # It may have ended by itself this moment.
-        with contextlib.suppress(ProcessLookupError):
+        with contextlib.suppress(ProcessLookupError, FileNotFoundError):
+            write_end(runs_dir() / one.run, STOPPED)
             os.kill(one.launcher, signal.SIGINT)
     deadline = time.monotonic() + TIMEOUT
     for one in ending:

@@ -245,6 +245,10 @@ def read_run(run_dir: str, given_up: Callable[[], bool], patience: float = 10.0)
     return msgspec.json.decode(path.read_bytes(), type=RunInfo)
 
 
+STOPPED = "stopped by haptic stop"
+"""Why a run ends that was not interrupted at its own terminal."""
+
+
 def write_end(path: Path, reason: str) -> None:
     """Say why a run ends, before its nodes are told to: they only know that they were."""
     (path / "end.txt").write_text(reason, encoding="utf-8")

@@ -127,8 +127,7 @@ def test_a_study_gives_the_same_bits_on_a_cluster(
 def test_two_clients_from_python_give_the_same_bits_at_once(
     cluster: DaskCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import distributed
-
+    distributed: Any = importlib.import_module("distributed")
     monkeypatch.chdir(tmp_path)
     options = {"law": "pd", "gain": "1..5", "points": 3, "method": "simulation", "horizon": 1000}
     _, here = study(capsys, "kmax", *TINY["kmax"], "--out", "alone")
