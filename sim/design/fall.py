@@ -153,7 +153,7 @@ def fallen(plant: FlexiblePlant, period: float, taps: Sequence[float], height: f
     """
     whole, step, new, old = plant.held(period)
     pull = plant.pulled(period, GRAVITY)
-    law, history, head, forces = np.array(taps), np.zeros(2 * max(len(taps), 2)), 0, [0.0] * (whole + 2)
+    history, head, forces = [0.0] * (2 * max(len(taps), 2)), 0, [0.0] * (whole + 2)
     state = np.zeros(len(new))
     state[0] = height
     if len(new) >= 4:
@@ -162,7 +162,7 @@ def fallen(plant: FlexiblePlant, period: float, taps: Sequence[float], height: f
     for k in range(ticks):
         x = float(state[0])
         head = push(history, head, len(history) // 2, max(0.0, -x))
-        force = fir(law, history, head)
+        force = fir(taps, history, head)
         forces = [one_sided(force, 1.0, force, x < 0.0, False, True), *forces[:-1]]
         told[:, k] = x, forces[0]
         state = step @ state + pull + new * forces[whole] + old * forces[whole + 1]
