@@ -89,6 +89,9 @@ class Result:
         lines += [f"  {count} rows of {', '.join(self.columns())}"] if count else []
         return "\n".join([type(self).__name__, *lines])
 
+    # A terminal has no tables: whoever types a result's name there sees its figures, too.
+    __repr__ = __str__
+
     def _repr_html_(self) -> str:
         rows = "".join(
             f"<tr><th style='text-align:left'>{html.escape(name)}</th>"

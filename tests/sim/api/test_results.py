@@ -78,6 +78,7 @@ def test_a_result_shows_draws_and_tabulates_itself(name: str, run: haptic.Run) -
     table = result.to_pandas()
     assert len(table) == max([1, *map(len, result.columns().values())]) or name == "Answer"
     assert str(result).startswith(name)
+    assert repr(result) == str(result)
 
 
 def test_an_answer_is_the_rows_of_its_study_and_its_picture(place: Path) -> None:
