@@ -72,14 +72,14 @@ def _schema(message_type: type[Message]) -> dict[str, Any]:
     info = msgspec.inspect.type_info(message_type)
     if not isinstance(info, msgspec.inspect.StructType):
         raise TypeError(f"{message_type!r} is not a message type")
-    told: dict[str, str] = {}
+    meanings: dict[str, str] = {}
     for base in reversed(message_type.__mro__):
-        told.update(attributes(base.__doc__ or "") if issubclass(base, Message) else {})
+        meanings.update(attributes(base.__doc__ or "") if issubclass(base, Message) else {})
     properties: dict[str, Any] = {}
     for field in info.fields:
         properties[field.encode_name] = _inline(field.type, f"{message_type.__name__}.{field.name}")
-        if field.name in told:
-            properties[field.encode_name]["description"] = told[field.name]
+        if field.name in meanings:
+            properties[field.encode_name]["description"] = meanings[field.name]
         if field.default is not msgspec.NODEFAULT:
             default = field.default
             properties[field.encode_name]["default"] = list(default) if isinstance(default, tuple) else default

@@ -9,7 +9,7 @@ from pathlib import Path
 EARLIER = "earlier"
 """Folder beside the results, with one folder per run that set something aside."""
 
-_told: dict[Path, Path] = {}
+_moved: dict[Path, Path] = {}
 """By folder of results, where this run sets files aside."""
 
 
@@ -21,9 +21,9 @@ def fresh(path: Path) -> Path:
     folder = path.parent
     folder.mkdir(parents=True, exist_ok=True)
     if path.exists():
-        aside = _told.get(folder)
+        aside = _moved.get(folder)
         if aside is None or (aside / path.name).exists():
-            aside = _told[folder] = _new(folder / EARLIER)
+            aside = _moved[folder] = _new(folder / EARLIER)
             print(f"{folder}: files of an earlier run are kept in {aside}", file=sys.stderr, flush=True)
         path.rename(aside / path.name)
     return path

@@ -50,9 +50,11 @@ def write_report(node: Any, figures: Mapping[str, Any] | None = None) -> None:
     """Write a node's last status and its report."""
     path = Path(node.setup.run_dir) / f"{node.setup.name}.report.json"
     draft = path.with_suffix(".draft")
-    told = node.report() if figures is None else figures
+    reported = node.report() if figures is None else figures
     status = msgspec.to_builtins(node.status())
     draft.write_bytes(
-        msgspec.json.encode({"status": status, "tick": tick_of(node), "ticks_compiled": node.ticks_compiled, **told})
+        msgspec.json.encode(
+            {"status": status, "tick": tick_of(node), "ticks_compiled": node.ticks_compiled, **reported}
+        )
     )
     draft.replace(path)

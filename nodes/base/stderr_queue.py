@@ -83,12 +83,12 @@ class StderrQueue(io.TextIOBase):
     def _run(self) -> None:
         with contextlib.suppress(OSError):
             self._aside()
-        told = 0
+        reported = 0
         while True:
             text = self._queue.get()
-            if self.dropped > told and not self._gone:
-                text = f"({self.dropped - told} lines were dropped: nobody read them in time)\n{text}"
-                told = self.dropped
+            if self.dropped > reported and not self._gone:
+                text = f"({self.dropped - reported} lines were dropped: nobody read them in time)\n{text}"
+                reported = self.dropped
             self._write_out(text.encode(errors="replace"))
             self._taken += 1
 

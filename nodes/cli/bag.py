@@ -37,7 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
     def declare(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
         own = sub.add_parser(name, help=text, description=text)
-        own.set_defaults(run=lambda arguments: _told(run, arguments))
+        own.set_defaults(run=lambda arguments: _checked(run, arguments))
         add_json(own)
         return own
 
@@ -159,7 +159,7 @@ def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
     return left
 
 
-def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
+def _checked(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
     """Run a sub-verb; a bad file gets an error of one line and exit code 1."""
     from nodes.recording.writer import RecordError
 
@@ -344,8 +344,8 @@ def _play(arguments: argparse.Namespace) -> int:
         publisher.close()
         context.term()
     pace = "without a pause" if math.isinf(arguments.rate) else f"at {arguments.rate:g} times the original pace"
-    told = printable("\n".join(f"  {topic}: {count}" for topic, count in counts.items()))
-    answer(arguments.json, {"published": counts}, f"published {pace}:\n{told}")
+    counted = printable("\n".join(f"  {topic}: {count}" for topic, count in counts.items()))
+    answer(arguments.json, {"published": counts}, f"published {pace}:\n{counted}")
     return 0
 
 
@@ -375,8 +375,8 @@ def _extract(arguments: argparse.Namespace) -> int:
     topics = _chosen(recording.topics, arguments)
     out = _free(arguments.out or arguments.file.with_suffix(f".{arguments.chosen}.mcap"), arguments.force)
     counts = extract(recording, out, topics, start, stop, overwrite=arguments.force)
-    told = printable("\n".join(f"  {topic}: {count}" for topic, count in counts.items()))
-    answer(arguments.json, {"out": str(out), "messages": counts}, f"{out}:\n{told}")
+    counted = printable("\n".join(f"  {topic}: {count}" for topic, count in counts.items()))
+    answer(arguments.json, {"out": str(out), "messages": counts}, f"{out}:\n{counted}")
     return 0
 
 

@@ -25,8 +25,8 @@ class Debugging:
             node: {name: value for name, value in msgspec.to_builtins(spec).items() if value != getattr(plain, name)}
             for node, spec in launch.nodes.items()
         }
-        told = {"file": launch.path, "arguments": launch.arguments, "run": run, "nodes": nodes}
-        for line in write_yaml(told).splitlines():
+        facts = {"file": launch.path, "arguments": launch.arguments, "run": run, "nodes": nodes}
+        for line in write_yaml(facts).splitlines():
             say(line)
 
     def __call__(self, supervisor: Supervisor) -> None:

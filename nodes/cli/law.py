@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from messages.errors import UsageError
 from nodes.cli.ask import chosen_run, sub_verb
 from nodes.cli.main import answer
-from nodes.cli.param import FORCE, forced, told
+from nodes.cli.param import FORCE, forced, receipt_text
 from nodes.cli.quantities import declare as declare_quantities
 from nodes.cli.quantities import declare_law, positive
 from nodes.client.launches import ask, node_name
@@ -121,7 +121,7 @@ def _switch(arguments: argparse.Namespace) -> int:
     node = node_name(run, arguments.node)
     values = {} if arguments.ramp is None else {"ramp": arguments.ramp}
     receipt = ask(run, node, "law.switch", law=arguments.law, **values, **forced(arguments))
-    lines = [told(node, receipt)]
+    lines = [receipt_text(node, receipt)]
     if "was" in receipt:
         lines += _table({f"was {receipt['from']}": receipt["was"], f"is {receipt['to']}": receipt["is"]})
     answer(arguments.json, {"run": run.run, "node": node, **receipt}, "\n".join(lines))
@@ -218,9 +218,9 @@ def _described(arguments: argparse.Namespace) -> dict[str, Any]:
         mass=loop["mass"], damping=loop["damping"], stiffness=loop["hand"], heaviest=arguments.heaviest
     )
     figures = worst_figures(compile_law(law, period), plant, period, loop["delay"])
-    told = {name: getattr(plant, name) for name in ("mass", "damping", "stiffness")}
+    device = {name: getattr(plant, name) for name in ("mass", "damping", "stiffness")}
     name = arguments.law if not isinstance(data, dict) or "{" not in arguments.law else law.kind
-    return {"law": name, "rate_hz": loop["rate"], **law_to_dict(law), "plant": told, **figures}
+    return {"law": name, "rate_hz": loop["rate"], **law_to_dict(law), "plant": device, **figures}
 
 
 def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:

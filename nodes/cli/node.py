@@ -57,7 +57,9 @@ def _list(arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
     found = {name: _state(run, name) for name in run.nodes}
     width = max(map(len, found))
-    lines = [f"/{name:{width}}  {told['kind']:12} {told['state']:12} {told['pid']}" for name, told in found.items()]
+    lines = [
+        f"/{name:{width}}  {masses['kind']:12} {masses['state']:12} {masses['pid']}" for name, masses in found.items()
+    ]
     answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
     return 0
 
@@ -105,9 +107,9 @@ def _info(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _mass(told: dict[str, Any]) -> str:
-    here = ", ".join(f"{value:.4g}" for value in told["here_kg"])
-    seen = f"{told['least_kg']:.4g} to {told['greatest_kg']:.4g}"
+def _mass(masses: dict[str, Any]) -> str:
+    here = ", ".join(f"{value:.4g}" for value in masses["here_kg"])
+    seen = f"{masses['least_kg']:.4g} to {masses['greatest_kg']:.4g}"
     return f"{here} kg along x, y, z where it stands; {seen} kg in all poses so far"
 
 

@@ -71,7 +71,7 @@ class PageAnnouncer:
 
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
-        self._told: set[str] = set()
+        self._announced: set[str] = set()
         self._words: StderrQueue | None = None
 
     def drain(self) -> None:
@@ -82,10 +82,10 @@ class PageAnnouncer:
     def __call__(self, supervisor: Supervisor) -> None:
         """Look for pages that are served by now."""
         for name, child in supervisor.children.items():
-            if child.setup.kind == KIND and name not in self._told and child.running and not supervisor.ending:
+            if child.setup.kind == KIND and name not in self._announced and child.running and not supervisor.ending:
                 # Read as it stands: the view's own modules are none of the launcher's business.
                 path = Path(supervisor.run_dir) / f"{name}.page.json"
                 if path.exists():
-                    self._told.add(name)
+                    self._announced.add(name)
                     self._words = self._words or StderrQueue(sys.stdout.fileno())
                     announce(msgspec.json.decode(path.read_bytes())["url"], self._as_json, self._words)

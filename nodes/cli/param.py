@@ -102,11 +102,15 @@ def _set(arguments: argparse.Namespace) -> int:
         except ParameterError as error:
             raise UsageError(str(error)) from error
     receipt = ask(run, node, "param.set", values=values, **forced(arguments))
-    answer(arguments.json, {"run": run.run, "node": node, "values": values, "receipt": receipt}, told(node, receipt))
+    answer(
+        arguments.json,
+        {"run": run.run, "node": node, "values": values, "receipt": receipt},
+        receipt_text(node, receipt),
+    )
     return 0
 
 
-def told(node: str, receipt: dict[str, Any]) -> str:
+def receipt_text(node: str, receipt: dict[str, Any]) -> str:
     """Tell a receipt to people."""
     changes = [f"{path} {_short(old)} → {_short(new)}" for path, (old, new) in receipt.get("changed", {}).items()]
     lines = [f"/{node}: {changes[0] if changes else 'nothing changed'} from tick {receipt['seq']} on"]
@@ -163,11 +167,11 @@ def _describe(arguments: argparse.Namespace) -> int:
         except ParameterError as error:
             raise UsageError(f"{node}.{error}") from error
     lines = []
-    for name, told in found.items():
-        default = "required" if told.required else f"default {_flow(told.default)}"
-        kind = f"{told.type} [{told.unit}]" if told.unit else told.type
-        lines.append(f"{name}: {', '.join(filter(None, (kind, told.limits, default)))}")
-        lines += [f"  {told.meaning}"] if told.meaning else []
+    for name, receipt_text in found.items():
+        default = "required" if receipt_text.required else f"default {_flow(receipt_text.default)}"
+        kind = f"{receipt_text.type} [{receipt_text.unit}]" if receipt_text.unit else receipt_text.type
+        lines.append(f"{name}: {', '.join(filter(None, (kind, receipt_text.limits, default)))}")
+        lines += [f"  {receipt_text.meaning}"] if receipt_text.meaning else []
     figures = {"run": run.run, "node": node, "parameters": msgspec.to_builtins(found)}
     answer(arguments.json, figures, "\n".join(lines) or f"{node} has no parameters")
     return 0
@@ -198,6 +202,8 @@ def _load(arguments: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     receipt = ask(run, node, "param.load", values=values, **forced(arguments))
     answer(
-        arguments.json, {"run": run.run, "node": node, "file": arguments.file, "receipt": receipt}, told(node, receipt)
+        arguments.json,
+        {"run": run.run, "node": node, "file": arguments.file, "receipt": receipt},
+        receipt_text(node, receipt),
     )
     return 0

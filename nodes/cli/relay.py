@@ -79,9 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
             publisher.close()
     finally:
         context.term()
-    told = "".join(f"\n  {topic}: {count}" for topic, count in relayed.items())
+    counted = "".join(f"\n  {topic}: {count}" for topic, count in relayed.items())
     figures = {"endpoint": arguments.endpoint, "runs": names, "relayed": dict(relayed)}
-    answer(arguments.json, figures, f"relayed {', '.join(names) or 'nothing'}{told}")
+    answer(arguments.json, figures, f"relayed {', '.join(names) or 'nothing'}{counted}")
     return 0
 
 

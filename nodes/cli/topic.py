@@ -90,9 +90,9 @@ def _list(arguments: argparse.Namespace) -> int:
     found = {topic: {"type": _type_name(topic), "node": node} for topic, node in _published(run).items()}
     width = max(map(len, found))
     if arguments.show_types:
-        lines = [f"{topic} [haptic.{told['type']}]" for topic, told in found.items()]
+        lines = [f"{topic} [haptic.{shown['type']}]" for topic, shown in found.items()]
     else:
-        lines = [f"{topic:{width}}  {told['type']:12} {told['node']}" for topic, told in found.items()]
+        lines = [f"{topic:{width}}  {shown['type']:12} {shown['node']}" for topic, shown in found.items()]
     answer(arguments.json, {"run": run.run, "topics": found}, "\n".join(lines))
     return 0
 
@@ -101,22 +101,22 @@ def _info(arguments: argparse.Namespace) -> int:
     run, topic = chosen_run(arguments), arguments.topic
     known_topic(run, topic)
     kind = message_type(topic)
-    told: dict[str, Any] = schema(kind) if kind is not None else {"properties": {}}
+    shown: dict[str, Any] = schema(kind) if kind is not None else {"properties": {}}
     figures = {
         "topic": topic,
         "type": _type_name(topic),
         "node": _published(run)[topic],
         "endpoint": run.endpoints()[topic],
         "per_tick": topic in LOOP,
-        "schema": told,
+        "schema": shown,
     }
     lines = [
         f"{topic}  {figures['type']}",
         f"  published by {figures['node']} on {figures['endpoint']}" + (", once per tick" if topic in LOOP else ""),
     ]
-    width = max(map(len, told["properties"]), default=0)
+    width = max(map(len, shown["properties"]), default=0)
     lines += [
-        f"  {name:{width}}  {field['type']:8} {field['description']}" for name, field in told["properties"].items()
+        f"  {name:{width}}  {field['type']:8} {field['description']}" for name, field in shown["properties"].items()
     ]
     answer(arguments.json, figures, "\n".join(lines))
     return 0
@@ -247,8 +247,8 @@ class _Bandwidth(_Measure):
     def figures(self) -> dict[str, Any]:
         common = super().figures()
         size = self._size
-        told = {"mean": size.mean, "min": size.low, "max": size.high}
-        return common | {"bandwidth_bytes_per_s": common["rate_hz"] * size.mean, "size_bytes": told}
+        shown = {"mean": size.mean, "min": size.low, "max": size.high}
+        return common | {"bandwidth_bytes_per_s": common["rate_hz"] * size.mean, "size_bytes": shown}
 
     def line(self) -> str:
         bandwidth, size = self.figures()["bandwidth_bytes_per_s"], self._size
@@ -279,10 +279,10 @@ class _Delay(_Measure):
         return super().figures() | {"delay_s": self._delay.figures() | shares}
 
     def line(self) -> str:
-        told = {name: f"{value * 1e6:.0f}" for name, value in self.figures()["delay_s"].items()}
+        shown = {name: f"{value * 1e6:.0f}" for name, value in self.figures()["delay_s"].items()}
         return (
-            f"average delay: {told['mean']} µs   min {told['min']}, p50 {told['p50']}, p99 {told['p99']},"
-            f" max {told['max']}, std {told['std']} µs   window: {self.count}"
+            f"average delay: {shown['mean']} µs   min {shown['min']}, p50 {shown['p50']}, p99 {shown['p99']},"
+            f" max {shown['max']}, std {shown['std']} µs   window: {self.count}"
         )
 
 
@@ -300,15 +300,15 @@ def _measure(arguments: argparse.Namespace, run: RunInfo, kind: Callable[[], _Me
         return newest
 
     following = time.monotonic() + REPORT_PERIOD
-    told = -1
+    shown = -1
     for heard in _heard(arguments, run):
         if heard is not None:
             measure.take(heard)
             window.append(heard)
         if not arguments.json and time.monotonic() >= following:
             following += REPORT_PERIOD
-            print(now().line() if measure.count != told else "no new messages", flush=True)
-            told = measure.count
+            print(now().line() if measure.count != shown else "no new messages", flush=True)
+            shown = measure.count
     answer(arguments.json, {"topic": arguments.topic, **now().figures()}, now().line())
     return 0 if measure.count else 1
 

@@ -37,16 +37,16 @@ def find(name: str | None = None, patience: float = PATIENCE) -> RunInfo:
     [s]: a launch that was started a moment ago has not appeared yet. Returns: its nodes and where they listen. Raises RunError
     when none is meant, or several are.
     """
-    told = os.environ.get("HAPTIC_RUN") or None
+    wanted = os.environ.get("HAPTIC_RUN") or None
     until = time.monotonic() + patience
     while not runs() and time.monotonic() < until:
         time.sleep(0.05)
     try:
-        chosen, _, namespace = (name or told or "").partition("/")
+        chosen, _, namespace = (name or wanted or "").partition("/")
         found = find_run(chosen or None)
         return found.within(namespace) if namespace else found
     except RunError as error:
-        source = f" (HAPTIC_RUN is {told!r})" if told and not name else ""
+        source = f" (HAPTIC_RUN is {wanted!r})" if wanted and not name else ""
         raise RunError(f"{error}{source}") from error
 
 

@@ -145,14 +145,14 @@ class CompiledTicks:
         before = state.ticks
         self.inside = True
         try:
-            told = self._kernel(self._at)
+            reason = self._kernel(self._at)
         finally:
             self.inside = False
         self._node.ticks_compiled += state.ticks - before
         self.take_mail()
         if state.upstream:
             self._node.events.waiting = True
-        return told
+        return reason
 
     def take_mail(self) -> None:
         """Put a message that the kernel was to send, and did not, into the outbox: before all that was posted after it."""

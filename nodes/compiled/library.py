@@ -97,10 +97,10 @@ def _kernel_at(address: int) -> Kernel:
     # numba's own way of calling: where the result goes, where an exception would be told, and the argument.
     function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)(address)
     result, error = ctypes.c_int64(), ctypes.c_void_p()
-    at, told = ctypes.addressof(result), ctypes.addressof(error)
+    at, message = ctypes.addressof(result), ctypes.addressof(error)
 
     def call(state: int) -> int:
-        if function(at, told, state):
+        if function(at, message, state):
             raise NotCompilableError("a kernel failed: see nodes/compiled")
         return result.value
 

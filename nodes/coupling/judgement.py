@@ -56,17 +56,17 @@ class Judgement:
                 f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
                 "declare its mass and damping, or set stability to warn"
             )
-        told = []
+        warnings = []
         for name in dict.fromkeys([parameters.law, *(swap.law for swap in parameters.schedule)]):
             verdict = self.verdict(parameters, self._book.compile(parameters, name), delay)
             if verdict is not None and not verdict.stable:
-                told.append(
+                warnings.append(
                     f"{self._complaint(f'laws.{name}', verdict)}; {self._remedy(None, parameters, name, verdict)}"
                 )
-        told += self._of_fallback(parameters, delay)
-        if told and parameters.stability == "refuse":
-            raise ParameterError(f"{told[0]}, or set {self._node}.stability to warn")
-        return told
+        warnings += self._of_fallback(parameters, delay)
+        if warnings and parameters.stability == "refuse":
+            raise ParameterError(f"{warnings[0]}, or set {self._node}.stability to warn")
+        return warnings
 
     def _of_fallback(self, parameters: CouplingParameters, delay: float) -> list[str]:
         if not parameters.fallback.damping:

@@ -96,7 +96,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     damping_ticks: int
     max_age: int
     workspace: Workspace
-    told: tuple[str, ...]
+    overruled: tuple[str, ...]
 
 
 def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
@@ -118,11 +118,11 @@ def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
 
 def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, where: str = "safety") -> Limits:
     """Take the lower of what a launch file asks for and what the device bears."""
-    told: list[str] = []
+    overruled: list[str] = []
 
     def least(name: str, wanted: float | None, bears: float, unit: str) -> float | None:
         if wanted is not None and wanted > bears:
-            told.append(f"{where}.{name}: {wanted:g} {unit}, limit {bears:g} {unit} of the device, which holds")
+            overruled.append(f"{where}.{name}: {wanted:g} {unit}, limit {bears:g} {unit} of the device, which holds")
         value = bears if wanted is None else min(bears, wanted)
         return value if math.isfinite(value) else None
 
@@ -131,7 +131,7 @@ def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, whe
     if slew is not None and (peak is None or peak > slew * STOP_TIME):
         # What could not be taken down in time is not built up: the soft stop must end, and within the slew.
         if peak is not None:
-            told.append(
+            overruled.append(
                 f"{where}.slew: {slew:g} N/s takes {peak / slew:.3g} s from {peak:g} N to zero, limit {STOP_TIME:g} s; "
                 f"the largest force is {slew * STOP_TIME:g} N"
             )
@@ -142,7 +142,7 @@ def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, whe
         wanted = getattr(parameters, name)
         most = max(least_ticks, int(silence)) if math.isfinite(silence) else wanted
         if wanted > most and wanted != getattr(SafetyParameters(), name):
-            told.append(
+            overruled.append(
                 f"{where}.{name}: {wanted} ticks, limit {most} ticks ({device.silence:g} s) of the device, which holds"
             )
         ticks[name] = min(wanted, most)
@@ -150,7 +150,7 @@ def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, whe
     for axis, (low, high) in enumerate(device.workspace):
         wanted_low, wanted_high = (-math.inf, math.inf) if parameters.workspace is None else parameters.workspace[axis]
         if parameters.workspace is not None and (wanted_low < low or wanted_high > high):
-            told.append(
+            overruled.append(
                 f"{where}.workspace[{axis}]: {wanted_low:g} to {wanted_high:g} m, limit {low:g} to {high:g} m of the device, "
                 "which holds"
             )
@@ -163,5 +163,5 @@ def lower(parameters: SafetyParameters, device: DeviceLimits, period: float, whe
         damping_ticks=ticks["damping_ticks"],
         max_age=ticks["max_age"],
         workspace=(bounds[0], bounds[1], bounds[2]),
-        told=tuple(told),
+        overruled=tuple(overruled),
     )

@@ -164,7 +164,7 @@ class Driver(Node):
         self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
         set_guard(s, parameters.passivity)
         self._report.begin(self._device, held, s.guard_on != 0)
-        for text in held.told:
+        for text in held.overruled:
             self.events.emit("limit", text)
         if limits.latency is None and s.guard_on:
             self.events.emit(

@@ -29,13 +29,13 @@ class DriverReport:
         self.first_seq = self.soft_stop_ticks = 0
         self.complete = False  # whether it came to its last tick
         self.own_guard = False
-        self._told: tuple[str, ...] = ()
+        self._overruled: tuple[str, ...] = ()
         self._limits = DeviceLimits()
         self._reasons: deque[str] = deque(maxlen=REASONS)
 
     def begin(self, device: Device, limits: Limits, own_guard: bool) -> None:
         """Note what holds for the run, and whether the launch file itself asks for a guard."""
-        self._limits, self._told, self.own_guard = device.limits, limits.told, own_guard
+        self._limits, self._overruled, self.own_guard = device.limits, limits.overruled, own_guard
 
     def notes(self) -> list[Told]:
         """Take what the rules have noted, in words."""
@@ -67,7 +67,7 @@ class DriverReport:
             "refused": dict(zip(REFUSED, s.refused_for, strict=True)),
             "limited": dict(zip(LIMITED, s.limited_by, strict=True)),
             "reasons": list(self._reasons),
-            "told": list(self._told),
+            "told": list(self._overruled),
         }
 
     def summary(self) -> dict[str, Any]:

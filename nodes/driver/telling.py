@@ -68,7 +68,7 @@ class Told(NamedTuple):
 
 def take_notes(s: Any) -> list[Told]:
     """Take what the rules have noted since last time, in words."""
-    told = []
+    lines = []
     for n in range(s.notes_count):
         code, seq, change, *numbers = s.notes[NOTE * n : NOTE * (n + 1)]
         reason = _WORDS[int(code)](int(seq), *numbers)
@@ -77,6 +77,6 @@ def take_notes(s: Any) -> list[Told]:
             reason = f"{SAFETY[before]} → {SAFETY[after]} at tick {seq:.0f}: {reason}"
         count = 0 if change >= 0.0 or code == HELD_UP else int(numbers[0])
         # A change of state goes by a name of its own: among many others it must not be overlooked.
-        told.append(Told(_KINDS.get(int(code), "safety"), reason, change >= 0.0, count))
+        lines.append(Told(_KINDS.get(int(code), "safety"), reason, change >= 0.0, count))
     s.notes_count = 0
-    return told
+    return lines

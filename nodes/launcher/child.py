@@ -124,8 +124,10 @@ class Child:
     def is_done(self, run_dir: Path) -> bool:
         """Whether it has ended and says itself that it was at its end; whatever else ends it, says nothing."""
         status = self.report(run_dir).get("status", {})
-        told = self.process is not None and status.get("pid") == self.process.pid and status.get("state") == "finished"
-        return self.code == 0 and told
+        finished = (
+            self.process is not None and status.get("pid") == self.process.pid and status.get("state") == "finished"
+        )
+        return self.code == 0 and finished
 
     @property
     def is_frozen(self) -> bool:

@@ -271,12 +271,12 @@ class ByHand(Child):
                 raise
 
     def _arrive(self) -> None:
-        told = ""
+        clock = ""
         if self._far:
             self._measure_well()
             offset, error = self._clock.best(time.monotonic())
-            told = f"; its clock is {-offset:+.6f} s from here, known to ±{error * 1e6:.0f} µs"
-        self._say(f"{self.setup.name}: is there{told}")
+            clock = f"; its clock is {-offset:+.6f} s from here, known to ±{error * 1e6:.0f} µs"
+        self._say(f"{self.setup.name}: is there{clock}")
 
     def _measure_well(self, tell: bool = True) -> None:
         until = time.monotonic() + 1.0

@@ -319,7 +319,7 @@ class Supervisor:
         """Wait for as long as one of them may take, and for a logger as long as it gets on with what it has to write."""
         begun, following = time.monotonic(), time.monotonic() + GETTING_ON
         written = {child.setup.name: child.progress() for child in left if child.listens and child.running}
-        told = False
+        announced = False
         while any(child.running for child in left):
             now = time.monotonic()
             killed = number == signal.SIGKILL
@@ -335,8 +335,8 @@ class Supervisor:
                 more = {child.setup.name: child.progress() for child in left if child.listens and child.running}
                 busy = [name for name, amount in more.items() if amount > written.get(name, 0)]
                 written = more
-                if busy and not told and now - begun > patience / 2.0:
-                    told = True
+                if busy and not announced and now - begun > patience / 2.0:
+                    announced = True
                     self._say(f"{', '.join(busy)}: still writing; waited for as long as it gets on (Ctrl-C again: not)")
                 if busy:
                     begun = max(begun, now - patience / 2.0)

@@ -99,10 +99,10 @@ def _without_none(info: inspect.Type) -> inspect.Type:
 
 
 def _field(owner: type[Any], field: inspect.Field) -> Description:
-    told: dict[str, str] = {}
+    meanings: dict[str, str] = {}
     for base in reversed(owner.__mro__):
-        told.update(attributes(base.__doc__ or ""))
-    meaning = told.get(field.encode_name, "")
+        meanings.update(attributes(base.__doc__ or ""))
+    meaning = meanings.get(field.encode_name, "")
     unit = _UNIT.search(meaning)
     default = field.default
     if default is msgspec.NODEFAULT and field.default_factory is not msgspec.NODEFAULT:

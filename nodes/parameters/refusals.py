@@ -66,10 +66,10 @@ def short(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def worded(told: str, data: Any, target: Any) -> tuple[str, str]:
+def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
     """Word a refusal."""
-    match = _AT.match(told)
-    reason, path = (match["reason"], match["path"] or "") if match else (told, "")
+    match = _AT.match(refusal)
+    reason, path = (match["reason"], match["path"] or "") if match else (refusal, "")
     if unknown := _UNKNOWN.fullmatch(reason):
         fields = [field.encode_name for info in _types_at(target, path) for field in getattr(info, "fields", ())]
         return f"{path}.{unknown['name']}", f"no such parameter; {choices(unknown['name'], fields)}"

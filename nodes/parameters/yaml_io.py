@@ -122,8 +122,8 @@ def parse_yaml(text: str, source: str) -> Any:
         # _Loader is a SafeLoader: it constructs builtins only.
         return yaml.load(text, Loader=_Loader)  # noqa: S506
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        told = " ".join(str(error).split()).replace(_TAB, "a tab, where YAML takes spaces")
-        raise ParameterError(f"{source}: not valid YAML: {told}") from error
+        reason = " ".join(str(error).split()).replace(_TAB, "a tab, where YAML takes spaces")
+        raise ParameterError(f"{source}: not valid YAML: {reason}") from error
 
 
 def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:

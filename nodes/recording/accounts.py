@@ -31,10 +31,10 @@ class Account(msgspec.Struct):
     def text(self) -> str:
         """The account in words."""
         whole = "all there" if self.finished else "nothing missing so far; its end is not there"
-        told = [f"{self.lost} lost" if self.lost else whole]
-        told += [f"{self.early} before it was listened to"] if self.early else []
-        told += [f"recorded from seq {self.since} on"] if self.since else []
-        return f"sent {self.sent}, recorded {self.recorded}: {', '.join(told)}"
+        parts = [f"{self.lost} lost" if self.lost else whole]
+        parts += [f"{self.early} before it was listened to"] if self.early else []
+        parts += [f"recorded from seq {self.since} on"] if self.since else []
+        return f"sent {self.sent}, recorded {self.recorded}: {', '.join(parts)}"
 
 
 class Completeness(msgspec.Struct):

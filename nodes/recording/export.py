@@ -52,10 +52,10 @@ def plain_names(topics: Iterable[str]) -> dict[str, str]:
 def columns(message_type: type[Message]) -> list[str]:
     """Name the columns of a topic's table, units included."""
     found = ["time [s]", "log_time [s]"]
-    for name, told in schema(message_type)["properties"].items():
-        unit = _UNIT.search(told.get("description", ""))
+    for name, field in schema(message_type)["properties"].items():
+        unit = _UNIT.search(field.get("description", ""))
         suffix = f" [{unit[1]}]" if unit else ""
-        parts = [f"{name}_{axis}" for axis in "xyz"] if told["type"] == "array" else [name]
+        parts = [f"{name}_{axis}" for axis in "xyz"] if field["type"] == "array" else [name]
         found += [part + suffix for part in parts]
     return found
 
@@ -63,7 +63,7 @@ def columns(message_type: type[Message]) -> list[str]:
 def parameters(recording: Recording) -> dict[str, Any]:
     """Collect what belongs to the tables: the run, its parameters, the launch file, and what the columns mean."""
 
-    def told(text: str) -> Any:
+    def parsed(text: str) -> Any:
         try:
             return json.loads(text)
         except ValueError:
@@ -73,7 +73,7 @@ def parameters(recording: Recording) -> dict[str, Any]:
     return {
         "recording": recording.path.name,
         "manifest": metadata.get(MANIFEST, {}),
-        "parameters": {node: told(text) for node, text in metadata.get(PARAMETERS, {}).items()},
+        "parameters": {node: parsed(text) for node, text in metadata.get(PARAMETERS, {}).items()},
         "launch_file": metadata.get(LAUNCH_FILE, {}).get("yaml", ""),
         "versions": metadata.get(VERSIONS, {}),
         "columns": {name: {"unit": unit, "meaning": meaning} for name, (unit, meaning, _) in COLUMNS.items()},
@@ -219,8 +219,8 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
     types = {"law": pa.string(), "safety": pa.string(), "contact": pa.int8()}
     types |= dict.fromkeys(("seq", "revision", "age", "missed", "overruns"), pa.int64())
     fields = []
-    for told in _tick_names():
-        name, _, unit = told.partition(" ")
+    for column in _tick_names():
+        name, _, unit = column.partition(" ")
         fields.append(pa.field(name, types.get(name, pa.float64()), metadata={"unit": unit.strip("[]")}))
     layout = pa.schema(fields, metadata={"parameters": json.dumps(parameters(recording))})
 

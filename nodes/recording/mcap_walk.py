@@ -199,8 +199,8 @@ def _split(path: Path, offset: int, data: bytes) -> Iterator[Record]:
 
 def footer_sound(content: bytes, checksum: int) -> bool:
     """Check the footer against the summary."""
-    (told,) = _U32.unpack_from(content, 16)
-    return told in (0, zlib.crc32(FRAME.pack(FOOTER, 20) + content[:16], checksum))
+    (stored,) = _U32.unpack_from(content, 16)
+    return stored in (0, zlib.crc32(FRAME.pack(FOOTER, 20) + content[:16], checksum))
 
 
 def walk(path: Path) -> Iterator[Record]:

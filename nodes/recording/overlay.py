@@ -28,13 +28,13 @@ _CELLS = 2000
 
 def _labels(recordings: Sequence[Recording], lines: Sequence[Lines]) -> list[str]:
     """Name the runs: by scenario and law where that tells them apart, else by file."""
-    told = [
+    facts = [
         f"{recording.manifest.get('scenario', recording.path.stem)[:24]}, law {', '.join(line.laws)[:30] or 'unknown'}"
         for recording, line in zip(recordings, lines, strict=True)
     ]
-    if len(set(told)) == len(told):
-        return told
-    return [f"{text}  ({recording.path.stem[-40:]})" for text, recording in zip(told, recordings, strict=True)]
+    if len(set(facts)) == len(facts):
+        return facts
+    return [f"{text}  ({recording.path.stem[-40:]})" for text, recording in zip(facts, recordings, strict=True)]
 
 
 def _colors(count: int) -> list[Any]:
@@ -182,10 +182,10 @@ def force_over_position(
     style(axes)
     _legend(figure, axes, labels)
     ended = [summarise(recording) for recording in recordings[:1]]
-    told = [_facts(level)] if level is not None else []
+    facts = [_facts(level)] if level is not None else []
     if len(recordings) == 1:
-        told.append(f"ends at {ended[0].position_m[axis] * 1e3:.3f} mm, {ended[0].force_n[axis]:.3f} N")
-    head(axes, "Force over position", "  ·  ".join(told).replace("-", "−"), 7)
+        facts.append(f"ends at {ended[0].position_m[axis] * 1e3:.3f} mm, {ended[0].force_n[axis]:.3f} N")
+    head(axes, "Force over position", "  ·  ".join(facts).replace("-", "−"), 7)
     return figure
 
 

@@ -92,8 +92,12 @@ def _draw_energy(axes: Axes, lines: Lines, guard: bool) -> None:
 def _draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    told = summary.response_us
-    label = f"p50 {told['p50']:.0f}, p99 {told['p99']:.0f}, max {told['max']:.0f} µs" if told else "no tick answered"
+    quantiles = summary.response_us
+    label = (
+        f"p50 {quantiles['p50']:.0f}, p99 {quantiles['p99']:.0f}, max {quantiles['max']:.0f} µs"
+        if quantiles
+        else "no tick answered"
+    )
     time, extremes = lines.response.arrays()
     dots = [(at - lines.begin, value * 1e6) for at, value in lines.sampled]
     dots += zip((time - lines.begin).tolist(), (extremes[:, 0] * 1e6).tolist(), strict=True)
@@ -147,7 +151,7 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
         )
 
 
-def _told(recording: Recording, summary: Summary, lines: Lines, axis: int, shown: str) -> str:
+def _subtitle(recording: Recording, summary: Summary, lines: Lines, axis: int, shown: str) -> str:
     """Tell the run in two lines."""
     pace = recording.manifest.get("pace", "")
     share = 100.0 * summary.missed / summary.ticks if summary.ticks else 0.0
@@ -235,7 +239,7 @@ def figure_of(recording: Recording, start: float | None = None, stop: float | No
         axes.set_xlabel("time [s]" if realtime else "simulated time [s]")
     figure.align_ylabels(panels)
     scenario = recording.manifest.get("scenario", recording.path.stem)
-    head(panels[0], scenario, _told(recording, summary, lines, axis, shown))
+    head(panels[0], scenario, _subtitle(recording, summary, lines, axis, shown))
     return figure
 
 

@@ -48,7 +48,7 @@ def summarise(recording: Recording) -> Summary:
         return Summary(0, 0.0, 0.0, 0, 0, {}, 0, [], [])
     first: DeviceState | None = None
     last: DeviceState | None = None
-    ticks, oldest, told = -1, 0, array("d")
+    ticks, oldest, response_times = -1, 0, array("d")
     for entry in recording.entries([DEVICE_STATE]):
         last = cast("DeviceState", entry.message)
         first = first or last
@@ -56,10 +56,10 @@ def summarise(recording: Recording) -> Summary:
         oldest = max(oldest, last.age)
         # The tick after it holds a response; 0 says that there was none in time.
         if last.response > 0.0:
-            told.append(last.response * 1e6)
+            response_times.append(last.response * 1e6)
     assert first is not None and last is not None  # noqa: PT018, S101  # a topic of the recording has a message
     span = last.stamp - first.stamp
-    responses = sorted(told)
+    responses = sorted(response_times)
     return Summary(
         ticks=ticks,
         duration_s=span,

@@ -202,13 +202,13 @@ class _Ticks:
         """Bound in a norm how far the matrix of any two delays is from that hull."""
         import numpy as np
 
-        inverse, told = np.linalg.inv(norm), 0.0
+        inverse, largest = np.linalg.inv(norm), 0.0
         for part, newer in zip(self._parts(), (self._depth, self._depth - 1), strict=False):
             change = (self._forces[newer] - self._forces[newer + 1]) @ inverse
-            told += float(np.linalg.norm(np.abs(norm[:, : self.states]) @ self._remainder(*part))) * float(
+            largest += float(np.linalg.norm(np.abs(norm[:, : self.states]) @ self._remainder(*part))) * float(
                 np.linalg.norm(change)
             )
-        return told
+        return largest
 
     def matrix(self, older: float, newer: float) -> Matrix:
         """Matrix of the tick in which the force with the older delay arrives, the next force's delay being `newer`."""

@@ -283,9 +283,9 @@ class Commander:
         if recorder is None:
             return
         recorder.send_signal(signal.SIGINT)
-        _, told = recorder.communicate(timeout=TIMEOUT)
+        _, said = recorder.communicate(timeout=TIMEOUT)
         if recorder.returncode not in (0, 130):
-            raise CommandError(f"recording failed: {told.decode(errors='replace')[-500:].strip()}")
+            raise CommandError(f"recording failed: {said.decode(errors='replace')[-500:].strip()}")
 
     def end(self) -> None:
         """Give up what is waited for; returns after `close`, on another thread."""

@@ -138,7 +138,7 @@ class Comparison:
         shown = round(SHOWN / self._period)
         self._b_is_free = not force[-round(FREE / self._period) :].any()
         first = max(0, len(force) - shown)
-        told = {
+        document = {
             "law": law,
             "t": (begun + first) * self._period,
             "period": self._period,
@@ -146,7 +146,7 @@ class Comparison:
             "position": [round(float(x), 8) for x in position[first:]],
             "force": [round(float(f), 5) for f in force[first:]],
         }
-        self._put("beside", told)
+        self._put("beside", document)
 
     def _workers(self) -> ProcessPoolExecutor:
         if self._pool is None:

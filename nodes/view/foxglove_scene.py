@@ -173,9 +173,9 @@ class DrawnScene:
             if self._is_due(topic, message.stamp):
                 yield _entity(at, f"{before}proxy", spheres=[_ball(message.proxy, self._radius.get(chain, 0.0), _TOOL)])
             return
-        told = len(self.left_out)
+        before = len(self.left_out)
         bodies = self._follow(chain, message)
-        if len(self.left_out) > told:
+        if len(self.left_out) > before:
             yield from self._words(at)
         if self._is_due(topic, message.stamp):
             yield _entity(at, f"{before}device", spheres=[_ball(message.position, 0.0, _DEVICE)])
@@ -206,8 +206,8 @@ class DrawnScene:
 
 
 def _text(text: str) -> dict[str, Any]:
-    told = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "color": _colour(_DEVICE)}
-    return {"pose": _pose((0.0, 0.0, 0.05)), "text": text, **told}
+    style = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "color": _colour(_DEVICE)}
+    return {"pose": _pose((0.0, 0.0, 0.05)), "text": text, **style}
 
 
 def _line(begin: Vector, force: Vector) -> dict[str, Any]:
@@ -234,8 +234,8 @@ def export_foxglove(recording: Recording, out: str | Path, *, overwrite: bool = 
     if out.exists() and out.samefile(recording.path):
         raise RecordError(f"{out}: is the recording itself; give another name")
     period = 1.0 / float(recording.metadata.get(MANIFEST, {}).get("rate_hz", 500.0))
-    told = recording.metadata.get(PARAMETERS, {})
-    scene = DrawnScene({node: msgspec.json.decode(text) for node, text in told.items()}, period)
+    parameters = recording.metadata.get(PARAMETERS, {})
+    scene = DrawnScene({node: msgspec.json.decode(text) for node, text in parameters.items()}, period)
     begun = False
     output = Output(out, overwrite)
     try:

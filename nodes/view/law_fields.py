@@ -19,7 +19,7 @@ _GROUP = re.compile(r"entry points ``(haptic\.\w+)``")
 _LIMITS = ("gt", "ge", "lt", "le")
 
 
-def _typed(info: inspect.Type, told: str) -> dict[str, Any] | None:
+def _typed(info: inspect.Type, meaning: str) -> dict[str, Any] | None:
     """Describe one type; None for what no page can edit."""
     limits = {name: value for name in _LIMITS if (value := getattr(info, name, None)) is not None}
     if isinstance(info, inspect.FloatType):
@@ -31,26 +31,26 @@ def _typed(info: inspect.Type, told: str) -> dict[str, Any] | None:
     if isinstance(info, inspect.LiteralType):
         return {"type": "choice", "choices": list(info.values)}
     if isinstance(info, inspect.StrType):
-        group = _GROUP.search(told)
+        group = _GROUP.search(meaning)
         # A registered name can only be one that is installed.
         return {"type": "choice", "choices": Registry(group[1], "name").names()} if group else None
     if isinstance(info, inspect.UnionType):
         usual = [kind for kind in info.types if not isinstance(kind, inspect.NoneType)]
-        return _typed(usual[0], told) if len(usual) == 1 else None
+        return _typed(usual[0], meaning) if len(usual) == 1 else None
     if isinstance(info, inspect.ListType | inspect.VarTupleType | inspect.TupleType):
         item = info.item_types[0] if isinstance(info, inspect.TupleType) else info.item_type
         if isinstance(item, inspect.StructType):
             return {"type": "list", "fields": _fields(item)}
-        inner = _typed(item, told)
+        inner = _typed(item, meaning)
         return {"type": "numbers"} if inner is not None and inner["type"] in ("number", "integer") else None
     return None
 
 
 def _fields(info: inspect.StructType) -> list[dict[str, Any]]:
-    told = attributes(info.cls.__doc__ or "")
+    meanings = attributes(info.cls.__doc__ or "")
     found = []
     for field in info.fields:
-        text = told.get(field.name, "")
+        text = meanings.get(field.name, "")
         described = _typed(field.type, text)
         if described is None:
             continue

@@ -18,7 +18,7 @@ from nodes.recording.summary import quantile
 from nodes.view.board import Board
 from nodes.view.feed import BINS_PER_SECOND, Feed
 from nodes.view.ringing import Ringing
-from nodes.view.why_force import explain, told_stop
+from nodes.view.why_force import explain, stop_in_words
 
 STATUS_PERIOD = 0.2
 """How often pages get the status [s]."""
@@ -109,7 +109,7 @@ class LiveRun:
         self._responses: deque[float] = deque(maxlen=max(100, round(RECENT / facts.period)))
         self._heard: dict[str, tuple[NodeStatus, float]] = {}
         self._state_at = -1.0
-        self._told = self._device = ""
+        self._why = self._device = ""
         self._missed: deque[tuple[float, int]] = deque()
         self._axis = AXIS_INDEX[facts.axes[0]]
         self._ringing = Ringing()
@@ -152,7 +152,7 @@ class LiveRun:
             return
         elif isinstance(message, Receipt):
             self.changed = True
-            self.board.log({"kind": "receipt", "t": message.seq * self._period, **_told_receipt(message)})
+            self.board.log({"kind": "receipt", "t": message.seq * self._period, **_receipt_facts(message)})
             return
         elif isinstance(message, Event):
             if message.kind in ("device_force", "device_force_back"):
@@ -160,7 +160,7 @@ class LiveRun:
             # What the map is drawn for.
             self.changed |= message.kind == "delay"
             if message.kind in ("safety", "stopped"):
-                self._told, span = told_stop(message.reason.partition(": ")[2] or message.reason)
+                self._why, span = stop_in_words(message.reason.partition(": ")[2] or message.reason)
                 self._stop = {"t": message.seq * self._period, "span_s": span}
             self.board.log(
                 {
@@ -208,11 +208,11 @@ class LiveRun:
             name: {"state": status.state, "silent_s": round(now - at, 1) if now - at > SILENT_NODE else 0.0}
             for name, (status, at) in self._heard.items()
         }
-        told = self._told if state is not None and state.safety not in ("active", "ramp") else ""
+        why = self._why if state is not None and state.safety not in ("active", "ramp") else ""
         gone = [name for name, found in nodes.items() if found["silent_s"]]
         if gone:
-            told = f"{' and '.join(gone)} silent"
-        level, text = explain(state, self.feed.proxy, force, silent, told, self._ringing.ring(), self._device)
+            why = f"{' and '.join(gone)} silent"
+        level, text = explain(state, self.feed.proxy, force, silent, why, self._ringing.ring(), self._device)
         if self.ended:
             level, text = "rest", f"The run has ended: {self.ended.rstrip('.')}."
             for name, found in nodes.items():
@@ -244,7 +244,7 @@ class LiveRun:
         }
 
 
-def _told_receipt(receipt: Receipt) -> dict[str, Any]:
+def _receipt_facts(receipt: Receipt) -> dict[str, Any]:
     """Tell a receipt by what changed."""
     before, after = _law(receipt.before), _law(receipt.after)
     changed = [

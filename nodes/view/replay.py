@@ -33,7 +33,7 @@ from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, Facts, LiveRun
 from nodes.view.server import PageServer
 from nodes.view.stability_map import drawn_map
-from nodes.view.why_force import told_delay
+from nodes.view.why_force import delay_in
 
 if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RecordedBodies
@@ -115,7 +115,7 @@ class ReplayPages:
         self._delay = 0.0
         self._read(recording)
         feed = self.live.feed
-        told = {
+        document = {
             "series": feed.names,
             "bin_s": feed.per_bin * self._facts.period,
             "replay": True,
@@ -126,7 +126,7 @@ class ReplayPages:
             "shape": self._shape,
             "fields": all_law_fields(),
         }
-        self.hello = msgspec.json.encode({"type": "hello", **self._facts.hello(), **told}).decode()
+        self.hello = msgspec.json.encode({"type": "hello", **self._facts.hello(), **document}).decode()
         self.over = "" if over is None else self._read_over(over)
         self.server = PageServer(lambda: ReplayPage(self))  # serves the pages
         self._mapping = ThreadPoolExecutor(1, "map")
@@ -180,12 +180,12 @@ class ReplayPages:
         states = [one for one in recording.messages(DEVICE_STATE) if isinstance(one, DeviceState)]
         shown = states[:: 1 + len(states) // OVER]
         begin = states[0].seq * facts.period
-        told = {
+        document = {
             "times": [round(self.begin + state.seq * facts.period - begin, 6) for state in shown],
             "position": [round(state.position[axis], 8) for state in shown],
             "force": [round(state.force[axis], 5) for state in shown],
         }
-        return msgspec.json.encode({"type": "over", "name": path.stem, **told}).decode()
+        return msgspec.json.encode({"type": "over", "name": path.stem, **document}).decode()
 
     def _read_parameters(self, recording: Recording) -> None:
         """Take the laws that the run began with from what was recorded with it."""
@@ -221,8 +221,14 @@ class ReplayPages:
             # Recorded with a law that is not installed here: it is shown by what its receipts tell.
             return
         self._plant = parameters.get("plant")
-        told = {"node": name, "active": coupling.law, "laws": laws, "named": list(coupling.laws), "ramp": coupling.ramp}
-        self.laws.add(self.begin, told)
+        document = {
+            "node": name,
+            "active": coupling.law,
+            "laws": laws,
+            "named": list(coupling.laws),
+            "ramp": coupling.ramp,
+        }
+        self.laws.add(self.begin, document)
 
     def _read_receipt(self, receipt: Receipt) -> None:
         try:
@@ -236,7 +242,7 @@ class ReplayPages:
 
     def _read_delay(self, event: Event) -> None:
         """Take how late the virtual device answers from an event on: the map of stability is another one."""
-        ticks = told_delay(event.reason)
+        ticks = delay_in(event.reason)
         if ticks is None or not self.laws.items:
             return
         self.laws.add(event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks})
@@ -295,7 +301,7 @@ class ReplayPage:
         self._first = self._cursor = -1
         self._void = True
         self._shown = math.nan
-        self._told: list[str | bytes] = [pages.hello, *([pages.over] if pages.over else [])]
+        self._outbox: list[str | bytes] = [pages.hello, *([pages.over] if pages.over else [])]
         self._go(pages.begin)
 
     def _go(self, at: float) -> None:
@@ -308,10 +314,10 @@ class ReplayPage:
             self._void = True
         self._logged = 0
         self._status = self._law = 0
-        self._told.append('{"type":"reset"}')
+        self._outbox.append('{"type":"reset"}')
 
     def _tell(self, text: str) -> None:
-        self._told.append(text)
+        self._outbox.append(text)
 
     def _time(self) -> float:
         now = time.monotonic()
@@ -323,7 +329,7 @@ class ReplayPage:
     def news(self) -> list[str | bytes]:
         """List what it has not been sent yet."""
         pages, at = self._pages, self._time()
-        found, self._told = self._told, []
+        found, self._outbox = self._outbox, []
         logged = pages.log.until(at)
         found += pages.log.items[self._logged : logged]
         self._logged = logged

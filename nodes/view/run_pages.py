@@ -70,8 +70,8 @@ class RunPage:
     def hand(self, target: list[float] | None) -> str:
         """Move the hand's target; a page that goes on asking while it is refused is told once, until it lets go."""
         refused = self._pages.hand.move(id(self), target)
-        told, self._refused = self._refused, bool(refused)
-        return "" if told else refused
+        document, self._refused = self._refused, bool(refused)
+        return "" if document else refused
 
     async def ask(self, request: dict[str, Any]) -> Any:
         """Do what it asks."""
@@ -114,7 +114,7 @@ class RunPages:
         self._mapped: tuple[str, float] = ("", -1.0)
         self._mapped_at = self._opened_at = 0.0
         feed = self.live.feed
-        told = {
+        document = {
             "series": feed.names,
             "bin_s": feed.per_bin * facts.period,
             "replay": False,
@@ -125,7 +125,7 @@ class RunPages:
             "delays": self._commander.delays,
             "shape": self._shape(),
         }
-        self.live.board.put("hello", {**facts.hello(), **told, "fields": all_law_fields()})
+        self.live.board.put("hello", {**facts.hello(), **document, "fields": all_law_fields()})
 
     def _shape(self) -> dict[str, Any]:
         """Describe what a scene of several axes looks like; once, for it stays."""

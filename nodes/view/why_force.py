@@ -25,7 +25,7 @@ _STATES = {
 _STROKES = re.compile(r"limit of (\S+) N (\d+) times within (\S+) s and gave out (\S+) mJ")
 
 
-def told_stop(reason: str) -> tuple[str, float]:
+def stop_in_words(reason: str) -> tuple[str, float]:
     """Shorten the reason of a stop, and tell in how long a time it came about [s]; one put otherwise stays as it is."""
     found = _STROKES.search(reason)
     if found is None:
@@ -37,7 +37,7 @@ def told_stop(reason: str) -> tuple[str, float]:
 _LATER = re.compile(r"the device answers (\S+) ticks later")
 
 
-def told_delay(reason: str) -> float | None:
+def delay_in(reason: str) -> float | None:
     """Read from an event how late a virtual device answers from then on [ticks]."""
     found = _LATER.match(reason)
     return float(found.group(1)) if found else None
@@ -53,7 +53,7 @@ def explain(
     proxy: Proxy | None,
     force: Force | None,
     silent: float,
-    told: str = "",
+    why: str = "",
     ring: Ring | None = None,
     device: str = "",
 ) -> tuple[str, str]:
@@ -62,10 +62,10 @@ def explain(
         return "rest", "No force: the driver has not ticked yet."
     if silent > SILENT:
         return "stop", f"No force: nothing has come from the driver for {silent:.1f} s."
-    because = f" ({told})" if told else ""
+    because = f" ({why})" if why else ""
     given = size(state.force)
     if state.safety == "stopped":
-        return "stop", f"Too hard: it swung, and the driver stopped it{f': {told}' if told else ''}."
+        return "stop", f"Too hard: it swung, and the driver stopped it{f': {why}' if why else ''}."
     if state.safety in ("waiting", "zero", "fault") and given <= LITTLE:
         return "stop", f"No force: {_STATES[state.safety]}{because}."
     if state.safety in _STATES:

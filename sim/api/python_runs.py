@@ -165,9 +165,9 @@ class Run:
     def url(self) -> str:
         """URL of the page, for a launch with ``view=True``."""
         lines = [] if self._folder is None else _lines(self._folder)
-        if not lines or "url" not in (told := json.loads(lines[0])):
+        if not lines or "url" not in (printed := json.loads(lines[0])):
             raise LaunchError(f"{self.info.run}: no page; launch with view=True")
-        return str(told["url"])
+        return str(printed["url"])
 
     @property
     def ticks(self) -> int:
@@ -201,13 +201,13 @@ class Run:
             preexec_fn=die_with_parent,
         )
         try:
-            told = process.communicate()[1]
+            printed = process.communicate()[1]
         except BaseException:
             # What is recorded so far is complete.
             end(process)
             raise
         if process.returncode:
-            raise LaunchError(f"bag record ended with exit code {process.returncode}: {told.strip()}")
+            raise LaunchError(f"bag record ended with exit code {process.returncode}: {printed.strip()}")
         return read(path)
 
     def wait(self, timeout: float | None = None) -> RunSummary:
@@ -280,9 +280,9 @@ class Run:
             lines = _lines(self._folder)
             if not lines or process.returncode == 1:
                 raise LaunchError(f"{self.info.run}: exit code {process.returncode}: {_errors(self._folder)}")
-            told = json.loads(lines[-1])
+            printed = json.loads(lines[-1])
             keys = ("scenario", "exit_reason", "ticks", "missed", "rate_hz", "response_us", "final", "recording")
-            self._summary = RunSummary(**{key: told[key] for key in keys}, all=told)
+            self._summary = RunSummary(**{key: printed[key] for key in keys}, all=printed)
         return self._summary
 
     @property
@@ -401,8 +401,8 @@ def _appeared(process: subprocess.Popen[bytes], folder: Path) -> RunInfo:
             return info
         if ended and process.returncode == 0:
             # In lockstep a short one is over before anybody looks.
-            told = json.loads(_lines(folder)[-1])
-            return RunInfo(run=told["run"], scenario=told["scenario"], launcher=process.pid, nodes={})
+            printed = json.loads(_lines(folder)[-1])
+            return RunInfo(run=printed["run"], scenario=printed["scenario"], launcher=process.pid, nodes={})
         if ended:
             raise LaunchError(f"haptic launch: exit code {process.returncode}: {_errors(folder)}")
     raise LaunchError(f"haptic launch: no tick within {STARTS_WITHIN:g} s: {_errors(folder)}")

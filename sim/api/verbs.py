@@ -99,10 +99,10 @@ class Answer(Result):
         return list(self.answer)
 
 
-def _flat(told: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+def _flat(said: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     """Name every number of an answer by its path."""
     found: dict[str, Any] = {}
-    for name, value in told.items():
+    for name, value in said.items():
         found |= _flat(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
     return found
 
@@ -136,10 +136,10 @@ def _run(*words: str) -> Answer:
     out_pipe, error_pipe = process.stdout, process.stderr
     assert out_pipe is not None  # noqa: S101  # it is a pipe
     assert error_pipe is not None  # noqa: S101
-    told: collections.deque[str] = collections.deque(maxlen=20)
+    said: collections.deque[str] = collections.deque(maxlen=20)
     try:
         with progress(command, 100) as step:
-            reader = threading.Thread(target=_collect, args=(error_pipe, told, step), daemon=True)
+            reader = threading.Thread(target=_collect, args=(error_pipe, said, step), daemon=True)
             reader.start()
             out = out_pipe.read()
             process.wait()
@@ -151,19 +151,19 @@ def _run(*words: str) -> Answer:
         out_pipe.close()
     lines = out.splitlines()
     if process.returncode not in (0, 1) or not lines:
-        raise LaunchError(f"{command}: exit code {process.returncode}: {_refusal(told)}")
+        raise LaunchError(f"{command}: exit code {process.returncode}: {_refusal(said)}")
     return Answer(command, json.loads(lines[-1]), process.returncode == 0)
 
 
-def _refusal(told: Iterable[str]) -> str:
+def _refusal(said: Iterable[str]) -> str:
     """Take the refusal from what a verb wrote; how it is used is told by ``haptic ... --help``."""
-    return _USAGE.sub("", "".join(told)).strip()
+    return _USAGE.sub("", "".join(said)).strip()
 
 
-def _collect(stream: IO[str], told: collections.deque[str], step: Any) -> None:
+def _collect(stream: IO[str], said: collections.deque[str], step: Any) -> None:
     with stream:
         for line in stream:
-            told.append(line)
+            said.append(line)
             if (share := _SHARE.match(line)) is not None:
                 step(int(share[1]))
 

@@ -114,10 +114,10 @@ def derivative_groups(step: Callable[[str], None], quick: bool = False, spread: 
         details: dict[str, tuple[str, dict[str, Detail]]] = {}
         jobs_beside: list[Callable[[], Any]] = [partial(_figures, kind, taps, order) for kind, taps, _ in found]
         figures = spread(jobs_beside, lambda done, _, order=order: step(f"D^{order:g} {done}"))  # type: ignore[misc]
-        for (kind, taps, _), told in zip(found, figures, strict=True):
+        for (kind, taps, _), measured in zip(found, figures, strict=True):
             name = f"{kind} {taps}"
             node, fast = timings[f"{name}|node"], timings[f"{name}|compiled"]
-            details[name] = kind, told | _times(node, fast)
+            details[name] = kind, measured | _times(node, fast)
         groups += _groups(order, details, rounds)
     return groups
 
@@ -157,16 +157,17 @@ def _groups(order: float, details: dict[str, tuple[str, dict[str, Detail]]], rou
 
     def points(cost: str, error: Callable[[dict[str, Any]], float]) -> tuple[Point, ...]:
         return tuple(
-            Point(name, float(told[cost] or 0.0), error(told), kind, told) for name, (kind, told) in details.items()
+            Point(name, float(measured[cost] or 0.0), error(measured), kind, measured)
+            for name, (kind, measured) in details.items()
         )
 
-    def aligned(told: dict[str, Any]) -> float:
-        return float(told["error_aligned"])
+    def aligned(measured: dict[str, Any]) -> float:
+        return float(measured["error_aligned"])
 
-    def lost(told: dict[str, Any]) -> float:
-        return 1.0 - float(told["h1_max_n_per_m"]) / best
+    def lost(measured: dict[str, Any]) -> float:
+        return 1.0 - float(measured["h1_max_n_per_m"]) / best
 
-    best = max(float(told["h1_max_n_per_m"] or 0.0) for _, told in details.values())
+    best = max(float(measured["h1_max_n_per_m"] or 0.0) for _, measured in details.values())
     error, time = "relative error, best delay removed (rms)", "time per tick in the node [µs]"
     note = (
         f"Error against (jω)^α, 0.001 to 0.5 of Nyquist. T = {1e3 * PERIOD:g} ms; times by the "

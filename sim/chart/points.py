@@ -76,18 +76,18 @@ def kept(path: Path, part: str) -> list[Group] | None:
     """Read what an interrupted run has found of a part; None when there is nothing."""
     if not path.is_file():
         return None
-    told = json.loads(path.read_text(encoding="utf-8")).get(part)
-    if told is None:
+    stored = json.loads(path.read_text(encoding="utf-8")).get(part)
+    if stored is None:
         return None
-    return [Group(**{**group, "points": tuple(Point(**point) for point in group["points"])}) for group in told]
+    return [Group(**{**group, "points": tuple(Point(**point) for point in group["points"])}) for group in stored]
 
 
 def keep(path: Path, part: str, groups: Sequence[Group]) -> None:
     """Add a part to what an interrupted run has found."""
-    told = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    stored = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".new")
-    beside.write_text(json.dumps(told | {part: [asdict(group) for group in groups]}), encoding="utf-8")
+    beside.write_text(json.dumps(stored | {part: [asdict(group) for group in groups]}), encoding="utf-8")
     beside.replace(path)
 
 

@@ -66,11 +66,11 @@ def device(arguments: argparse.Namespace) -> Plant:
 
 def head(law: Law, plant: Plant, gain: str = "") -> str:
     """Say what a study is about, in its first line: the law, the device and the loop."""
-    told = law_to_dict(law)
+    described = law_to_dict(law)
     forms = {"stiffness": "K {:g} N/m", "damping": "B {:g}", "order": "order {:g}"}
     keys = ("order",) if gain else forms
     parts = [gain] if gain else []
-    parts += [forms[key].format(told[key]) for key in keys if key in told]
+    parts += [forms[key].format(described[key]) for key in keys if key in described]
     device = f"m {plant.mass:g} kg, b {plant.damping:g} N s/m, hand {plant.stiffness:g} N/m"
     return f"{' '.join([law.kind, ', '.join(parts)])}; {device}, delay {plant.delay:g} ticks, {1.0 / plant.period:g} Hz"
 

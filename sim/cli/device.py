@@ -106,8 +106,8 @@ def _info(arguments: argparse.Namespace) -> int:
     from sim.hands_on.info import info, text
 
     device = device_of(arguments.kind, arguments.parameters)
-    told = info(device, arguments.rate, arguments.delay, arguments.gain)
-    answer(arguments.json, told, f"{arguments.kind}: {device.TITLE}\n{text(told)}")
+    report = info(device, arguments.rate, arguments.delay, arguments.gain)
+    answer(arguments.json, report, f"{arguments.kind}: {device.TITLE}\n{text(report)}")
     return 0
 
 
@@ -115,9 +115,9 @@ def _check(arguments: argparse.Namespace) -> int:
     from sim.hands_on.check import check
     from sim.hands_on.found import device_of
 
-    told = check(device_of(arguments.kind, arguments.parameters), arguments.kind)
-    answer(arguments.json, told, told["line"])
-    return 0 if told["passed"] else 1
+    report = check(device_of(arguments.kind, arguments.parameters), arguments.kind)
+    answer(arguments.json, report, report["line"])
+    return 0 if report["passed"] else 1
 
 
 def _free(arguments: argparse.Namespace) -> int:
@@ -165,9 +165,9 @@ def _identify(arguments: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             say("nothing was recorded: interrupted before the push began; law and surface are back")
             return 128 + (signalled() or 2)
-    told = []
+    report = []
     for pushed, one in found:
-        told.append(
+        report.append(
             {
                 "recording": str(pushed.recording),
                 "place_m": list(pushed.place),
@@ -180,7 +180,7 @@ def _identify(arguments: argparse.Namespace) -> int:
         for pushed, one in found
     ]
     # The first push's figures at the top: one device, one place is the usual case.
-    answer(arguments.json, {**told[0], "places": told}, "\n".join(lines))
+    answer(arguments.json, {**report[0], "places": report}, "\n".join(lines))
     return 0 if all(one.mass.value is not None and not one.refuted for _, one in found) else 1
 
 

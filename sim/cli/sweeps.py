@@ -151,15 +151,15 @@ def spread(
     step = step or Progress(len(jobs), after=PATIENCE).step
     results: dict[int, R] = {}
 
-    def told(part: range, rows: list[R]) -> None:
+    def note(part: range, rows: list[R]) -> None:
         results.update(zip(part, rows, strict=True))
         step(f"{len(results)} of {len(jobs)}", len(rows))
 
     if arguments.cluster is None and not arguments.workers:
         for i, parameters in enumerate(jobs):
-            told(range(i, i + 1), [job(parameters)])
+            note(range(i, i + 1), [job(parameters)])
     else:
         with executor(arguments) as pool, contextlib.closing(done_by(pool, job, jobs, chunk)) as done:
             for part, rows in done:
-                told(part, rows)
+                note(part, rows)
     return [results[i] for i in range(len(jobs))]

@@ -104,10 +104,10 @@ def run(arguments: argparse.Namespace) -> int:
                 tuning.write()
             now = ""
         except KeyboardInterrupt:
-            tuning.told["interrupted"] = now or "the start"
+            tuning.record["interrupted"] = now or "the start"
             code = 128 + (signalled() or 2)
         except (RefusedError, ValueError, MeasurementError) as error:
-            tuning.told["refused"] = str(error)
+            tuning.record["refused"] = str(error)
             code = 1
         finally:
             with undisturbed():
@@ -116,5 +116,5 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.tune.tuning_text import text
 
     say("")
-    answer(arguments.json, tuning.told | {"files": tuning.files}, text(tuning.told, tuning.files))
+    answer(arguments.json, tuning.record | {"files": tuning.files}, text(tuning.record, tuning.files))
     return code or (0 if tuning.came_through else 1)

@@ -189,8 +189,8 @@ def evolved(
         loop = loops[(0, 1, 1, 1, 1, 2)[i]]
         box = np.array([here - width if free else np.maximum(here - width, 0.0), here + width])
         members, generations = (30 * p, (20 + 20 * p) * effort) if i else (60 * p, (100 + 100 * p) * effort)
-        told = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, radius)
-        here, score = evolve(*told, box, here, members, generations, seed, -math.inf, None, 0.0, 0, 0.0)
+        given = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, radius)
+        here, score = evolve(*given, box, here, members, generations, seed, -math.inf, None, 0.0, 0, 0.0)
         if not score < 0.0:
             return None
     return here

@@ -158,20 +158,20 @@ def fallen(plant: FlexiblePlant, period: float, taps: Sequence[float], height: f
     state[0] = height
     if len(new) >= 4:
         state[2] = height
-    told = np.empty((2, ticks))
+    seen = np.empty((2, ticks))
     for k in range(ticks):
         x = float(state[0])
         head = push(history, head, len(history) // 2, max(0.0, -x))
         force = fir(taps, history, head)
         forces = [one_sided(force, 1.0, force, x < 0.0, False, True), *forces[:-1]]
-        told[:, k] = x, forces[0]
+        seen[:, k] = x, forces[0]
         state = step @ state + pull + new * forces[whole] + old * forces[whole + 1]
-    return told[0], told[1]
+    return seen[0], seen[1]
 
 
-def _settled(drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, told: Any) -> None:
-    for i in range(len(told)):
-        told[i] = settles_one(i, drops, taps, recursive, ticks, tolerance, False)
+def _settled(drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, verdicts: Any) -> None:
+    for i in range(len(verdicts)):
+        verdicts[i] = settles_one(i, drops, taps, recursive, ticks, tolerance, False)
 
 
 _settled_compiled = compiled()(_settled)
@@ -183,7 +183,7 @@ def settled(law: CompiledLaw, drops: Falls, criterion: Criterion | None = None) 
     `criterion`: what counts as settled; None for the usual one.
     """
     criterion = criterion or Criterion()
-    told = np.zeros(len(drops.whole), dtype=np.bool_)
+    verdicts = np.zeros(len(drops.whole), dtype=np.bool_)
     recursive = np.array([number for section in law.sections for number in section])
-    _settled_compiled(drops, np.array(law.taps), recursive, criterion.ticks, criterion.tolerance, told)
-    return [bool(one) for one in told]
+    _settled_compiled(drops, np.array(law.taps), recursive, criterion.ticks, criterion.tolerance, verdicts)
+    return [bool(one) for one in verdicts]

@@ -48,15 +48,15 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
     `demand`: what it was designed for; the longest delay and the least damping are used. Returns: whether the run settled, by
     convention and mass, e.g. ``penetration clamped 0.05 kg``; with every joint and lag that the demand has.
     """
-    told = {}
+    given = {}
     for mass in np.unique(np.geomspace(*demand.mass, 3)).tolist():
         for raw, clamp in CONVENTIONS:
             name = f"{'position' if raw else 'penetration'} {'clamped' if clamp else 'free'} {mass:.3g} kg"
             if demand.beyond:
-                told[name] = all(settled(law, falls(demand, [mass], [(raw, clamp)], HEIGHTS[:1])))
+                given[name] = all(settled(law, falls(demand, [mass], [(raw, clamp)], HEIGHTS[:1])))
             else:
-                told[name] = settles(dropped(demand, mass, raw, clamp, HEIGHTS[0]), [law], Criterion())[0]
-    return told
+                given[name] = settles(dropped(demand, mass, raw, clamp, HEIGHTS[0]), [law], Criterion())[0]
+    return given
 
 
 def _margin(demand: Demand) -> list[float]:
@@ -163,12 +163,12 @@ def _shrunk(
     least = demand.above * (1.0 - fine.pole) / unit
     loop = LoopCase(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
     gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit
-    told = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, demand.radius - 1e-7)
+    given = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, demand.radius - 1e-7)
     here, score = start, 0.0
     size, generations = 12 * parameters, (10 + 15 * parameters) * effort
     for span in _BOXES if start is None else _BOXES[1:]:
         middle = np.zeros(parameters) if here is None else here
         box = np.array([np.maximum(middle - span, -np.inf if free else 0.0), middle + span])
         lands = (least, drops, fine.pole, criterion.ticks, criterion.tolerance)
-        here, score = evolve(*told, box, middle, size, generations, seed, *lands)
+        here, score = evolve(*given, box, middle, size, generations, seed, *lands)
     return here if score < 0.0 else None

@@ -42,12 +42,12 @@ def measure(path: Path) -> Measured:
     own = float(device.get("delay", 0.0))
     # Each state tells of the tick before it; the first one, and a loop without forces yet, have none. A tick that was not
     # answered in time has an older force instead, whose age it tells; its own force never acts.
-    told = [state for state in states[1:] if state.force_seq >= 0]
-    delays = tuple(state.delay + own if state.age == 0 else math.inf for state in told)
+    with_answer = [state for state in states[1:] if state.force_seq >= 0]
+    delays = tuple(state.delay + own if state.age == 0 else math.inf for state in with_answer)
     answered = sorted(filter(math.isfinite, delays))
     if len(answered) < 100:
         raise ValueError(f"{path}: {len(answered)} ticks were answered by a force in time, at least 100 are needed")
-    if recording.manifest.get("pace") == "realtime" and not any(state.delay for state in told):
+    if recording.manifest.get("pace") == "realtime" and not any(state.delay for state in with_answer):
         raise ValueError(
             f"{path}: a real-time run without any delay: it was recorded before delays were; record it again"
         )

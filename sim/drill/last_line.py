@@ -133,8 +133,8 @@ class _Quota:
     def _set(self, values: Mapping[str, str]) -> None:
         assert self._group is not None  # noqa: S101
         for name, text in values.items():
-            told = text.format(period=round(1e6 * (ON + OFF)), quota=round(1e6 * ON))
-            (self._group / name).write_text(told, encoding="ascii")
+            value = text.format(period=round(1e6 * (ON + OFF)), quota=round(1e6 * ON))
+            (self._group / name).write_text(value, encoding="ascii")
 
     def tidy(self) -> None:
         if self._group:

@@ -106,7 +106,7 @@ def _designed(rig: Rig) -> None:
         "edge_linear_factor": 10.0,
     }
     asked = {"mass": [MASS, MASS], "delay": [0.0, 1.0], "radius": 1.0}
-    told = {
+    said = {
         "designed": {"taps_n_per_m": TAPS, "h1_n_per_m": h1, "gain_over_pd": None, "lands": False, "demand": asked},
         "predicted": {
             **edges,
@@ -123,7 +123,7 @@ def _designed(rig: Rig) -> None:
     }
     folder = rig.folder / "tuning"
     folder.mkdir(exist_ok=True)
-    (folder / "tune.json").write_text(json.dumps(told), encoding="utf-8")
+    (folder / "tune.json").write_text(json.dumps(said), encoding="utf-8")
 
 
 def _borrowed(rig: Rig) -> tuple[Any, Any]:
@@ -166,9 +166,9 @@ def _press(rig: Rig) -> None:
     _designed(rig)
     for words in (("device", "identify"), ("tune", "--steps", "verify")):
         done = rig.haptic(*words, code=None)
-        told, verb = done.stdout + done.stderr, f"haptic {' '.join(words)}"
-        if done.returncode != 1 or "let go first" not in told:
-            raise MeasurementError(f"{verb}: exit code {done.returncode} while a hand presses: {told[-500:]}")
+        said, verb = done.stdout + done.stderr, f"haptic {' '.join(words)}"
+        if done.returncode != 1 or "let go first" not in said:
+            raise MeasurementError(f"{verb}: exit code {done.returncode} while a hand presses: {said[-500:]}")
         if _borrowed(rig) != before:
             raise MeasurementError(f"{verb}: refused, and has changed law or surface all the same")
 

@@ -204,17 +204,17 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
 def _account(rig: Rig, found: Soak, names: list[str]) -> None:
     try:
         whole = Recording(rig.folder / "run.mcap")
-        told = accounts(whole)
+        verdict = accounts(whole)
         everything = {topic: _ticks(whole, topic) for topic in LOOP}
     except RecordError as error:
         found.reasons.append(str(error))
         return
     found.accounts = {
-        node: {"sent": one.sent, "recorded": one.recorded, "lost": one.lost} for node, one in told.items()
+        node: {"sent": one.sent, "recorded": one.recorded, "lost": one.lost} for node, one in verdict.items()
     }
     found.reasons += [
         f"{one.lost} of {node}'s messages are neither recorded nor declared lost"
-        for node, one in told.items()
+        for node, one in verdict.items()
         if one.lost
     ]
     for name in names:

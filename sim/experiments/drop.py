@@ -216,7 +216,7 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     else:
         # Compiled code holds no interpreter lock: threads are cores.
         list(_threads(os.getpid()).map(play, range(cores)))
-    return [_verdict(scene, law, told, criterion) for law, told in zip(laws, results.tolist(), strict=True)]
+    return [_verdict(scene, law, end, criterion) for law, end in zip(laws, results.tolist(), strict=True)]
 
 
 def _played(scene: Scene, law: CompiledLaw, criterion: Criterion) -> bool:
@@ -237,9 +237,9 @@ def settled(scene: Scene, law: CompiledLaw, position: Array, force: Array, crite
     return _verdict(scene, law, _judge(position, force, scene.surface.position, normal), criterion)
 
 
-def _verdict(scene: Scene, law: CompiledLaw, told: Sequence[float], criterion: Criterion) -> bool:
+def _verdict(scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Criterion) -> bool:
     device, surface = scene.device, scene.surface
-    highest, motion, mean, last, strongest = told
+    highest, motion, mean, last, strongest = end
     rest = rest_position(scene, law, criterion.ticks)
     if rest is None:
         return False

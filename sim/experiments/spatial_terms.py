@@ -108,8 +108,8 @@ def _limited(name: str) -> Callable[[SpatialScene], bool]:
 def _unlimited(name: str) -> Edit:
     def edit(scene: SpatialScene) -> SpatialScene:
         safety: SafetyParameters = _driver(scene).safety
-        told = msgspec.to_builtins(msgspec.structs.replace(safety, **{name: None}))
-        return _node("sim_driver", lambda _: {"safety": told})(scene)
+        fields = msgspec.to_builtins(msgspec.structs.replace(safety, **{name: None}))
+        return _node("sim_driver", lambda _: {"safety": fields})(scene)
 
     return edit
 

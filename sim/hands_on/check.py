@@ -161,9 +161,9 @@ def axes(device: MailboxDevice) -> tuple[bool, list[str]]:
         largest = max(range(3), key=lambda i: abs(moved[i]))
         others = max(abs(moved[i]) for i in range(3) if i != largest)
         if abs(moved[largest]) < MOVED or abs(moved[largest]) < 2.0 * others:
-            told = ", ".join(f"{1e3 * x:+.0f}" for x in moved)
+            text = ", ".join(f"{1e3 * x:+.0f}" for x in moved)
             raise RefusedError(
-                f"{way}: the position changed by {told} mm; expected at least {1e3 * MOVED:.0f} mm along one axis and less "
+                f"{way}: the position changed by {text} mm; expected at least {1e3 * MOVED:.0f} mm along one axis and less "
                 "than half of it along the others: try again, or give mapping.rotation for a mount that is askew"
             )
         found.append(_theirs(device, largest, moved[largest]))
@@ -261,7 +261,7 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
     result["line"] = (
         f"haptic device check {kind}: {facts}; axes {' '.join(found)} right; noise {noise} µm, step {step}; "
         f"{rest.rate:.0f} samples/s of {rest.asked:.0f}, {rest.missed} missed, longest gap {1e3 * rest.longest:.3g} ms; "
-        f"upwards: {felt}; {told_delay(measured)}"
+        f"upwards: {felt}; {delay_in_words(measured)}"
     )
     result["passed"] = all(one.felt and not one.ended for one in pushes)
     return result
@@ -293,14 +293,14 @@ def _delay(device: MailboxDevice) -> MeasuredDelay | None:
     if not ask(f"{question}, 60 ms each, to measure the delay? [y/n]").startswith("y"):
         return None
     measured = measure(device)
-    print(f"  {told_delay(measured)}", file=sys.stderr)
+    print(f"  {delay_in_words(measured)}", file=sys.stderr)
     if measured.delay is not None:
         ticks = measured.delay * 500.0
         print(f"  for a launch file at 500 Hz: plant: {{device_delay: {ticks:.2g}}}", file=sys.stderr)
     return measured
 
 
-def told_delay(measured: MeasuredDelay | None) -> str:
+def delay_in_words(measured: MeasuredDelay | None) -> str:
     """Tell a delay in words."""
     if measured is None:
         return "delay not measured"

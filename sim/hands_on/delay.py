@@ -120,12 +120,12 @@ def measure(device: MailboxDevice) -> MeasuredDelay:
             device.write_force(ZERO, 0, 0.0)
             time.sleep(0.002)
     if len(found) < PULSES // 2:
-        told = device.condition() or "hold it more loosely"
+        reason = device.condition() or "hold it more loosely"
         return MeasuredDelay(
             delay=None,
             uncertainty=math.inf,
             pulses=len(found),
-            why=f"only {len(found)} of {PULSES} pulses moved the handle by {1e3 * LEAST:g} mm: {told}",
+            why=f"only {len(found)} of {PULSES} pulses moved the handle by {1e3 * LEAST:g} mm: {reason}",
         )
     ordered = sorted(found)
     # A pulse in which the machine stalled says nothing: the median, and the spread of the middle half of them.

@@ -34,8 +34,8 @@ def free(device: MailboxDevice) -> dict[str, Any]:
     """
     others = holders(type(device).find(device.parameters).library)
     if others:
-        told = "; ".join(f"process {number}: {command[:120]}" for number, command in others)
-        raise RefusedError(f"{device.TITLE}: held by {told}. End that first: haptic stop, or kill the process")
+        named = "; ".join(f"process {number}: {command[:120]}" for number, command in others)
+        raise RefusedError(f"{device.TITLE}: held by {named}. End that first: haptic stop, or kill the process")
     try:
         device.connect()
         device.identify()

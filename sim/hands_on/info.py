@@ -29,7 +29,7 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
         raise RefusedError(str(error)) from error
     finally:
         device.close()
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "facts": device.facts,
         "limits": {
             name: value if not isinstance(value, float) or math.isfinite(value) else None
@@ -48,15 +48,15 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
         for mass in masses:
             plant = Plant(period=1.0 / rate, mass=mass, damping=0.0, delay=delay)
             edges.append({"mass_kg": mass, "k_max_n_per_m": k_max(law, plant).k_max_n_per_m})
-        told["edge"] = {"rate_hz": rate, "delay_ticks": delay, "damping_n_s_per_m": damping, "axes": edges}
-        told["edge"] |= {"least_kg": least, "greatest_kg": greatest}
-    return told
+        report["edge"] = {"rate_hz": rate, "delay_ticks": delay, "damping_n_s_per_m": damping, "axes": edges}
+        report["edge"] |= {"least_kg": least, "greatest_kg": greatest}
+    return report
 
 
-def text(told: dict[str, Any]) -> str:
+def text(report: dict[str, Any]) -> str:
     """Tell it to people."""
-    lines = [f"  {name}: {value}" for name, value in told["facts"].items()]
-    limits = told["limits"]
+    lines = [f"  {name}: {value}" for name, value in report["facts"].items()]
+    limits = report["limits"]
     lines.append(
         f"  peak force {limits['peak_force']} N, {limits['continuous_force']} N continuous; "
         f"holds a force for {limits['hold']} s"
@@ -64,7 +64,7 @@ def text(told: dict[str, Any]) -> str:
     lines += [
         f"  {axis}: {low:.3g} to {high:.3g} m" for axis, (low, high) in zip("xyz", limits["workspace"], strict=True)
     ]
-    if (edge := told["edge"]) is not None:
+    if (edge := report["edge"]) is not None:
         lines.append(
             f"  inertia where it stands, and the largest stable stiffness of PD, B = {edge['damping_n_s_per_m']:g} N s/m, at "
             f"{edge['rate_hz']:g} Hz, delay {edge['delay_ticks']:g} ticks, the device's own damping taken as 0:"

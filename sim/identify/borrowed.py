@@ -80,11 +80,11 @@ class PushedLaunch:
         """
         if not hasattr(load(self.run.nodes[self.driver].factory), "hardware"):
             return None
-        told = ask(self.run, self.driver, "inertia")
-        if told is None:
+        answer = ask(self.run, self.driver, "inertia")
+        if answer is None:
             return None
-        here = told["here_kg"][self.axes[0]]
-        return max(0.0, here - told["least_kg"]), max(0.0, told["greatest_kg"] - here)
+        here = answer["here_kg"][self.axes[0]]
+        return max(0.0, here - answer["least_kg"]), max(0.0, answer["greatest_kg"] - here)
 
     def read_limits(self) -> None:
         """Ask the driver for its limits."""
@@ -94,8 +94,8 @@ class PushedLaunch:
 
     def progress(self) -> dict[str, Any]:
         """Ask the driver how it goes."""
-        told: dict[str, Any] = ask(self.run, self.driver, "progress")
-        return told
+        answer: dict[str, Any] = ask(self.run, self.driver, "progress")
+        return answer
 
     def ready(self) -> None:
         """Refuse a driver that gives no force."""

@@ -79,13 +79,13 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     column = AXIS_INDEX[axis]
     seq = np.array([state.seq for state in states], dtype=np.int64)
     age = np.array([state.age for state in states], dtype=np.float64)
-    told = np.array([state.delay for state in states])
+    measured = np.array([state.delay for state in states])
     # A state tells of the tick before it. Its force was handed over `delay − age` into that tick; one that answers nothing
     # new (the driver's own damping after a silence) at the end of it.
     answers = np.array([state.force_seq for state in states], dtype=np.int64)
     fresh = np.concatenate([[False], answers[1:] != answers[:-1]])
     changed = np.concatenate([[True], np.any(forces[1:] != forces[:-1], axis=1)])
-    took = seq - 1 + np.where(fresh, told - age, 1.0)
+    took = seq - 1 + np.where(fresh, measured - age, 1.0)
     used = fresh | changed
     at = np.maximum.accumulate(took[used]) - seq[0]
     breaks = np.flatnonzero(np.diff(seq) > BRIDGED) + 1
@@ -102,6 +102,6 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
         raise ValueError(
             f"{path}: no {SHORTEST} ticks without gaps between them; record by a faster disk or a shorter run"
         )
-    delays = told[fresh & (age == 0)]
+    delays = measured[fresh & (age == 0)]
     missing = ~np.isin(ticks, seq - seq[0])
     return Experiment(1.0 / rate, whole, segments, at, forces[used, column], delays, axis, missing)

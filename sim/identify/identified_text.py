@@ -27,9 +27,9 @@ ROWS = (
 """Key, attribute, name and unit of each parameter."""
 
 
-def _told(estimate: Estimate) -> dict[str, Any]:
-    told: dict[str, Any] = {"value": estimate.value, "low": estimate.low, "high": estimate.high}
-    return told | ({"why": estimate.why} if estimate.why else {})
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    record: dict[str, Any] = {"value": estimate.value, "low": estimate.low, "high": estimate.high}
+    return record | ({"why": estimate.why} if estimate.why else {})
 
 
 def figures(found: Identified) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def figures(found: Identified) -> dict[str, Any]:
     return {
         "axis": found.axis,
         "rate_hz": 1.0 / found.period,
-        **{key: _told(getattr(found, name)) for key, name, _, _ in ROWS},
+        **{key: _estimate(getattr(found, name)) for key, name, _, _ in ROWS},
         "delay_range_ticks": list(found.delay_range),
         "held": found.held,
         "residual_steps": found.residual_steps,
@@ -45,7 +45,7 @@ def figures(found: Identified) -> dict[str, Any]:
         "refuted": found.refuted,
         "why": found.why,
         "terms": list(found.terms),
-        "unbelieved": {key: _told(found.unbelieved[name]) for key, name, _, _ in ROWS if name in found.unbelieved},
+        "unbelieved": {key: _estimate(found.unbelieved[name]) for key, name, _, _ in ROWS if name in found.unbelieved},
         "held_out": {
             "residual_steps": found.held_out_steps,
             "residual_m": found.held_out.residual,
@@ -57,29 +57,29 @@ def figures(found: Identified) -> dict[str, Any]:
     }
 
 
-def _read(told: Mapping[str, Any]) -> Estimate:
-    return Estimate(told["value"], told["low"], told["high"], told.get("why", ""))
+def _read(record: Mapping[str, Any]) -> Estimate:
+    return Estimate(record["value"], record["low"], record["high"], record.get("why", ""))
 
 
-def from_figures(told: Mapping[str, Any]) -> Identified:
+def from_figures(record: Mapping[str, Any]) -> Identified:
     """Read back what `figures` gave: the inverse, for a step that is run alone."""
-    estimates = {name: _read(told[key]) for key, name, _, _ in ROWS}
-    low, high = told["delay_range_ticks"]
+    estimates = {name: _read(record[key]) for key, name, _, _ in ROWS}
+    low, high = record["delay_range_ticks"]
     return Identified(
         **estimates,
         delay_range=(low, high),
-        held=told["held"],
-        residual=math.nan if told["residual_m"] is None else told["residual_m"],
-        held_out=HeldOut(told["held_out"]["residual_m"], told["held_out"]["whiteness"]),
-        dropped=told["windows_dropped"],
-        windows=told["windows"],
-        ticks=told["window_ticks"],
-        axis=told["axis"],
-        period=1.0 / told["rate_hz"],
-        terms=tuple(told["terms"]),
-        refuted=told["refuted"],
-        why=told["why"],
-        unbelieved={name: _read(told["unbelieved"][key]) for key, name, _, _ in ROWS if key in told["unbelieved"]},
+        held=record["held"],
+        residual=math.nan if record["residual_m"] is None else record["residual_m"],
+        held_out=HeldOut(record["held_out"]["residual_m"], record["held_out"]["whiteness"]),
+        dropped=record["windows_dropped"],
+        windows=record["windows"],
+        ticks=record["window_ticks"],
+        axis=record["axis"],
+        period=1.0 / record["rate_hz"],
+        terms=tuple(record["terms"]),
+        refuted=record["refuted"],
+        why=record["why"],
+        unbelieved={name: _read(record["unbelieved"][key]) for key, name, _, _ in ROWS if key in record["unbelieved"]},
     )
 
 

@@ -145,7 +145,7 @@ class Evidence:
 
 def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
     """Try every suspect on what is left, that which takes up most first."""
-    told = []
+    findings = []
     samples = what.residual.size
     beyond = max(1.0 - (what.rounding / what.size) ** 2, 1.0 / samples) if what.size else 1.0
     power = float(np.sum(what.residual**2)) * beyond
@@ -160,7 +160,7 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
         drawn = np.linalg.norm(what.draws.reshape(DRAWS, -1) @ q, axis=1)
         spread = math.sqrt(float(np.mean(drawn**2)) / q.shape[1])
         factor = float(what.residual.ravel() @ shapes[0]) / float(norms[0]) ** 2
-        told.append(
+        findings.append(
             Evidence(
                 suspect,
                 seen / spread / math.sqrt(q.shape[1]),
@@ -169,4 +169,4 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
                 SURE * spread / float(norms[0]),
             )
         )
-    return sorted(told, key=lambda one: -one.share)
+    return sorted(findings, key=lambda one: -one.share)

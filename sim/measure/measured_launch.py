@@ -102,8 +102,8 @@ def haptic(
         check=False,
     )
     if code is not None and done.returncode != code:
-        told = f"haptic {' '.join(words)}: exit code {done.returncode}, expected {code}"
-        raise MeasurementError(f"{told}\n{done.stderr[-2000:]}")
+        output = f"haptic {' '.join(words)}: exit code {done.returncode}, expected {code}"
+        raise MeasurementError(f"{output}\n{done.stderr[-2000:]}")
     return done
 
 
@@ -132,8 +132,8 @@ def beside(*words: str, **options: Any) -> subprocess.Popen[Any]:
 def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
     """Start a launch where the user's other verbs find it, wait for its first ticks, and end it afterwards."""
     words = [scenario, *assignments]
-    with tempfile.TemporaryFile() as told:
-        process = beside("launch", *words, "--json", "--no-plot", stdout=subprocess.DEVNULL, stderr=told)
+    with tempfile.TemporaryFile() as output:
+        process = beside("launch", *words, "--json", "--no-plot", stdout=subprocess.DEVNULL, stderr=output)
 
         def ticking() -> RunInfo | None:
             for name in runs():
@@ -147,8 +147,8 @@ def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
         try:
             found = within(lambda: process.poll() is not None or ticking(), DEADLINE)
             if not isinstance(found, RunInfo):
-                told.seek(0)
-                errors = told.read().decode(errors="replace")[-1000:].strip()
+                output.seek(0)
+                errors = output.read().decode(errors="replace")[-1000:].strip()
                 raise MeasurementError(f"haptic launch {' '.join(words)} did not start: {errors}")
             yield found
         finally:

@@ -179,7 +179,7 @@ def _leak_claim() -> Claim:
 
 
 def _fragile_claim(fragile: dict[str, dict[str, tuple[float, bool]]]) -> Claim:
-    def told(name: str) -> str:
+    def shown(name: str) -> str:
         return ", ".join(f"{loop} {radius:.3f}" for loop, (radius, _) in fragile[name].items())
 
     optimum_fails = fragile["optimum"]["one tick of delay"][0] > 1.0 and fragile["optimum"]["half the mass"][0] > 1.0
@@ -187,5 +187,5 @@ def _fragile_claim(fragile: dict[str, dict[str, tuple[float, bool]]]) -> Claim:
         "THEORY.md §2, §3",
         "what multi-term gains at d = 0 does not survive one tick of delay, or half the mass",
         verdict(optimum_fails),
-        f"B = 30, 0.9 K_max, pole radius: optimum {told('optimum')}; nor does PD tuned as tightly: {told('pd')}",
+        f"B = 30, 0.9 K_max, pole radius: optimum {shown('optimum')}; nor does PD tuned as tightly: {shown('pd')}",
     )

@@ -50,14 +50,14 @@ class Setting:
     friction: float = 0.06
     criterion: Criterion = field(default_factory=Criterion)  # horizon and tolerance, the same for every law
 
-    def told(self) -> Row:
+    def record(self) -> Row:
         """Describe it for a job."""
         return asdict(self)
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Setting:
-        """Read what `told` described, from JSON too."""
-        return cls(**{**told, "gains": tuple(told["gains"]), "criterion": Criterion(**told["criterion"])})
+    def of(cls, record: Mapping[str, Any]) -> Setting:
+        """Read what `record` described, from JSON too."""
+        return cls(**{**record, "gains": tuple(record["gains"]), "criterion": Criterion(**record["criterion"])})
 
     def device(self, delay: float, touch: bool) -> DeviceModel:
         """Describe the device."""
@@ -142,7 +142,7 @@ def _scaled(derivative: CompiledLaw, damping: float, gain: float) -> CompiledLaw
 def designs(setting: Setting) -> list[Row]:
     """List the searches for the laws that are designed for a delay: jobs of `point`."""
     wanted = ((delay, name) for delay in DELAYS for name in demands(setting, delay))
-    return [{"setting": setting.told(), "what": "design", "delay": delay, "law": name} for delay, name in wanted]
+    return [{"setting": setting.record(), "what": "design", "delay": delay, "law": name} for delay, name in wanted]
 
 
 def drops(setting: Setting, designed: Sequence[Row]) -> list[Row]:
@@ -152,7 +152,7 @@ def drops(setting: Setting, designed: Sequence[Row]) -> list[Row]:
     others = [(0.0, law, False, i) for law in ("pd", "paper_optimum") for i in range(1, len(CONVENTIONS))]
     return [
         {
-            "setting": setting.told(),
+            "setting": setting.record(),
             "what": "drop",
             "law": law,
             "delay": delay,
@@ -170,15 +170,15 @@ def drops(setting: Setting, designed: Sequence[Row]) -> list[Row]:
 def point(job: Mapping[str, Any]) -> Row:
     """Do one job: design a law, or find one K_max."""
     setting = Setting.of(job["setting"])
-    told: Row = {key: job[key] for key in ("law", "delay")}
+    record: Row = {key: job[key] for key in ("law", "delay")}
     if job["what"] == "design":
-        return {**told, "taps": _designed(setting, job["delay"], job["law"])}
+        return {**record, "taps": _designed(setting, job["delay"], job["law"])}
     derivative = _family(setting, job["law"], job["taps"])(job["gain"])
     scene = drop_scene(setting.device(job["delay"], job["touch"]), setting.period, *CONVENTIONS[job["convention"]])
     found = simulated_k_max(lambda stiffness: with_spring(derivative, stiffness), scene, setting.criterion)
     # A law with code of its own has no poles.
     linear = None if derivative.evaluate else k_max(derivative, setting.held(job["delay"])).k_max_n_per_m
-    return {**told, **{key: job[key] for key in ("touch", "convention")}, "found": asdict(found), "linear": linear}
+    return {**record, **{key: job[key] for key in ("touch", "convention")}, "found": asdict(found), "linear": linear}
 
 
 def curves_of(jobs: Sequence[Row], rows: Mapping[str, Row]) -> list[Curve]:

@@ -31,9 +31,9 @@ def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> di
     gained = {**law, "damping": random.uniform(20.0, 60.0) * plant.mass}
     share, friction = random.uniform(0.3, 0.9), random.uniform(0.0, 0.1)
     limit = k_max(without_spring(parse_law(gained), period), plant).k_max_n_per_m
-    told: dict[str, Any] = {"law": name, "share": share, "k_max_n_per_m": limit, "between_n_per_m": None}
+    result: dict[str, Any] = {"law": name, "share": share, "k_max_n_per_m": limit, "between_n_per_m": None}
     if limit is None:
-        return told | {"why": "no stiffness is stable"}
+        return result | {"why": "no stiffness is stable"}
     rendered = parse_law({**gained, "stiffness": share * limit})
     device = DeviceModel(
         mass=plant.mass, damping=plant.damping, delay=plant.delay, friction=friction, resolution=RESOLUTION
@@ -43,21 +43,21 @@ def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> di
     try:
         swing = swing_of(rendered, plant, trace.measured[first:last], plant.damping)
     except CannotTellError as error:
-        return told | {"why": str(error)}
-    return told | {"between_n_per_m": list(swing.k_max_n_per_m), "why": ""}
+        return result | {"why": str(error)}
+    return result | {"between_n_per_m": list(swing.k_max_n_per_m), "why": ""}
 
 
 def counted(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Count over many drops: refusals, intervals that hold K_max, and by how much the others miss it."""
-    told = [row for row in rows if row["between_n_per_m"]]
+    result = [row for row in rows if row["between_n_per_m"]]
     misses = []
-    for row in told:
+    for row in result:
         (low, high), limit = row["between_n_per_m"], row["k_max_n_per_m"]
         misses.append(max(low / limit - 1.0, 1.0 - high / limit, 0.0))
-    widths = [(row["between_n_per_m"][1] - row["between_n_per_m"][0]) / row["k_max_n_per_m"] for row in told]
+    widths = [(row["between_n_per_m"][1] - row["between_n_per_m"][0]) / row["k_max_n_per_m"] for row in result]
     return {
         "drops": len(rows),
-        "told": len(told),
+        "told": len(result),
         "hold": sum(miss == 0.0 for miss in misses),
         "worst_miss": max(misses, default=None),
         "median_width": float(np.median(widths)) if widths else None,

@@ -122,16 +122,16 @@ def fragility(damping: float = 30.0, share: float = 0.9) -> dict[str, dict[str, 
         "twice the mass": Plant(PERIOD, 0.2, 1.0),
     }
     derivatives = {"pd": without_spring(PD(stiffness=1.0, damping=damping), PERIOD), "optimum": optimum(damping)}
-    told: dict[str, dict[str, tuple[float, bool]]] = {}
+    results: dict[str, dict[str, tuple[float, bool]]] = {}
     for name, derivative in derivatives.items():
         limit = k_max(derivative, loops["as tuned"]).k_max_n_per_m
         assert limit is not None  # noqa: S101 - both laws are stable at small K
         law = with_spring(derivative, share * limit)
-        told[name] = {}
+        results[name] = {}
         for loop, device in loops.items():
             scene = free_scene(model(device), PERIOD)
-            told[name][loop] = pole_radius(law, device), settles(scene, [law], Criterion(20_000))[0]
-    return told
+            results[name][loop] = pole_radius(law, device), settles(scene, [law], Criterion(20_000))[0]
+    return results
 
 
 def chatter(law: CompiledLaw, friction: float, resolution: float = 2.3e-5, ticks: int = 5000) -> bool:

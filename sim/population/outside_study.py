@@ -96,11 +96,11 @@ def outcome(row: Mapping[str, Any]) -> str:
 def summary_outside(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Count over a population, kind by kind."""
     labels = {name: label.strip() for _, name, label, _ in ROWS}
-    told: dict[str, Any] = {"devices": len(rows), "kinds": {}}
+    result: dict[str, Any] = {"devices": len(rows), "kinds": {}}
     for kind in [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]:
         of = [row for row in rows if row["kind"] == kind]
         offs = [off for row in of for off in row["off"].values()]
-        told["kinds"][kind] = {
+        result["kinds"][kind] = {
             "devices": len(of),
             **{word: sum(outcome(row) == word for row in of) for word in ("rigid", "richer", "refused", "false")},
             "named": sum(named(row) for row in of),
@@ -109,5 +109,5 @@ def summary_outside(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "false_of": sorted({labels[name] for row in of for name, off in row["off"].items() if off > FAR}),
         }
     for word in ("refused", "false", "named", "intervals", "missed"):
-        told[word] = sum(one[word] for one in told["kinds"].values())
-    return told
+        result[word] = sum(one[word] for one in result["kinds"].values())
+    return result

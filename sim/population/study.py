@@ -81,24 +81,24 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
         nyquist=NYQUIST,
         stiffness=(model.grip, model.grip),
     )
-    told: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for name, law in (("tuned", designed(asked, TAPS)), ("known", designed(known, TAPS)), ("pd", best_pd(asked))):
-        told[name] = None
+        result[name] = None
         if law.found is not None:
             taps = CompiledLaw(tuple(law.found.taps.tolist()))
-            told[name] = {
+            result[name] = {
                 "h1_n_per_m": taps.h1,
                 "radius": pole_radius(
                     taps, Plant(period, model.moving_mass, model.moving_damping, model.delay, model.grip)
                 ),
             }
-    return told
+    return result
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Count over a population."""
     refused = sum(row["refuted"] for row in rows)
-    told: dict[str, Any] = {"devices": len(rows), "refused": refused, "parameters": {}}
+    result: dict[str, Any] = {"devices": len(rows), "refused": refused, "parameters": {}}
     for name in PARAMETERS:
         known = [row[name] for row in rows if row[name]["value"] is not None]
         if name == "stiffness":
@@ -106,20 +106,20 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         holds = [one["low"] <= one["truth"] <= one["high"] for one in known]
         errors = [abs(one["value"] - one["truth"]) for one in known]
         relative = [e / one["truth"] for e, one in zip(errors, known, strict=True) if one["truth"] > 0.0]
-        told["parameters"][name] = {
+        result["parameters"][name] = {
             "told": len(known),
             "cannot_tell": sum(row[name]["value"] is None for row in rows),
             "coverage": sum(holds) / len(known) if known else None,
             "median_error": float(np.median(errors)) if errors else None,
             "median_relative_error": float(np.median(relative)) if relative else None,
         }
-    told["residual_steps_median"] = float(np.median([row["residual_steps"] for row in rows]))
+    result["residual_steps_median"] = float(np.median([row["residual_steps"] for row in rows]))
     laws = [row["tuned"] for row in rows if row.get("tuned") and row["tuned"].get("tuned")]
     if laws:
         both = [law for law in laws if law["known"]]
         share = [law["tuned"]["h1_n_per_m"] / law["known"]["h1_n_per_m"] for law in both]
         gain = [law["tuned"]["h1_n_per_m"] / law["pd"]["h1_n_per_m"] for law in laws if law["pd"]]
-        told["tuned"] = {
+        result["tuned"] = {
             "laws": len(laws),
             "unstable": sum(not law["tuned"]["radius"] < 1.0 for law in laws),
             "of_known_min": min(share, default=math.nan),
@@ -129,4 +129,4 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "of_pd_median": float(np.median(gain)),
             "of_pd_at_least_1_2": sum(g >= 1.2 for g in gain) / len(gain),
         }
-    return told
+    return result

@@ -56,17 +56,17 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
     except ValueError as error:
         return row | {"stopped": str(error)}
     once = knocks(device, compiled, figures["knock_m"], period)
-    told = verified(figures, climb(plan, once))
+    verdict = verified(figures, climb(plan, once))
     row |= {
-        "holds": told["holds"],
-        "delivered": told["holds"],
-        "edge_n_per_m": told["edge_by_poles_h1_n_per_m"],
-        "edge_between_n_per_m": told["edge_by_poles_between_n_per_m"],
+        "holds": verdict["holds"],
+        "delivered": verdict["holds"],
+        "edge_n_per_m": verdict["edge_by_poles_h1_n_per_m"],
+        "edge_between_n_per_m": verdict["edge_by_poles_between_n_per_m"],
         "predicted_edge_n_per_m": figures["edge_linear_h1_n_per_m"],
         "true_radius": true_radius(compiled, device, period),
         "true_edge_n_per_m": true_edge(compiled, device, period),
-        "knocks": len(told["steps"]),
-        "ended": told["ended"],
+        "knocks": len(verdict["steps"]),
+        "ended": verdict["ended"],
     }
     return row
 

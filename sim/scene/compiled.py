@@ -129,7 +129,7 @@ class _Kept:
     Its pickles are read only after the cache has vouched for them.
     """
 
-    _told = False
+    _warned = False
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
@@ -168,8 +168,8 @@ class _Kept:
         """Nothing waits to be written."""
 
     def _refused(self, error: cache.CacheRefusedError) -> None:
-        if not _Kept._told:
-            _Kept._told = True
+        if not _Kept._warned:
+            _Kept._warned = True
             sys.stderr.write(f"compiled again in each process, because nothing can be kept: {error}\n")
 
 

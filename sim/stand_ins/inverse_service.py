@@ -91,12 +91,12 @@ class Service:
                     return
                 state = None if failing == b"state" else self._state()
                 device = {"device_id": DEVICE} | ({} if state is None else {"state": state})
-                told: dict[str, Any] = {"inverse3": [] if world.state.unplugged else [device]}
+                document: dict[str, Any] = {"inverse3": [] if world.state.unplugged else [device]}
                 if world.state.buttons:
-                    told["wireless_verse_grip"] = [{"state": {"buttons": {"a": bool(world.state.buttons & 1)}}}]
+                    document["wireless_verse_grip"] = [{"state": {"buttons": {"a": bool(world.state.buttons & 1)}}}]
                 if world.state.positive:
-                    told |= {"something_new": [1, 2], "warning": "motor saturated"}
-                connection.send(json.dumps(told))
+                    document |= {"something_new": [1, 2], "warning": "motor saturated"}
+                connection.send(json.dumps(document))
         except ConnectionClosed:
             return
         finally:

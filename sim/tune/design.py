@@ -80,12 +80,12 @@ def to_record(asked: Demand) -> dict[str, Any]:
     return asdict(asked)
 
 
-def from_record(told: dict[str, Any]) -> Demand:
+def from_record(record: dict[str, Any]) -> Demand:
     """Read a demand back: the inverse of `to_record`."""
-    beyond = tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in told.get("beyond", ()))
-    pairs = {name: (float(told[name][0]), float(told[name][1])) for name in ("mass", "delay", "stiffness")}
-    lands = tuple((bool(raw), bool(clamp)) for raw, clamp in told["lands"])
-    return Demand(**{**told, **pairs, "lands": lands, "beyond": beyond})
+    beyond = tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in record.get("beyond", ()))
+    pairs = {name: (float(record[name][0]), float(record[name][1])) for name in ("mass", "delay", "stiffness")}
+    lands = tuple((bool(raw), bool(clamp)) for raw, clamp in record["lands"])
+    return Demand(**{**record, **pairs, "lands": lands, "beyond": beyond})
 
 
 def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:

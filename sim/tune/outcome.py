@@ -75,10 +75,12 @@ def compared(predicted: float | None, measured: float | None) -> dict[str, Any]:
     return {"edge_error": error, "edge_compared": words}
 
 
-def headline(told: Mapping[str, Any]) -> str:
+def headline(record: Mapping[str, Any]) -> str:
     """Say in one sentence what came of a tuning, the worst first."""
-    designed, after = told.get("designed"), told.get("verified")
-    stopped = told.get("refused") or (f"interrupted during {told['interrupted']}" if told.get("interrupted") else "")
+    designed, after = record.get("designed"), record.get("verified")
+    stopped = record.get("refused") or (
+        f"interrupted during {record['interrupted']}" if record.get("interrupted") else ""
+    )
     if designed is None:
         return f"No law: {stopped or 'none was designed'}."
     lands = "" if designed["lands"] else "; it does not bear a landing"

@@ -93,23 +93,23 @@ def predict(
 def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
     """Certify the law for every sequence of delays, where the range is within a tick."""
     low, high = asked.delay
-    told = certificate(law, asked)
-    if told == "too wide":
+    answer = certificate(law, asked)
+    if answer == "too wide":
         why = f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart"
         return {"every_delay_stable": None, "every_delay_why": why}
-    return {"every_delay_stable": told}
+    return {"every_delay_stable": answer}
 
 
 def _at_rest(law: CompiledLaw, found: Identified, plant: Plant) -> dict[str, Any]:
     """Compare the friction with what rest takes: a proof where it is above the bound, an estimate below."""
     if found.encoder.value is None or found.friction.value is None:
         return {"limit_cycle_free": None}
-    told = rest(law, plant, found.encoder.value)
+    answer = rest(law, plant, found.encoder.value)
     friction = found.friction.value
     return {
         "friction_n": friction,
-        "friction_for_rest_bound_n": told.friction_bound_n,
-        "friction_for_rest_estimated_n": told.friction_estimated_n,
-        "limit_cycle_free": told.free(friction),
-        "buzz_hz": told.buzz_hz,
+        "friction_for_rest_bound_n": answer.friction_bound_n,
+        "friction_for_rest_estimated_n": answer.friction_estimated_n,
+        "limit_cycle_free": answer.free(friction),
+        "buzz_hz": answer.buzz_hz,
     }

@@ -71,11 +71,11 @@ class Tuning:
         self._options, self._find, self._identified, self._say = options, running, identified, say
         self._file = options.out / "tune.json"
         self.files = {"html": str(options.out / "tune.html"), "json": str(self._file)}  # what was written
-        self.told: dict[str, Any] = {}  # what is known
+        self.record: dict[str, Any] = {}  # what is known
         if not fresh and self._file.exists():
-            self.told = json.loads(self._file.read_text(encoding="utf-8"))
+            self.record = json.loads(self._file.read_text(encoding="utf-8"))
             for key in ("interrupted", "refused", "headline", "not_put_back"):
-                self.told.pop(key, None)
+                self.record.pop(key, None)
         self._loop: PushedLaunch | None = None
 
     def _running(self) -> PushedLaunch:
@@ -85,9 +85,9 @@ class Tuning:
         return self._loop
 
     def _need(self, key: str) -> Any:
-        if key not in self.told:
+        if key not in self.record:
             raise RefusedError(f"{self._file}: holds no {key!r}; run that step first")
-        return self.told[key]
+        return self.record[key]
 
     @property
     def _tuned(self) -> Path:
@@ -100,7 +100,7 @@ class Tuning:
     def do(self, step: str) -> None:
         """Do one step, after dropping what it overtakes."""
         for key in OVERTAKES[step]:
-            self.told.pop(key, None)
+            self.record.pop(key, None)
         if step in ("identify", "design", "verify"):
             # A law that was delivered before is not this one.
             self._tuned.unlink(missing_ok=True)
@@ -110,11 +110,11 @@ class Tuning:
         from sim.identify.identified_text import figures
 
         recording, ended, found = self._identified()
-        self.told["identified"] = {"recording": str(recording), "stopped": ended, **figures(found)}
+        self.record["identified"] = {"recording": str(recording), "stopped": ended, **figures(found)}
         loop = self._running()
-        self.told["limits"] = {"peak_n": loop.peak, "slew_n": loop.slew}
+        self.record["limits"] = {"peak_n": loop.peak, "slew_n": loop.slew}
         if (poses := loop.poses()) is not None:
-            self.told["identified"]["poses_kg"] = list(poses)
+            self.record["identified"]["poses_kg"] = list(poses)
         if ended == "Ctrl-C":
             raise KeyboardInterrupt
 
@@ -145,7 +145,7 @@ class Tuning:
         # A ratio between a law that lands and one that does not would compare two different things.
         comparable = pd.found is not None and lands and all(drops(pd.found.law, asked).values())
         known = pd.found.h1_n_per_m if pd.found is not None and comparable else None
-        self.told["designed"] = {
+        self.record["designed"] = {
             "family": law.family,
             "law": law.law,
             "taps_n_per_m": law.found.taps.tolist(),
@@ -172,7 +172,7 @@ class Tuning:
     def _write_law(self, path: Path, tried: str) -> None:
         from sim.design.families import to_yaml
 
-        designed = self.told["designed"]
+        designed = self.record["designed"]
         low, high = designed["demand"]["mass"]
         lands = "every drop settles" if designed["lands"] else "it does NOT bear a landing"
         lines = (f"haptic launch SCENARIO --params {path}", tried, lands, f"m {low:.4g}..{high:.4g} kg")
@@ -190,14 +190,14 @@ class Tuning:
         limits = self._need("limits")
         law = CompiledLaw(tuple(designed["taps_n_per_m"]))
         figures, edge, plan = predict(law, asked, found, limits["peak_n"], limits["slew_n"])
-        self.told["predicted"] = figures
-        self.told["predicted_steps"] = {
+        self.record["predicted"] = figures
+        self.record["predicted_steps"] = {
             "steps": [asdict(step) for step in edge.steps],
             "ended": edge.ended,
             "plan": asdict(plan),
         }
-        if "verified" in self.told:
-            self.told["verified"] |= compared(figures["edge_factor"], self.told["verified"]["edge_factor"])
+        if "verified" in self.record:
+            self.record["verified"] |= compared(figures["edge_factor"], self.record["verified"]["edge_factor"])
 
     def _verify(self) -> None:
         from sim.identify.borrowed import borrowed, carried
@@ -223,20 +223,20 @@ class Tuning:
                 edge.ended = edge.ended or str(error)
                 raise
             finally:
-                self.told["verified"] = verified(predicted, edge)
+                self.record["verified"] = verified(predicted, edge)
                 if held.not_put_back:
-                    self.told["not_put_back"] = held.not_put_back
+                    self.record["not_put_back"] = held.not_put_back
         if held.not_put_back:
-            self.told["not_put_back"] = held.not_put_back
-        if self.told["verified"]["holds"]:
-            most = self.told["verified"]["stiffest_at_rest_n_per_m"]
+            self.record["not_put_back"] = held.not_put_back
+        if self.record["verified"]["holds"]:
+            most = self.record["verified"]["stiffest_at_rest_n_per_m"]
             self._write_law(self._tuned, f"tried on the device: knocks came to rest up to {most:.4g} N/m")
             self._designed.unlink(missing_ok=True)
 
     def _apply(self) -> None:
         """Fade to the tuned law in the running coupling: only to one that was tried and held."""
         designed = self._need("designed")
-        if not self.told.get("verified", {}).get("holds"):
+        if not self.record.get("verified", {}).get("holds"):
             raise RefusedError(
                 "apply: the law was not tried on the device, or does not hold; only a law that held is applied"
             )
@@ -245,7 +245,7 @@ class Tuning:
         law = {"kind": "fir", "taps": designed["taps_n_per_m"], "period": loop.period}
         ask(loop.run, loop.coupling, "param.set", values={f"laws.{LAW}": law})
         receipt = ask(loop.run, loop.coupling, "law.switch", law=LAW, ramp=RAMP, force=True)
-        self.told["applied"] = {"seq": receipt["seq"], "ramp_ticks": RAMP, "force_step_n": receipt["force_step_n"]}
+        self.record["applied"] = {"seq": receipt["seq"], "ramp_ticks": RAMP, "force_step_n": receipt["force_step_n"]}
 
     def write(self) -> None:
         """Write what is known."""
@@ -257,15 +257,15 @@ class Tuning:
             if path.exists():
                 self.files["params"] = str(path)
                 break
-        self.told["headline"] = headline(self.told)
-        self.told["command"], self.told["date"] = self._options.command, time.strftime("%Y-%m-%d %H:%M:%S %z")
+        self.record["headline"] = headline(self.record)
+        self.record["command"], self.record["date"] = self._options.command, time.strftime("%Y-%m-%d %H:%M:%S %z")
         with contextlib.suppress(RefusedError):
-            self.told["device"] = self.told.get("device") or (self._loop.run.scenario if self._loop else "")
-        self._file.write_text(json.dumps(self.told, indent=1), encoding="utf-8")
-        (self._options.out / "tune.html").write_text(page(self.told), encoding="utf-8")
+            self.record["device"] = self.record.get("device") or (self._loop.run.scenario if self._loop else "")
+        self._file.write_text(json.dumps(self.record, indent=1), encoding="utf-8")
+        (self._options.out / "tune.html").write_text(page(self.record), encoding="utf-8")
 
     @property
     def came_through(self) -> bool:
         """Whether a law that was tried holds, and an edge was found."""
-        after = self.told.get("verified")
+        after = self.record.get("verified")
         return after is None or bool(after["holds"] and after["edge_factor"] is not None)

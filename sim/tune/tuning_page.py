@@ -20,22 +20,24 @@ STYLE = (
 )
 
 
-def page(told: Mapping[str, Any]) -> str:
+def page(record: Mapping[str, Any]) -> str:
     """Write a tuning as HTML that needs no other file."""
-    holds = " holds" if told.get("verified", {}).get("holds") else ""
-    parts = [f'<h1>From a device to its law</h1><p class="verdict{holds}"><b>{_plain(told["headline"])}</b></p>']
-    by = [("device", told.get("device")), ("date", told.get("date")), ("command", told.get("command"))]
+    holds = " holds" if record.get("verified", {}).get("holds") else ""
+    parts = [f'<h1>From a device to its law</h1><p class="verdict{holds}"><b>{_plain(record["headline"])}</b></p>']
+    by = [("device", record.get("device")), ("date", record.get("date")), ("command", record.get("command"))]
     parts.append(f'<p class="by">{"<br>".join(f"{name}: {_plain(value)}" for name, value in by if value)}</p>')
-    if told.get("interrupted"):
-        parts.append(f"<p><b>Interrupted during {_plain(told['interrupted'])}</b>: what follows is what was known.</p>")
-    if told.get("not_put_back"):
-        parts.append(f"<p><b>Not put back</b>: {_plain(told['not_put_back'])}</p>")
-    if "identified" in told:
-        parts += ["<h2>The device</h2>", _device(told["identified"])]
+    if record.get("interrupted"):
+        parts.append(
+            f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: what follows is what was known.</p>"
+        )
+    if record.get("not_put_back"):
+        parts.append(f"<p><b>Not put back</b>: {_plain(record['not_put_back'])}</p>")
+    if "identified" in record:
+        parts += ["<h2>The device</h2>", _device(record["identified"])]
     for title, key, rows in SECTIONS:
-        if key in told:
-            parts += [f"<h2>{title}</h2>", _table(rows(told[key]))]
-    parts += [f'<img alt="{name}" src="data:image/png;base64,{picture}">' for name, picture in pictures(told)]
+        if key in record:
+            parts += [f"<h2>{title}</h2>", _table(rows(record[key]))]
+    parts += [f'<img alt="{name}" src="data:image/png;base64,{picture}">' for name, picture in pictures(record)]
     head = f'<meta charset="utf-8"><title>haptic tune</title><style>{STYLE}</style>'
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
 
@@ -49,10 +51,10 @@ def _table(rows: Sequence[Row]) -> str:
     return f"<table>{lines}</table>"
 
 
-def _device(told: Mapping[str, Any]) -> str:
+def _device(record: Mapping[str, Any]) -> str:
     lines = ["<tr><th></th><th>value</th><th>95 % interval</th><th></th></tr>"]
     for key, _, name, unit in ROWS:
-        one = told[key]
+        one = record[key]
         if one["value"] is None:
             lines.append(f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>")
         else:
@@ -60,8 +62,10 @@ def _device(told: Mapping[str, Any]) -> str:
             low, high = number(one["low"]), number(one["high"])
             interval = f"± {number((one['high'] - one['low']) / 2.0)}" if low == high else f"{low} to {high}"
             lines.append(f"<tr><td>{name}</td><td>{number(one['value'])}</td><td>{interval}</td><td>{unit}</td></tr>")
-    refuted = f"<p><b>The recording refutes this model: {_plain(told['why'])}</b></p>" if told.get("refuted") else ""
-    steps = told["residual_steps"]
-    ended = f"The push ended: {_plain(told['stopped'])}. "
+    refuted = (
+        f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>" if record.get("refuted") else ""
+    )
+    steps = record["residual_steps"]
+    ended = f"The push ended: {_plain(record['stopped'])}. "
     residual = f"Residual {number(steps)} encoder steps; rounding alone leaves 0.29."
     return f"{refuted}<table>{''.join(lines)}</table><p>{ended}{residual}</p>"

@@ -25,10 +25,10 @@ FALL = 0.8
 """How much of a fall on the wall is drawn [s]."""
 
 
-def pictures(told: Mapping[str, Any]) -> list[tuple[str, str]]:
+def pictures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Draw what is known: of each picture what it shows, and its PNG in base64."""
-    found = [("the model against the recording", _fit(told)), ("the wall that is felt", _felt(told))]
-    found.append(("what is left of each knock", _knocks(told)))
+    found = [("the model against the recording", _fit(record)), ("the wall that is felt", _felt(record))]
+    found.append(("what is left of each knock", _knocks(record)))
     return [(name, _encoded(figure)) for name, figure in found if figure is not None]
 
 
@@ -39,9 +39,9 @@ def _encoded(figure: Figure) -> str:
 
 
 @styled
-def _fit(told: Mapping[str, Any]) -> Figure | None:
+def _fit(record: Mapping[str, Any]) -> Figure | None:
     """Draw the first windows of the recording, the model's motion from each one's beginning, and what is left between them."""
-    identified = told.get("identified")
+    identified = record.get("identified")
     if identified is None or identified["mass_kg"]["value"] is None:
         return None
     from matplotlib.figure import Figure
@@ -79,9 +79,9 @@ def _fit(told: Mapping[str, Any]) -> Figure | None:
 
 
 @styled
-def _felt(told: Mapping[str, Any]) -> Figure | None:
+def _felt(record: Mapping[str, Any]) -> Figure | None:
     """Draw force over depth as the identified device falls on the wall of the law, beside the stiffness felt at rest."""
-    if "designed" not in told or "identified" not in told:
+    if "designed" not in record or "identified" not in record:
         return None
     from matplotlib.figure import Figure
 
@@ -89,7 +89,7 @@ def _felt(told: Mapping[str, Any]) -> Figure | None:
     from sim.design.landing import HEIGHTS
     from sim.identify.identified_text import from_figures
 
-    designed, found = told["designed"], from_figures(told["identified"]).anyway()
+    designed, found = record["designed"], from_figures(record["identified"]).anyway()
     if None in (found.mass.value, found.damping.value, found.delay.value):
         return None
     # Nobody holds what falls.
@@ -111,18 +111,18 @@ def _felt(told: Mapping[str, Any]) -> Figure | None:
 
 
 @styled
-def _knocks(told: Mapping[str, Any]) -> Figure | None:
+def _knocks(record: Mapping[str, Any]) -> Figure | None:
     """Draw what is left of each knock against the stiffness; nothing before anything was knocked on."""
-    if "predicted" not in told:
+    if "predicted" not in record:
         return None
     from matplotlib.figure import Figure
 
-    h1 = told["predicted"]["h1_n_per_m"]
+    h1 = record["predicted"]["h1_n_per_m"]
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     axes = figure.subplots()
     runs = (
-        ("predicted", told["predicted_steps"]["steps"]),
-        ("measured", told.get("verified", {}).get("steps")),
+        ("predicted", record["predicted_steps"]["steps"]),
+        ("measured", record.get("verified", {}).get("steps")),
     )
     for k, (name, steps) in enumerate(runs):
         if steps:
@@ -135,7 +135,7 @@ def _knocks(told: Mapping[str, Any]) -> Figure | None:
         ylabel="left of a knock  [1]",
         title="what is left of each knock after its window",
     )
-    edge = told["predicted"]["edge_linear_h1_n_per_m"]
+    edge = record["predicted"]["edge_linear_h1_n_per_m"]
     axes.set_xlim(right=1.25 * max(axes.get_xlim()[1], edge))
     threshold(axes, LEFT, f"{LEFT:g}: more is no rest")
     threshold(axes, h1, "the law", vertical=True)

@@ -20,68 +20,68 @@ def number(value: Any, unit: str = "") -> str:
     return f"{shown} {unit}".rstrip()
 
 
-def _poses(told: Mapping[str, Any]) -> str:
+def _poses(record: Mapping[str, Any]) -> str:
     """Tell what of a range of masses is that of other poses."""
-    lighter, heavier = told.get("poses_kg") or (0.0, 0.0)
+    lighter, heavier = record.get("poses_kg") or (0.0, 0.0)
     return f", with {number(lighter)} less and {number(heavier)} more in other poses" if lighter or heavier else ""
 
 
-def law_rows(told: Mapping[str, Any]) -> list[Row]:
+def law_rows(record: Mapping[str, Any]) -> list[Row]:
     """Tell the designed law."""
-    asked = told["demand"]
-    gain = told["gain_over_pd"]
+    asked = record["demand"]
+    gain = record["gain_over_pd"]
     compared = "no ratio: only laws that both land are compared" if gain is None else f"{gain:.3g} times the best PD"
     return [
-        ("stiffness that is felt, H(1)", number(told["h1_n_per_m"], "N/m")),
+        ("stiffness that is felt, H(1)", number(record["h1_n_per_m"], "N/m")),
         ("beside PD of the same demand", compared),
-        ("settles after every drop on a floor", "yes" if told["lands"] else "NO: it does not survive a landing"),
-        ("taps", ", ".join(number(tap) for tap in told["taps_n_per_m"]) + " N/m"),
-        ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg{_poses(told)}"),
+        ("settles after every drop on a floor", "yes" if record["lands"] else "NO: it does not survive a landing"),
+        ("taps", ", ".join(number(tap) for tap in record["taps_n_per_m"]) + " N/m"),
+        ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg{_poses(record)}"),
         ("for delays", f"{number(asked['delay'][0])} to {number(asked['delay'][1])} ticks"),
         ("pole radius at most", number(asked["radius"])),
         *(
-            [("the worst case", f"{number(told['worst'][0])} kg, {number(told['worst'][1])} ticks")]
-            if "worst" in told
+            [("the worst case", f"{number(record['worst'][0])} kg, {number(record['worst'][1])} ticks")]
+            if "worst" in record
             else []
         ),
-        *([("the model is refuted", told["model_refuted"])] if told.get("model_refuted") else []),
+        *([("the model is refuted", record["model_refuted"])] if record.get("model_refuted") else []),
     ]
 
 
-def predicted_rows(told: Mapping[str, Any]) -> list[Row]:
+def predicted_rows(record: Mapping[str, Any]) -> list[Row]:
     """Tell what the law does on the identified device."""
-    knocked = told["edge_h1_n_per_m"]
-    rest = told["limit_cycle_free"]
-    later = told["stable_up_to_delay_ticks"]
-    every = told["every_delay_stable"]
-    decided = told.get("every_delay_why") or ("not decided" if every is None else number(every))
+    knocked = record["edge_h1_n_per_m"]
+    rest = record["limit_cycle_free"]
+    later = record["stable_up_to_delay_ticks"]
+    every = record["every_delay_stable"]
+    decided = record.get("every_delay_why") or ("not decided" if every is None else number(every))
     quiet = {True: "yes", "estimated": "by estimate", None: "cannot tell"}.get(rest, "NO")
     return [
         ("edge, by knocks on the model", "none was found" if knocked is None else number(knocked, "N/m")),
-        ("edge, by its poles", number(told["edge_linear_h1_n_per_m"], "N/m")),
-        ("pole radius", f"{told['pole_radius']:.4f}"),
-        ("drops that settle", f"{told['drops_settled']} of {told['drops']}"),
+        ("edge, by its poles", number(record["edge_linear_h1_n_per_m"], "N/m")),
+        ("pole radius", f"{record['pole_radius']:.4f}"),
+        ("drops that settle", f"{record['drops_settled']} of {record['drops']}"),
         ("stable up to a delay of", "100 ticks and on" if later is None else number(later, "ticks")),
         ("stable for every sequence of delays", decided),
         ("comes to rest without a buzz", quiet),
     ]
 
 
-def verified_rows(told: Mapping[str, Any]) -> list[Row]:
+def verified_rows(record: Mapping[str, Any]) -> list[Row]:
     """Tell what was measured."""
-    edge, rested = told["edge_h1_n_per_m"], told["stiffest_at_rest_n_per_m"]
-    ends, poles = told["edge_by_poles_between_n_per_m"], told["edge_by_poles_h1_n_per_m"]
+    edge, rested = record["edge_h1_n_per_m"], record["stiffest_at_rest_n_per_m"]
+    ends, poles = record["edge_by_poles_between_n_per_m"], record["edge_by_poles_h1_n_per_m"]
     between = number(None) if ends is None else f"{number(ends[0])} to {number(ends[1], 'N/m')}"
     return [
-        ("the law holds", number(told["holds"])),
+        ("the law holds", number(record["holds"])),
         ("came to rest up to", "nothing" if rested is None else number(rested, "N/m")),
         ("edge, by knocks on the device", "none was found" if edge is None else number(edge, "N/m")),
         (
             "edge, by poles: less what friction lends a knock",
             between if poles is None else f"{number(poles, 'N/m')} ({between})",
         ),
-        ("beside the prediction", told["edge_compared"]),
-        ("knocks", f"{len(told['steps'])} stiffnesses; {told['ended']}"),
+        ("beside the prediction", record["edge_compared"]),
+        ("knocks", f"{len(record['steps'])} stiffnesses; {record['ended']}"),
     ]
 
 
@@ -93,21 +93,21 @@ SECTIONS = (
 """Title, key and rows of each part."""
 
 
-def text(told: Mapping[str, Any], files: Mapping[str, str]) -> str:
+def text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
     """Tell the outcome on a terminal."""
-    lines = [told["headline"]]
-    if "identified" in told:
+    lines = [record["headline"]]
+    if "identified" in record:
         from sim.identify.identified_text import from_figures
         from sim.identify.identified_text import text as device
 
-        lines += [device(from_figures(told["identified"])), f"  the push ended: {told['identified']['stopped']}"]
+        lines += [device(from_figures(record["identified"])), f"  the push ended: {record['identified']['stopped']}"]
     for title, key, rows in SECTIONS:
-        if key in told:
-            lines += [title, *(f"  {name:50} {value}" for name, value in rows(told[key]))]
-    if told.get("refused"):
-        lines.append(f"stopped: {told['refused']}")
-    if told.get("interrupted"):
-        lines.append(f"interrupted during {told['interrupted']}; the law and the surface that were there are back")
-    if told.get("not_put_back"):
-        lines.append(f"NOT put back: {told['not_put_back']}")
+        if key in record:
+            lines += [title, *(f"  {name:50} {value}" for name, value in rows(record[key]))]
+    if record.get("refused"):
+        lines.append(f"stopped: {record['refused']}")
+    if record.get("interrupted"):
+        lines.append(f"interrupted during {record['interrupted']}; the law and the surface that were there are back")
+    if record.get("not_put_back"):
+        lines.append(f"NOT put back: {record['not_put_back']}")
     return "\n".join([*lines, *files.values()])

@@ -107,7 +107,7 @@ class Inverse3Device(MailboxDevice):
         self._threads: list[threading.Thread] = []
         self._ending = threading.Event()
         self._id = ""
-        self._told = ""
+        self._remark = ""
         self._others: Vector = ZERO
         self.round_trip = 0.0
 
@@ -230,7 +230,7 @@ class Inverse3Device(MailboxDevice):
                 # Whoever asked twice would be an answer behind from then on.
                 if not owed:
                     socket.send(command(self._id, wanted if acts else None, first))
-                told = read(socket.recv(timeout=1.0))
+                answered = read(socket.recv(timeout=1.0))
             except TimeoutError:
                 self._failed(SLOW)
                 owed = True
@@ -243,7 +243,7 @@ class Inverse3Device(MailboxDevice):
                 owed, blind = False, True
                 continue
             self.round_trip, first, owed = time.monotonic() - begun, False, False
-            state = next((device.state for device in told.inverse3 if device.device_id == self._id), None)
+            state = next((device.state for device in answered.inverse3 if device.device_id == self._id), None)
             blind = state is None
             if state is None:
                 # What is zero may be left out of a state, but a state that is not there is no state of zeros.
@@ -253,7 +253,7 @@ class Inverse3Device(MailboxDevice):
                 quaternion = (turn.x, turn.y, turn.z, turn.w)
                 sample[:] = [
                     *(*state.cursor_position.numbers(), *state.cursor_velocity.numbers()),
-                    *(*quaternion, 0.0, float(buttons(told))),
+                    *(*quaternion, 0.0, float(buttons(answered))),
                 ]
                 code.mailbox_sampled(at, sample)
                 code.mailbox_ticked(at)
@@ -279,10 +279,10 @@ class Inverse3Device(MailboxDevice):
                     except TimeoutError:
                         continue
                     if any(word in text for word in ENDS):
-                        self._told = ""
+                        self._remark = ""
                     for word, meaning in EVENTS.items():
                         if word in text:
-                            self._told = meaning
+                            self._remark = meaning
                     if "device-disconnected" in text:
                         self._failed(UNPLUGGED, fatal=True)
         except (OSError, ConnectionClosed, InvalidHandshake, TimeoutError):
@@ -296,8 +296,8 @@ class Inverse3Device(MailboxDevice):
         """Say why the device gives no force, or another one than it is asked for."""
         if self._box.fault:
             return f"{self.error_text(self._box.fault)}: forces are off until the node is started again"
-        if self._told:
-            return self._told
+        if self._remark:
+            return self._remark
         if max(map(abs, self._others)) > ASKED:
             x, y, z = self._others
             return f"another session of the Inverse Service adds {x:+.2f}, {y:+.2f}, {z:+.2f} N along the device's axes"

@@ -90,11 +90,11 @@ def read(message: str | bytes) -> ServiceMessage:
         raise ValueError(f"the service sent what it should not: {error}") from error
 
 
-def buttons(told: ServiceMessage) -> int:
+def buttons(service_state: ServiceMessage) -> int:
     """Tell the buttons of the first grip, one bit each."""
-    if not told.wireless_verse_grip:
+    if not service_state.wireless_verse_grip:
         return 0
-    pressed = told.wireless_verse_grip[0].state.get("buttons", {})
+    pressed = service_state.wireless_verse_grip[0].state.get("buttons", {})
     names = sorted(pressed) if isinstance(pressed, dict) else []
     return sum(1 << n for n, name in enumerate(names) if pressed[name] is True)
 
@@ -116,10 +116,10 @@ def ask(host: str, port: int, path: str) -> Any:
     """Ask the service's HTTP side; None where it has no answer: an older one has not all of it."""
     try:
         with urllib.request.urlopen(f"http://{host}:{port}{path}", timeout=1.0) as answer:  # http only
-            told = json.loads(answer.read(1 << 20))
+            service_state = json.loads(answer.read(1 << 20))
     except (OSError, ValueError, urllib.error.URLError):
         return None
-    return told.get("data") if isinstance(told, dict) and told.get("ok") else None
+    return service_state.get("data") if isinstance(service_state, dict) and service_state.get("ok") else None
 
 
 EVENTS: Final = {

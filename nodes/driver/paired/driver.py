@@ -131,8 +131,8 @@ class PairedDriver(Driver):
             Plant(1.0, one["mass"], one["damping"], one["device_delay"], one["stiffness"]) for one in plants
         )
         pair = first.paired_with(second)
-        told = {"mass": pair.mass, "damping": pair.damping, "stiffness": pair.stiffness, "device_delay": pair.delay}
-        return changed, {"heaviest": None, **told}
+        facts = {"mass": pair.mass, "damping": pair.damping, "stiffness": pair.stiffness, "device_delay": pair.delay}
+        return changed, {"heaviest": None, **facts}
 
     def _member(self, name: str) -> Driver:
         parameters: PairedMember = getattr(self.store.current, name)
@@ -171,8 +171,8 @@ class PairedDriver(Driver):
 
     def condition(self) -> str:
         """Say which of them keeps forces off, and why."""
-        told = ((name, device.condition()) for name, device in self._hardware())
-        return "; ".join(f"{name}: {condition}" for name, condition in told if condition)
+        facts = ((name, device.condition()) for name, device in self._hardware())
+        return "; ".join(f"{name}: {condition}" for name, condition in facts if condition)
 
     def _hardware(self) -> list[tuple[str, Any]]:
         from nodes.driver.hardware.mailbox import MailboxDevice

@@ -72,11 +72,11 @@ class MujocoEnvironment(Node):
         self._world = load_world(self.store.current, self.setup.period, self.setup.name)
         self._poses = Poses(poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True)
         self._every = max(1, round(1.0 / (RATE * self.setup.period)))
-        told = ", ".join(f"{pair.geom} {pair.stiffness:.3g} N/m" for pair in self._world.stiffness()) or "none"
+        text = ", ".join(f"{pair.geom} {pair.stiffness:.3g} N/m" for pair in self._world.stiffness()) or "none"
         self.events.emit_each(
             "bodies",
             f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass); {self._world.steps} steps a tick; "
-            f"its contacts, measured: {told}",
+            f"its contacts, measured: {text}",
         )
 
     def _answer(self, state: DeviceState) -> bytes | None:

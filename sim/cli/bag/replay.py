@@ -78,8 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
         },
         "hand": None if external is None else "spring" if recorded.scene.scene.device.hand else "force",
         "law": described,
-        "recorded": _told(same),
-        "predicted": _told(other),
+        "recorded": _figures(same),
+        "predicted": _figures(other),
         "left_out": list(recorded.left_out),
     }
     if arguments.out is not None:
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _told(felt: Felt) -> dict[str, Any]:
+def _figures(felt: Felt) -> dict[str, Any]:
     return {"settled": felt.settled, "peak_force_n": felt.peak_force, "rest_m": felt.rest}
 
 
@@ -171,10 +171,10 @@ def _text(figures: dict[str, Any]) -> str:
             f"without that it differs by {error('model')}"
         )
     for name in ("recorded", "predicted"):
-        told = figures[name]
-        state = "settles" if told["settled"] else "does not settle"
+        row = figures[name]
+        state = "settles" if row["settled"] else "does not settle"
         lines.append(
-            f"  {name:9} {state}, peak {told['peak_force_n']:.4g} N, rests at {told['rest_m']:.6g} m (± {error('model')})"
+            f"  {name:9} {state}, peak {row['peak_force_n']:.4g} N, rests at {row['rest_m']:.6g} m (± {error('model')})"
         )
     lines.append("  predicted for " + ", ".join(f"{key} {value}" for key, value in figures["law"].items()))
     if figures["hand"] == "force":

@@ -40,7 +40,9 @@ NAMES = {
     "bare": "bare pyzmq + msgpack",
     "c": "bare C",
     **{
-        f"{tick} {case}": f"{tick}, {told}" for case, told in loop_cases.CASES.items() for tick in ("compiled", "plain")
+        f"{tick} {case}": f"{tick}, {label}"
+        for case, label in loop_cases.CASES.items()
+        for tick in ("compiled", "plain")
     },
 }
 """The loops compared; a bare one carries a logger when ours does."""
@@ -195,12 +197,12 @@ def text(figures: dict[str, Any]) -> str:
     """Write the figures for people."""
     low, high = figures["ratio_range"]
     lines = [figures["machine"] + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")]
-    for key, told in (("", "without a logger"), ("_with_logger", "with one")):
+    for key, label in (("", "without a logger"), ("_with_logger", "with one")):
         rates = {name: figures.get(f"{name}{key}_ticks_per_s") for name in NAMES if " " not in name}
         found = ", ".join(f"{NAMES[name]} {rate:.0f}" for name, rate in rates.items() if rate is not None)
-        lines.append(f"lockstep   {told}, ticks/s: {found}")
-    cases = {told: figures.get(f"{name}_ticks_per_s") for name, told in NAMES.items() if " " in name}
-    if found := ", ".join(f"{told} {rate:.0f}" for told, rate in cases.items() if rate is not None):
+        lines.append(f"lockstep   {label}, ticks/s: {found}")
+    cases = {label: figures.get(f"{name}_ticks_per_s") for name, label in NAMES.items() if " " in name}
+    if found := ", ".join(f"{label} {rate:.0f}" for label, rate in cases.items() if rate is not None):
         lines.append(f"           without a logger, ticks/s: {found}")
     lines += [
         f"           bare/ours {figures['ratio']:.2f} ({low:.2f} to {high:.2f})",
@@ -209,11 +211,11 @@ def text(figures: dict[str, Any]) -> str:
     ]
     for rate in figures["rates_hz"]:
         key = f"{rate}_hz"
-        for name, told in NAMES.items():
+        for name, label in NAMES.items():
             if key in figures.get(f"{name}_response_us", {}):
                 response, missed = figures[f"{name}_response_us"][key], figures[f"{name}_missed_share"][key]
                 lines.append(
-                    f"{rate:5} Hz   {told:32} response p50 {response['p50']:4.0f} µs, p99 {response['p99']:4.0f} µs, "
+                    f"{rate:5} Hz   {label:32} response p50 {response['p50']:4.0f} µs, p99 {response['p99']:4.0f} µs, "
                     f"max {response['max']:5.0f} µs, missed {missed:.3%}"
                 )
     memory = ", ".join(f"{name} {value:.0f} MB" for name, value in figures["memory_mb"].items())
@@ -244,7 +246,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _run_scenes(arguments: argparse.Namespace) -> int:
     """Compare scenes with the floor."""
     from sim.experiments.scene_costs import FINEST, compare_scenes
-    from sim.experiments.scene_costs import text as told
+    from sim.experiments.scene_costs import text as scenes_text
 
     if not 2 <= arguments.finest <= FINEST:
         raise UsageError(f"--finest {arguments.finest}: 2 to {FINEST}")
@@ -253,5 +255,5 @@ def _run_scenes(arguments: argparse.Namespace) -> int:
     kernels = (*KERNELS, "nodes.environment.shapes.kernel")
     tick = choose("compiled", kernels, lambda text: print(text, file=sys.stderr))
     figures = compare_scenes(arguments.rounds, arguments.seconds, arguments.finest, tick)
-    answer(arguments.json, figures, "\n".join([figures["machine"], *told(figures["rows"])]))
+    answer(arguments.json, figures, "\n".join([figures["machine"], *scenes_text(figures["rows"])]))
     return 0

@@ -154,8 +154,8 @@ def _steps_at_rest(states: list[DeviceState], receipts: list[Receipt]) -> list[f
 def _figures(recording: Recording, summary: dict[str, Any], asked: Asked, before: int) -> dict[str, Any]:
     states = recording.messages(DEVICE_STATE)
     receipts = [receipt for receipt in recording.messages(RECEIPT) if receipt.revision > before]
-    told = {receipt.revision: receipt for receipt in receipts}
-    lost = [found for found in asked.answers if found["revision"] not in told]
+    by_revision = {receipt.revision: receipt for receipt in receipts}
+    lost = [found for found in asked.answers if found["revision"] not in by_revision]
     steps = _steps_at_rest(states, receipts)
     blocks: dict[bool, list[dict[str, Any]]] = {True: [], False: []}
     for block in asked.blocks:

@@ -87,6 +87,6 @@ def _write(figures: dict[str, Any], folder: Path) -> list[Path]:
     threshold(axes, figures["unrolled_taps"], f"numpy beyond {figures['unrolled_taps']} taps", vertical=True)
     axes.set_title(f"Adding n taps, {figures['machine']['cpu']}")
     axes.legend()
-    told = fresh(folder / "bench_taps.json")
-    told.write_text(json.dumps(figures, indent=1) + "\n")
-    return [told, save_figure(figure, folder / "bench_taps.png", fresh)]
+    json_path = fresh(folder / "bench_taps.json")
+    json_path.write_text(json.dumps(figures, indent=1) + "\n")
+    return [json_path, save_figure(figure, folder / "bench_taps.png", fresh)]

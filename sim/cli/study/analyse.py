@@ -146,13 +146,13 @@ def _beyond(figures: dict[str, Any]) -> list[str]:
         )
     if jitter is not None:
         low, high = jitter["delay_ticks"]
-        told = {
+        row = {
             True: f"stable: a common norm shrinks over each of {jitter['words']} words of delays",
             False: f"UNSTABLE: {', '.join(f'{d:.4g}' for d in jitter['growing'])} ticks, repeated, grow by "
             f"{jitter['growth']:.6f} per tick",
             None: "not decided: no norm found, and no sequence that grows",
         }[jitter["stable"]]
-        lines.append(f"every delay     of {low:g}..{high:g} ticks: {told} (THEORY.md §10)")
+        lines.append(f"every delay     of {low:g}..{high:g} ticks: {row} (THEORY.md §10)")
     if still is not None:
         lines.append(f"rest            {still['text']}")
         if "k_rest_n_per_m" in still:

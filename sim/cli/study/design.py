@@ -182,17 +182,17 @@ def _design(arguments: argparse.Namespace, demand: Demand, measured: Measured | 
             f"one: {figures['replayed_radius']}"
         )
     if law.found is not None and law.law is not None:
-        told, said = _designed(arguments, demand, law, pd)
+        result, said = _designed(arguments, demand, law, pd)
         plot = fresh(arguments.out / "design.png")
         _draw(plot, demand, law, pd, passive)
-        figures |= {"designed": told, "plot": str(plot)}
-        if not told["lands"]:
+        figures |= {"designed": result, "plot": str(plot)}
+        if not result["lands"]:
             lines.insert(
                 0, "This law does NOT survive a landing: a drop on a floor does not settle; without --no-land it would"
             )
         lines += [*said, str(plot)]
         if arguments.friction is not None:
-            lines += _at_rest(arguments, law.found, demand, told)
+            lines += _at_rest(arguments, law.found, demand, result)
     else:
         lines.append(
             "no law of this length keeps the demand: allow a larger radius, a narrower range, more taps or --no-land"
@@ -213,11 +213,11 @@ def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tun
     comment = _describe(demand) + ("" if lands else "\nit does NOT bear a landing")
     path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
     every = certificate(law.found.law, demand)
-    told = _row(law, demand) | {"yaml": str(path), "lands": lands, "every_delay": every}
+    result = _row(law, demand) | {"yaml": str(path), "lands": lands, "every_delay": every}
     proofs: dict[Any, str] = {True: "certified", False: "NOT stable", None: "not decided"}
     proof = proofs.get(every, "the range is wider than a tick")
-    return told, [
-        _line(told),
+    return result, [
+        _line(result),
         f"{'':13}  every sequence of these delays, five masses: {proof} (THEORY.md §10)",
         _line(_row(pd, demand)),
         f"haptic param load coupling {path}",
@@ -292,8 +292,8 @@ def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
 def _passive_row(passive: Passive, demand: Demand, out: Path) -> dict[str, Any]:
     """Write the passive law down; its figures."""
     path = fresh(out / "passive.yaml")
-    told = f"passive for any mass and hand: {_describe(demand)}"
-    path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=told), encoding="utf-8")
+    result = f"passive for any mass and hand: {_describe(demand)}"
+    path.write_text(to_yaml(fir(passive.taps, demand.period), "passive", comment=result), encoding="utf-8")
     law = CompiledLaw(tuple(passive.taps.tolist()))
     radius = max(
         pole_radius(law, Plant(demand.period, mass, demand.damping, delay, hand))

@@ -59,8 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     except ValueError as error:
         raise UsageError(f"{launch.scenario}: {error}") from error
-    told: dict[str, Any] = {"scenario": launch.scenario, **asdict(found), "needs": found.coarsest.name}
-    answer(arguments.json, told, _text(launch.scenario, law.h1, resolution, found))
+    result: dict[str, Any] = {"scenario": launch.scenario, **asdict(found), "needs": found.coarsest.name}
+    answer(arguments.json, result, _text(launch.scenario, law.h1, resolution, found))
     return 0
 
 

@@ -107,18 +107,18 @@ def run(arguments: argparse.Namespace) -> int:
         for spread in (None, *(1.0 + off / 100.0 for off in sorted(set(arguments.known))))
     ]
     rows, ledger = swept(arguments, study_price, jobs, "price")
-    told = [{**job, **row} for job, row in zip(jobs, rows, strict=True)]
+    priced = [{**job, **row} for job, row in zip(jobs, rows, strict=True)]
     picture = arguments.out / "price.png"
-    draw(picture, told)
+    draw(picture, priced)
     lines = [
         f"{arguments.mass:g} kg, joint of {arguments.frequency:g} Hz with {100 * arguments.share:g} % of it, delay "
         f"{arguments.delay:g} to {arguments.delay + arguments.jitter:g} ticks, {arguments.taps} taps, pole radius at most 0.99",
         f"{'known':22} {'hand':24} {'asked':22} {'H(1) [N/m]':>10}  on the device",
-        *map(_line, told),
+        *map(_line, priced),
     ]
     answer(
         arguments.json,
-        {"rows": told, "ledger": str(ledger), "plot": str(picture)},
+        {"rows": priced, "ledger": str(ledger), "plot": str(picture)},
         "\n".join([*lines, str(ledger), str(picture)]),
     )
     return 0

@@ -51,24 +51,24 @@ def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
     if family == "two rates":
         return _two_rates(job, period)
     law: CompiledLaw | None = None
-    told: dict[str, Any] = {"family": family, "law": None}
+    result: dict[str, Any] = {"family": family, "law": None}
     if family == "passive FIR":
         found = stiffest_passive(4, period, job["damping"], delay, job["nyquist"])
-        law, told["law"] = CompiledLaw(tuple(found.taps.tolist())), {"kind": "fir", "taps": found.taps.tolist()}
+        law, result["law"] = CompiledLaw(tuple(found.taps.tolist())), {"kind": "fir", "taps": found.taps.tolist()}
     elif family in ("Kelvin-Voigt", "standard linear solid"):
         tuned = _best_solid(asked, job["taps"], family)
-        law, told["law"] = (None, None) if tuned is None else tuned
+        law, result["law"] = (None, None) if tuned is None else tuned
     elif family == "Maxwell":
         # It bears nothing for ever: what its cut response leaks is no wall.
-        return told | {"h1_n_per_m": 0.0}
+        return result | {"h1_n_per_m": 0.0}
     else:
         one = best_pd(asked) if family == "pd" else designed(asked, 4)
-        law, told["law"] = (None if one.found is None else one.found.law), one.law
+        law, result["law"] = (None if one.found is None else one.found.law), one.law
     if law is None:
-        return told | {"h1_n_per_m": None}
+        return result | {"h1_n_per_m": None}
     settled = drops(law, asked)
     needed = damping_needed(law, period, delay[0])
-    return told | {
+    return result | {
         "h1_n_per_m": law.h1,
         "h_nyquist_n_per_m": law.h_nyquist,
         "radius": _radius(law, asked),
@@ -179,9 +179,9 @@ def _line(row: Mapping[str, Any]) -> str:
         why = "bears nothing for ever: H(1) = 0" if row["family"] == "Maxwell" else "no law keeps the demand"
         return f"{row['family']:22} {why}"
     if row["family"] == "two rates":
-        told = f"a servo's damper of {row['law']['servo_damping']:.3g} N s/m at {SERVO} times the rate"
+        result = f"a servo's damper of {row['law']['servo_damping']:.3g} N s/m at {SERVO} times the rate"
         late = f"{row['delay_ticks']:g} ticks late; haptic study two_rate for other rates"
-        return f"{row['family']:22} {row['h1_n_per_m']:10.1f} {'':9}  {told}, {late}"
+        return f"{row['family']:22} {row['h1_n_per_m']:10.1f} {'':9}  {result}, {late}"
     return (
         f"{row['family']:22} {row['h1_n_per_m']:10.1f} {row['h_nyquist_n_per_m']:9.0f}  "
         f"{row['damping_needed_n_s_per_m']:18.3f} {row['at_nyquist_without_delay_n_s_per_m']:14.3f}  {row['drops_settled']}"

@@ -72,7 +72,7 @@ def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], ledger: s
             continue
         outcome = "delivered" if row["delivered"] else f"not delivered: {row['ended']}"
         lines.append(
-            f"{row['kind']:20} {row['h1_n_per_m']:10.0f} {_told(row):>22} {_shown(row['true_edge_n_per_m'])} "
+            f"{row['kind']:20} {row['h1_n_per_m']:10.0f} {_outcome(row):>22} {_shown(row['true_edge_n_per_m'])} "
             f"{row['true_radius']:11.4f}  {outcome}"
         )
     worst = found["edge_error_largest"]
@@ -87,7 +87,7 @@ def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], ledger: s
     return "\n".join([*lines, ledger])
 
 
-def _told(row: Mapping[str, Any]) -> str:
+def _outcome(row: Mapping[str, Any]) -> str:
     """Show the edge that was told: one figure, or the interval."""
     if row["edge_n_per_m"]:
         return f"{row['edge_n_per_m']:.0f}"

@@ -108,7 +108,7 @@ def test_limits_are_read_and_kept(stand: Bench) -> None:
     peak = device.limits.peak_force
     asked = lower(SafetyParameters(peak_force=1000.0, watchdog=10_000), device.limits, 0.002)
     assert asked.peak == peak
-    assert len(asked.told) == 2
+    assert len(asked.overruled) == 2
 
     def presses() -> bool:
         device.write_force((1e6, -1e6, 0.0), 0, 0.0)

@@ -40,7 +40,7 @@ def test_no_launch_file_raises_a_limit_of_the_device_and_each_attempt_is_told() 
     assert (limits.peak, limits.continuous, limits.slew) == (7.9, 1.75, 2000.0 * T)
     assert (limits.watchdog, limits.damping_ticks, limits.max_age) == (25, 25, 25)
     assert limits.workspace == ((-0.08, 0.08), (-0.01, 0.01), (-0.06, 0.06))
-    assert [text.split(":")[0].removeprefix("driver.safety.") for text in limits.told] == [
+    assert [text.split(":")[0].removeprefix("driver.safety.") for text in limits.overruled] == [
         "peak_force",
         "slew",
         "watchdog",
@@ -50,8 +50,8 @@ def test_no_launch_file_raises_a_limit_of_the_device_and_each_attempt_is_told() 
         "workspace[2]",
         "continuous_force",
     ]
-    assert limits.told[0] == "driver.safety.peak_force: 20 N, limit 7.9 N of the device, which holds"
-    assert Port(TOUCH, peak_force=20.0).limits.told == (
+    assert limits.overruled[0] == "driver.safety.peak_force: 20 N, limit 7.9 N of the device, which holds"
+    assert Port(TOUCH, peak_force=20.0).limits.overruled == (
         "safety.peak_force: 20 N, limit 7.9 N of the device, which holds",
     )
 
@@ -59,7 +59,7 @@ def test_no_launch_file_raises_a_limit_of_the_device_and_each_attempt_is_told() 
 def test_a_modest_launch_file_lowers_the_limits_and_nothing_is_told() -> None:
     modest = SafetyParameters(peak_force=7.9, continuous_force=1.0, slew=2000.0, watchdog=25, damping_ticks=5)
     limits = lower(modest, TOUCH, T)
-    assert (limits.peak, limits.continuous, limits.watchdog, limits.told) == (7.9, 1.0, 25, ())
+    assert (limits.peak, limits.continuous, limits.watchdog, limits.overruled) == (7.9, 1.0, 25, ())
     # Left out, the device's own limits hold.
     limits = lower(SafetyParameters(damping_ticks=25), TOUCH, T)
     assert (limits.peak, limits.continuous, limits.slew) == (7.9, 1.75, 2000.0 * T)
@@ -67,10 +67,10 @@ def test_a_modest_launch_file_lowers_the_limits_and_nothing_is_told() -> None:
 
 def test_a_slew_too_slow_to_stop_in_time_lowers_the_peak() -> None:
     limits = lower(SafetyParameters(slew=2.0, peak_force=3.0), DeviceLimits(), T)
-    assert (limits.peak, limits.told) == (3.0, ())  # 3 N at 2 N/s is exactly STOP_TIME
+    assert (limits.peak, limits.overruled) == (3.0, ())  # 3 N at 2 N/s is exactly STOP_TIME
     limits = lower(SafetyParameters(slew=2.0, peak_force=3.01), DeviceLimits(), T)
     assert limits.peak == 2.0 * STOP_TIME
-    assert limits.told[0].startswith("safety.slew: 2 N/s takes")
+    assert limits.overruled[0].startswith("safety.slew: 2 N/s takes")
 
 
 @pytest.mark.parametrize(

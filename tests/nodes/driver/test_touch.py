@@ -132,7 +132,7 @@ def test_no_launch_file_raises_the_limits_of_the_device() -> None:
     device = DeviceLimits(peak_force=7.9, silence=0.1, hold=0.05)
     limits = lower(SafetyParameters(peak_force=100.0, watchdog=1000), device, 0.002, "driver.safety")
     assert (limits.peak, limits.watchdog) == (7.9, 50)
-    assert limits.told[0] == "driver.safety.peak_force: 100 N, limit 7.9 N of the device, which holds"
+    assert limits.overruled[0] == "driver.safety.peak_force: 100 N, limit 7.9 N of the device, which holds"
 
 
 def scenario(folder: Path, library: str) -> str:

@@ -10,7 +10,7 @@ import pytest
 
 from messages.types import DeviceState, Force, Proxy
 from nodes.view.ringing import Ringing
-from nodes.view.why_force import explain, told_stop
+from nodes.view.why_force import explain, stop_in_words
 
 STATE = DeviceState(seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8)
 PROXY = Proxy(
@@ -75,8 +75,8 @@ def test_before_the_first_tick() -> None:
 
 def test_a_stop_is_told_by_its_strokes() -> None:
     reason = "the loop swings: its force came to the limit of 10 N 6 times within 0.25 s and gave out 65.3 mJ; no force until"
-    assert told_stop(reason) == ("6 strokes to the limit of 10 N within 0.25 s, 65.3 mJ given out", 0.25)
-    assert told_stop("put otherwise") == ("put otherwise", 0.0)
+    assert stop_in_words(reason) == ("6 strokes to the limit of 10 N within 0.25 s, 65.3 mJ given out", 0.25)
+    assert stop_in_words("put otherwise") == ("put otherwise", 0.0)
 
 
 @pytest.mark.parametrize(("hertz", "rings"), [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)])
