@@ -50,6 +50,32 @@ class Level:
     call_p99_us: float
     enough: bool  # whether its force stays within the limit
 
+    @classmethod
+    def measured(
+        cls,
+        name: str,
+        solids: int,
+        triangles: int,
+        difference: Array,
+        counted: Array,
+        away: Array,
+        times: Array,
+        limit: float,
+    ) -> Level:
+        """Sum a path up: forces that differ [N], over all ticks and those that count, proxies [m], times of calls [µs]."""
+        return cls(
+            name,
+            solids,
+            triangles,
+            float(difference.max()),
+            float(np.sqrt(np.mean(counted**2))),
+            float(1e6 * away.max()),
+            places(difference > limit),
+            float(np.median(times)),
+            float(np.percentile(times, 99)),
+            bool(difference.max() <= limit),
+        )
+
 
 @dataclass(frozen=True)
 class Detail:
@@ -103,20 +129,8 @@ def detail(
         )
         difference = stiffness * away
         times = 1e6 * call_times(made, path, tool_radius, period, _TIMED)
-        levels.append(
-            Level(
-                name,
-                len(made),
-                sum(len(solid.mesh.corners) for solid in made if solid.mesh is not None),
-                float(difference.max()),
-                float(np.sqrt(np.mean(difference[either] ** 2))),
-                float(1e6 * away.max()),
-                places(difference > limit),
-                float(np.median(times)),
-                float(np.percentile(times, 99)),
-                bool(difference.max() <= limit),
-            )
-        )
+        triangles = sum(len(solid.mesh.corners) for solid in made if solid.mesh is not None)
+        levels.append(Level.measured(name, len(made), triangles, difference, difference[either], away, times, limit))
     return Detail(tuple(levels), limit, stiffness * resolution, largest, tuple(left_out))
 
 

@@ -13,7 +13,7 @@ from messages.types import Vector
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters
 from nodes.launcher.launch_spec import Launch
-from sim.experiments.detail import Detail, Level, places
+from sim.experiments.detail import Detail, Level
 from sim.scene.from_launch import parameters_of
 from sim.scene.spatial import SpatialTrace, play
 
@@ -114,16 +114,6 @@ def _untouched(world: _Watched) -> _Watched:
 
 def _level(name: str, world: _Watched, found: SpatialTrace, ideal: SpatialTrace, limit: float) -> Level:
     difference = np.linalg.norm(found.force - ideal.force, axis=1)
+    away = np.linalg.norm(found.proxy - ideal.proxy, axis=1)
     times = np.array(world.times, dtype=np.float64) / 1e3
-    return Level(
-        name,
-        int(world.model.ngeom),
-        0,
-        float(difference.max()),
-        float(np.sqrt(np.mean(difference**2))),
-        float(1e6 * np.linalg.norm(found.proxy - ideal.proxy, axis=1).max()),
-        places(difference > limit),
-        float(np.median(times)),
-        float(np.percentile(times, 99)),
-        bool(difference.max() <= limit),
-    )
+    return Level.measured(name, int(world.model.ngeom), 0, difference, difference, away, times, limit)
