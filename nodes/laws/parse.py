@@ -100,7 +100,13 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             "choose another derivative or order"
         )
     if compiled.evaluate is not None:
-        # Its own code adds a force that no transfer function tells; the coupling watches it at run time.
+        try:
+            compiled.own_code()
+        except Exception as error:  # as above
+            raise LawRefusedError(
+                f"{path}: its own code cannot be made for an axis: {type(error).__name__}: {error}"
+            ) from error
+        # It adds a force that no transfer function tells; the coupling watches it at run time.
         return compiled
     h1 = compiled.h1
     # The sum of the taps is only known to rounding: what is below it has no sign.

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
 
+from messages.types import Proxy
 from nodes.coupling.law_on_axis import History, LawOnAxis
-from nodes.laws.parse import compile_law
+from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.laws import CompiledLaw, Law
+from nodes.laws.parse import LawRefusedError, compile_law
 from tests.support import ROOT
 
 
@@ -23,3 +28,50 @@ def test_the_pages_law_is_added_to_its_taps() -> None:
     # K x + C x³ = 1 N + 0.2 N.
     assert LawOnAxis(law, history).force(history.head) == pytest.approx(1.2, rel=1e-12)
     assert law.h1 == 1000.0
+
+
+class Counting:
+    """Code that remembers: its force is the number of its calls, plus ten for each axis."""
+
+    def __init__(self, axis: int = 0) -> None:
+        self._axis, self._calls = axis, 0
+
+    def on_axis(self, axis: int) -> Counting:
+        """Begin anew."""
+        return Counting(axis)
+
+    def __call__(self, ring: Sequence[float], head: int) -> float:
+        """Count a tick."""
+        del ring, head
+        self._calls += 1
+        return 10.0 * self._axis + self._calls
+
+
+def test_code_that_remembers_begins_anew_on_each_axis_and_after_each_swap() -> None:
+    renderer = Renderer([0, 2], 16)
+    plain, counting = CompiledLaw((0.0,)), CompiledLaw((0.0,), evaluate=Counting())
+    renderer.law = renderer.fallback = ActiveLaw("plain", "", plain, renderer.histories)
+    proxy = Proxy(seq=0, stamp=0.0, position=(0.0, 0.0, 0.0), proxy=(0.0, 0.0, 0.0), contact=True)
+    for _ in range(2):
+        # The trial run before the swap, and the force step that it tells, are no ticks.
+        step = renderer.swap(ActiveLaw("counting", "", counting, renderer.histories), 0)
+        assert step == pytest.approx(math.hypot(1.0, 11.0), rel=1e-15)
+        assert [renderer.render(proxy) for _ in range(2)] == [(1.0, 0.0, 11.0), (2.0, 0.0, 12.0)]
+        renderer.swap(ActiveLaw("plain", "", plain, renderer.histories), 0)
+        renderer.render(proxy)
+
+
+def test_code_that_cannot_be_made_for_an_axis_is_refused() -> None:
+    class Broken(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """Code that is made for no axis."""
+
+        def compile(self, period: float) -> CompiledLaw:
+            class Code(Counting):
+                def on_axis(self, axis: int) -> Counting:
+                    """Break down."""
+                    raise RuntimeError(f"no axis {axis} at {period:g} s")
+
+            return CompiledLaw((1000.0,), evaluate=Code())
+
+    with pytest.raises(LawRefusedError, match=r"law: its own code cannot be made for an axis: RuntimeError: no axis 0"):
+        compile_law(Broken(), 0.002)
