@@ -1,4 +1,4 @@
-"""JSON Schema of each message type, for the channels of a recording and for whoever writes a node in another language.
+"""JSON Schema of each message type, for the channels of a recording and for nodes in other languages.
 
 Foxglove and Lichtblick read a flat schema only: everything inlined, no ``$ref``, no ``anyOf``, one schema for all items
 of an array. msgspec's own generator uses all three, so the schema is built here, from the types and the docstrings: the

@@ -6,7 +6,7 @@ An endpoint is ZeroMQ's own text, followed for an encrypted one by ``#`` and the
     tcp://10.0.0.2:5600#9f0c…                                 CURVE, or it is refused
     tcp://127.0.0.1:5600#9f0c…                                so too on loopback, which all users of the machine share
 
-The key travels with the endpoint, so whoever knows where to connect also knows whom to expect there: a forger that binds in
+The key travels with the endpoint, so who knows where to connect also knows whom to expect there: a forger that binds in
 the place of a node cannot complete the handshake.
 
 Two rules keep a peer from ending this process. libzmq (4.3.5) remembers a peer that leaves while its input is stopped, because

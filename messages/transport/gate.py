@@ -44,7 +44,7 @@ def monitor(context: Context, socket: Socket, events: int) -> Socket:
     place = f"inproc://monitor-{id(socket)}-{os.urandom(4).hex()}"
     socket.monitor(place, events)
     found = context.socket(zmq.PAIR)
-    # Without a limit: ZeroMQ's thread would wait for whoever is slow to look.
+    # Without a limit: ZeroMQ's thread would wait for a slow reader.
     found.rcvhwm = 0
     found.connect(place)
     return found

@@ -38,14 +38,14 @@ SILENCE = 3.0
 """After so long without a message a link counts as silent, and is reconnected when it is not connected [s]."""
 
 PATIENCE = 30.0
-"""So long may one be silent that is connected: whoever is at the other end lives, and may be starved of its processor [s]."""
+"""So long may one be silent that is connected: the process at the other end lives, and may be starved of its processor [s]."""
 
 _EVENTS = (
     FAILURES | zmq.EVENT_CONNECTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_HANDSHAKE_SUCCEEDED
 )
 _NOT_LET_IN = "this machine's key is not let in there; there: haptic keys allow NAME KEY"
 _NO_KEY = "what answers there does not have the expected key; its messages are ignored"
-_NO_NODE = "whoever answers there is not a node"
+_NO_NODE = "what answers there is not a node"
 _STATES: dict[int, str] = {
     zmq.EVENT_CONNECTED: "no handshake",
     zmq.EVENT_HANDSHAKE_SUCCEEDED: "connected",

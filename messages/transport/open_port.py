@@ -37,7 +37,7 @@ _PAGE = resource.getpagesize()
 
 
 class OpenPort:
-    """Publishes to whoever listens, and obeys nobody.
+    """Publishes to all who listen, and takes no commands.
 
     `denied`: takes one sentence when the listeners are put out. Raises EndpointRefusedError when others than this machine's
     users could reach it, or the address is taken.

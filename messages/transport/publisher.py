@@ -1,4 +1,4 @@
-"""The publisher of a node: one message to the next hop of the loop first, then to whoever listens.
+"""The publisher of a node: one message to the next hop of the loop first, then to listeners.
 
 Default high-water marks on loop sockets, and XPUB, which sees its subscribers come: a loop starts when everybody listens, not
 after a sleep.
@@ -31,7 +31,7 @@ _POLLIN = int(zmq.POLLIN)
 
 
 class Publisher:
-    """What a node publishes: first to the next hop of the loop, then to whoever listens.
+    """What a node publishes: first to the next hop of the loop, then to listeners.
 
     Hop and listeners have a socket and an I/O thread each. So a tick goes on as soon as its message has left, what goes to
     loggers is carried by another core than the loop's, and no number of them is between a sample and its force.
@@ -142,7 +142,7 @@ class Publisher:
                 most -= 1
                 frame = socket.recv(_NOBLOCK)
                 self._subscriptions[frame[1:]] += {b"\x00": -1, b"\x01": 1}.get(frame[:1], 0)
-        # Whoever ends what nobody began must not be counted, nor remembered.
+        # A subscription that ends but never began must not be counted, nor remembered.
         self._subscriptions = +self._subscriptions
         return not most
 

@@ -177,14 +177,14 @@ class Subscription:
     def resynchronise(self) -> None:
         """Drop what is left of the present message, so that the next frame is a topic again.
 
-        For whoever takes frames without asking where a message ends, which costs a tick about 3 µs: a message of one frame,
+        For readers that take frames without asking where a message ends, which costs a tick about 3 µs: a message of one frame,
         or of three, shows as a topic that is not the one expected.
         """
         while self._get(_MORE):
             self.next_frame()
 
     def next_message(self, flags: int = 0) -> tuple[bytes, bytes]:
-        """Take two frames, as `next_frame` does; whoever takes them compares both with the topic that it expects.
+        """Take two frames, as `next_frame` does; the caller compares both with the topic that it expects.
 
         Parameters
         ----------

@@ -38,7 +38,7 @@ class Stopwatch:
 class Change:
     """Something prepared off the hot path, to be applied between two ticks.
 
-    `apply`: called on the main thread with the tick number; its return value, or what it raises, goes back to whoever asked.
+    `apply`: called on the main thread with the tick number; its return value, or what it raises, goes back in the reply.
     """
 
     def __init__(self, apply: Callable[[int], Any]) -> None:
@@ -51,7 +51,7 @@ class Change:
         """Apply it (main thread)."""
         try:
             self._result = self._apply(seq)
-        except Exception as error:  # noqa: BLE001  # a change that fails must not end the loop; whoever asked is told
+        except Exception as error:  # noqa: BLE001  # a change that fails must not end the loop; the reply says why
             self._error = error
         self._done.set()
 

@@ -332,7 +332,7 @@ def _print(text: str) -> None:
 
 
 def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
-    # Whoever reads what the launcher prints may pause: it must look after its nodes, and heed Ctrl-C, all the same.
+    # A reader of the launcher's output may pause; the launcher must look after its nodes, and heed Ctrl-C, all the same.
     instead_of_stderr()
     status = StatusLine(launch)
 

@@ -67,7 +67,7 @@ def _open(url: str) -> None:
 
 
 class PageAnnouncer:
-    """Tells once where the pages of a launch are, to whoever reads it: the launcher does not wait for that."""
+    """Tells once where the pages of a launch are; the launcher does not wait until somebody reads it."""
 
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json

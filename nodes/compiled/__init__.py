@@ -8,7 +8,7 @@ meaning of a tick, and it is written in Python.
 ===================  ==================================================================================================
 layout               What both sides of the border hold: structs, written once as ctypes.
 fields               What the kernels know of a message, read from its type.
-kernels/             The compiled functions; only whoever compiles them imports numba.
+kernels/             The compiled functions; only a process that compiles them imports numba.
 cache                Compiled code on disk: the user's own, whole, of today's sources.
 build                Compiles them, once per version and processor, into the cache.
 library              Loads them, and finds libzmq.

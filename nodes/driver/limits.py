@@ -100,7 +100,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
-    """Say what a device that exists must have and has not: a largest force, a workspace, and a deadline of its own."""
+    """Say which limits a real device must declare and does not: largest force, workspace, a deadline of its own."""
     bounded = parameters.workspace is not None or all(math.isfinite(low + high) for low, high in device.workspace)
     declared = {
         "peak_force": parameters.peak_force is not None or math.isfinite(device.peak_force),
@@ -111,7 +111,7 @@ def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
     if not missing:
         return ""
     return (
-        f"the device declares no {missing}, which a device that exists must have (DeviceLimits in nodes/driver/device.py); "
+        f"the device declares no {missing}, which a real device must have (DeviceLimits in nodes/driver/device.py); "
         f"to start it all the same: safety.without: [{missing}]"
     )
 

@@ -104,7 +104,7 @@ def split(s: Any, offset: float) -> None:
 
 
 def find_velocity(s: Any) -> None:
-    """Find the velocity between the last two samples; a device that exists goes on moving while a sample is late."""
+    """Find the velocity between the last two samples; a real device goes on moving while a sample is late."""
     span = s.elapsed * s.period
     if s.virtual == 0:
         span = max(span, s.at - s.at_before)

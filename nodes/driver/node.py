@@ -195,7 +195,7 @@ class Driver(Node):
         s.until, s.most = self.setup.ticks or NEVER, NEVER
         if not self.stopping:
             if s.realtime:
-                # A virtual device waits for whoever debugs it; what exists does not.
+                # A virtual device waits for a debugger; a real one does not.
                 self._begin_at_epoch()
                 self._watch.begin("a tick", self.store.current.safety.hang or math.inf)
             else:

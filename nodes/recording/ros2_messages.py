@@ -1,4 +1,4 @@
-"""Our messages as those of ROS 2, whoever defines the types: rosbags for a bag, rclpy or cyclonedds on a graph.
+"""Our messages as those of ROS 2, whatever defines the types: rosbags for a bag, rclpy or cyclonedds on a graph.
 
 Positions are metres; frames follow REP 103 (x forward, y left, z up), which is ours.
 """

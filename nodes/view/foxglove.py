@@ -39,7 +39,7 @@ def load() -> Any:
 
 
 class Bridge:
-    """Publishes a run to whoever connects with Foxglove's protocol.
+    """Publishes a run to clients of Foxglove's protocol.
 
     `do`: asks a node on a thread of its own: from operation, node and arguments to the answer, see `Commander`. `port`: port
     on 127.0.0.1; 0 takes a free one. Raises ParameterError when the library is not installed, or the port is taken.

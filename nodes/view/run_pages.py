@@ -136,7 +136,7 @@ class RunPages:
         if "scene" in environment.parameters:
             from nodes.view.drawn_bodies import RunningBodies
 
-            # On another machine nobody can look: the flat views remain, and whoever lacks MuJoCo has them, too.
+            # On another machine nobody can look: the flat views remain, as they do without MuJoCo.
             with contextlib.suppress(OSError, ParameterError):
                 self._bodies = RunningBodies(environment)
                 return self._bodies.shape

@@ -1,6 +1,6 @@
 """Faults of real devices, on the stand-in of each kind: what is judged is the arm itself, beside what the driver tells.
 
-A hand holds the arm in a wall, so a force acts on it; at the fault it must be gone within the drill's limit, whoever ends it:
+A hand holds the arm in a wall, so a force acts on it; at the fault it must be gone within the drill's limit, whatever ends it:
 driver, servo loop, device or service. Then the fault is mended, as by somebody who plugs a cable in again, and the loop must
 go on by itself.
 """

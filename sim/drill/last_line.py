@@ -138,7 +138,7 @@ class _Quota:
 
     def tidy(self) -> None:
         if self._group:
-            # The launch, and with it whoever was in it, has ended.
+            # The launch has ended, and every process in it.
             with contextlib.suppress(OSError):
                 self._group.rmdir()
 

@@ -99,7 +99,7 @@ class Link(Node):
             if self.publisher.apart:
                 self.publisher.send_aside(topic, payload)
             for n in range(self._now.flood):
-                # To the driver only: it is what is flooded, not whoever listens.
+                # To the driver only: it is what is flooded, not the listeners.
                 self.publisher.send_hop(topic, self._old[n % len(self._old)] if self._old else payload)
             self.sent += 1
             self._old = [*self._old[-63:], payload]

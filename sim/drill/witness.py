@@ -28,7 +28,7 @@ class Witness:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Process number of each node of the chain; whoever knows of a new one changes it.
+        # Process number of each node of the chain; a fault that starts a new one changes it.
         self.pids: dict[str, int] = {}
         self._found: dict[int, dict[int, str]] = {}
         self._times: list[float] = []

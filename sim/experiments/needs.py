@@ -194,7 +194,7 @@ def judge(
 ) -> tuple[tuple[Finding, ...], float | None]:
     """Play a scene and its variants: what each moves; in turns, what each costs and the time per tick of the scene [µs].
 
-    Without rounds nothing is timed. Times are of this machine, whoever plays the variants.
+    Without rounds nothing is timed. Times are of this machine, whichever process plays the variants.
     """
     played = players(play, [variant.scene for variant in variants])
     jobs: dict[str, tuple[Callable[[], object], int]] = {

@@ -1,4 +1,4 @@
-"""Setting a device free: whoever holds it is named; where nobody does its forces are switched off and it is given back."""
+"""Setting a device free: name the process that holds it; where there is none, switch its forces off and release it."""
 
 from __future__ import annotations
 

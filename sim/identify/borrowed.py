@@ -111,7 +111,7 @@ class PushedLaunch:
         return str(reasons[-1]) if reasons else "the driver gives no reason"
 
     def rearm(self, beside: bool) -> None:
-        """Let a driver that has stopped take forces again; one of a device that exists only `beside` somebody who asked."""
+        """Let a driver that has stopped take forces again; that of a real device only with somebody `beside` it."""
         self.change(self.driver, "rearm", beside=beside)
 
     def wait(self, ticks: int) -> None:

@@ -111,7 +111,7 @@ def _launch(recording: Recording, changes: Mapping[str, Any]) -> Launch:
     if text is None or arguments is None:
         raise ParameterError(f"{recording.path}: was recorded without its launch file, so its scene is not known")
     given = {**msgspec.json.decode(arguments), **changes}
-    # Whoever recorded it chose its words: none of them names a file here, to be written or to be read.
+    # Its words are those of its writer: none of them may name a file here, to be written or to be read.
     with tempfile.TemporaryDirectory(prefix="haptic-replay-") as folder:
         file = Path(folder) / "recorded.yaml"
         file.write_bytes(msgspec.json.encode(_without_files(parse_yaml(text, "the recorded launch file"))))

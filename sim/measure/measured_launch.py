@@ -222,7 +222,7 @@ class Running:
                 stdout=out,
                 stderr=errors if self._stderr is None else self._stderr,
                 process_group=0,
-                # Whoever is killed must not leave a launch behind.
+                # A killed test must not leave a launch behind.
                 preexec_fn=die_with_parent,
             )
         try:

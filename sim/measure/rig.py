@@ -30,7 +30,7 @@ END = 20.0
 
 
 def full_pipe() -> tuple[int, int]:
-    """Make a pipe that nobody reads: whoever writes to it waits."""
+    """Make a pipe that nobody reads: its writer waits."""
     reading, writing = os.pipe()
     # A description of its own: the pipe is filled without making the writer's end non-blocking.
     filling = os.open(f"/proc/self/fd/{writing}", os.O_WRONLY | os.O_NONBLOCK)

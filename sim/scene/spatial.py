@@ -123,7 +123,7 @@ def play(
 ) -> SpatialTrace:
     """Play a launch file.
 
-    `launch`: with its arguments filled in; a device that exists, or several, are not played. `ticks`: how many; the launch
+    `launch`: with its arguments filled in; a real device, or several devices, are not played. `ticks`: how many; the launch
     file's own number when left out. `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the
     force: no device is played then. `world`: scene of things that move in place of the launch file's own. Returns: the bits of
     a run in lockstep. Raises ParameterError when something is wrong, as a launch would say it.

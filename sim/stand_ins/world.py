@@ -1,6 +1,6 @@
 """The arm behind a stand-in: physics, what a driver has done to it, and the faults that it plays on command.
 
-It lies in a file (world.h), which the stand-in in a node's process and whoever watches or breaks it map both. A stand-in of a
+It lies in a file (world.h), which the stand-in in a node's process and what watches or breaks it both map. A stand-in of a
 library is compiled into a folder, with its world beside it; so two of them are two devices.
 """
 

@@ -4,7 +4,7 @@ The law on trial is a law of the coupling that gives up after its ticks, or as s
 (`nodes.laws.knock`): counted by the loop itself, so in lockstep too, where thousands of ticks pass before anybody could ask
 for an end. The driver's passivity guard watches meanwhile, with an allowance: a knock that dies down never meets it, and a
 loop that gives out more than that is held within a tick. A driver that stopped the loop has given its verdict: it does not
-rest. It takes forces again once the soft spring holds the device; where that exists, only when the user has asked for it.
+rest. It takes forces again once the soft spring holds the device; with a real device only when the user has asked for it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class StalledError(RefusedError):
 class Trials:
     """Knocks on one device.
 
-    `load`: the force that carries the device's weight [N]. `rearm`: whether the driver of a device that exists takes forces
+    `load`: the force that carries the device's weight [N]. `rearm`: whether the driver of a real device takes forces
     again after a stop.
     """
 

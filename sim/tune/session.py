@@ -49,7 +49,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     refuted: bool = False  # whether to design on a model that the recording refutes
     amplitude: float = 0.7  # of the push [N]: a force above it is taken for a hand's
     load: float | None = None  # the force that carries the device's weight [N]; None for what acts at rest
-    rearm: bool = False  # whether the driver of a device that exists takes forces again after it stopped a trial
+    rearm: bool = False  # whether the driver of a real device takes forces again after it stopped a trial
     command: str = ""  # what was typed
 
 

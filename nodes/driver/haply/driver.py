@@ -227,7 +227,7 @@ class Inverse3Device(MailboxDevice):
             wanted = (force[0], force[1], force[2]) if acts else ZERO
             begun = begun if owed else time.monotonic()
             try:
-                # Whoever asked twice would be an answer behind from then on.
+                # A second question would leave every later answer one behind.
                 if not owed:
                     socket.send(command(self._id, wanted if acts else None, first))
                 answered = read(socket.recv(timeout=1.0))

@@ -121,7 +121,7 @@ class MailboxDevice(ABC):
         self.parameters = parameters
         self.facts: dict[str, Any] = {}  # what is known of it once it is connected: model, serial number, versions
         self.servo_rate = 1000.0  # samples that are asked for [Hz]
-        # Told what is waited for while it is opened, which may take long; whoever makes it takes that.
+        # Told what is waited for while it is opened, which may take long; its maker sets it.
         self.say: Callable[[str], None] = _silent
         self._waits = ""
         self._limits = DeviceLimits()

@@ -1,4 +1,4 @@
-"""Where the bodies of a scene are, for whoever draws them: the environment writes it some 60 times a second, a page reads it.
+"""Where the bodies of a scene are, for pages that draw them: the environment writes it some 60 times a second, a page reads it.
 
 Both map one small file in the run's private directory, sequence-locked as nodes/view/pointer.py is: the writer counts up before
 and after, and a reader takes the poses only when both counts agree. So drawing costs the loop no message and no waiting.
