@@ -7,10 +7,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from nodes.laws import CompiledLaw
+from nodes.parameters.checked import NonNegative, Positive
 from nodes.stability.plant import Plant
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 LawName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 """A law's name is part of paths (laws.NAME.stiffness) and travels with every force."""
 

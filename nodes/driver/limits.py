@@ -9,9 +9,7 @@ import msgspec
 
 from nodes.driver.device import Bounds, DeviceLimits, Workspace
 from nodes.driver.state import PEAKS
-
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+from nodes.parameters.checked import NonNegative, Positive
 
 STOP_TIME = 1.5
 """Longest way from the largest force down to zero [s]; a launcher waits twice as long before it presses on."""

@@ -15,9 +15,8 @@ from typing import Annotated, ClassVar
 import msgspec
 
 from nodes.laws import CompiledLaw, Law
+from nodes.parameters.checked import NonNegative, Positive
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Clock = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 
 FADE = 1.0

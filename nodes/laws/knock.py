@@ -14,9 +14,8 @@ import msgspec
 
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.fields import MAX_TAPS
+from nodes.parameters.checked import NonNegative, Positive
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Ticks = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 
 

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
-
-import msgspec
+from typing import ClassVar
 
 from nodes.laws import CompiledLaw, Law
-
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+from nodes.parameters.checked import NonNegative, Positive
 
 
 class PD(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -1,13 +1,16 @@
-"""Structs that Python code makes are checked as those that YAML makes: types, limits, numbers of numpy."""
+"""Structs that Python code makes are checked as those that YAML makes: types, limits, numbers of numpy; common limits."""
 
 from __future__ import annotations
 
 import functools
-from typing import Any, get_type_hints
+from typing import Annotated, Any, TypeAlias, get_type_hints
 
 import msgspec
 
 from nodes.parameters.store import convert
+
+Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
+NonNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
 
 
 @functools.cache

@@ -12,8 +12,9 @@ from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
 from sim.api.laws import LawLike, compiled
 from sim.api.laws import law as made
-from sim.api.notebook_results import Array, Result, new_figure
+from sim.api.notebook_results import Result, new_figure
 from sim.api.values import plain
+from sim.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

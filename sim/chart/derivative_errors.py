@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import realise
+from sim.arrays import Array
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 BANDS: dict[str, tuple[float, float]] = {

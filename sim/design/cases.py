@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from nodes.stability.flexible import FlexiblePlant
 from nodes.stability.plant import Plant, held_plant
 from nodes.stability.roots import largest_roots
-from sim.design.demand import Demand, Vector
+from sim.arrays import Array
+from sim.design.demand import Demand
 
 _VERIFIED = 801
 
@@ -18,7 +19,7 @@ _VERIFIED = 801
 class LoopCase:
     """Closed-loop polynomials at given cases (mass, delay, hand), linear in the taps."""
 
-    def __init__(self, demand: Demand, cases: Vector, taps: int, pole: float = 0.0) -> None:
+    def __init__(self, demand: Demand, cases: Array, taps: int, pole: float = 0.0) -> None:
         plants = [
             _rational(demand.period, case, beyond) for case in cases.tolist() for beyond in demand.beyond or (None,)
         ]
@@ -35,16 +36,16 @@ class LoopCase:
                 start = whole + 1 + j
                 self.by_tap[i, j, start : start + len(above)] = above
 
-    def polynomials(self, taps: Vector) -> Vector:
+    def polynomials(self, taps: Array) -> Array:
         """Coefficients of (..., taps) for every case: (..., cases, size)."""
         return np.asarray(self.fixed + np.einsum("...j,ijk->...ik", taps, self.by_tap), dtype=np.float64)
 
-    def radii(self, taps: Vector) -> Vector:
+    def radii(self, taps: Array) -> Array:
         """Largest pole radius of each case, over all that the device may have beyond a rigid mass."""
         found = largest_roots(self.polynomials(taps))
         return np.asarray(found.reshape(*found.shape[:-1], self._cases, -1).max(axis=-1), dtype=np.float64)
 
-    def poles(self, taps: Vector) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    def poles(self, taps: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """All poles (cases, k) and their slopes along the taps (cases, k, taps)."""
         polynomials = self.polynomials(taps)
         degree = polynomials.shape[1] - 1
@@ -72,7 +73,7 @@ def _rational(
     return whole, above.tolist(), below.tolist()
 
 
-def verified_cases(demand: Demand) -> Vector:
+def verified_cases(demand: Demand) -> Array:
     """Cases on which a design is verified after the search.
 
     Returns, shape (c, 4): mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the device [N s/m]: 801 masses
@@ -86,7 +87,7 @@ def verified_cases(demand: Demand) -> Vector:
     return cases_of(demand, 101 if any(low < high for low, high in ranges) else _VERIFIED, 11)
 
 
-def cases_of(demand: Demand, masses: int, others: int) -> Vector:
+def cases_of(demand: Demand, masses: int, others: int) -> Array:
     """Grid of cases over the ranges of a demand, shape (c, 4) as in `verified_cases`."""
     axes = [
         np.geomspace(*demand.mass, masses) if demand.mass[0] < demand.mass[1] else np.array(demand.mass[:1]),
@@ -99,16 +100,16 @@ def cases_of(demand: Demand, masses: int, others: int) -> Vector:
     return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
 
-def alternating(size: int) -> Vector:
+def alternating(size: int) -> Array:
     """Signs of the taps in H(−1)."""
     return np.asarray(np.where(np.arange(size) % 2, -1.0, 1.0), dtype=np.float64)
 
 
-def quiet(demand: Demand, taps: Vector) -> bool:
+def quiet(demand: Demand, taps: Array) -> bool:
     """Tell whether |H(−1)| keeps the demand."""
     return abs(float(taps @ alternating(taps.size))) <= demand.nyquist * (1.0 + 1e-12)
 
 
-def keeps(demand: Demand, taps: Vector, loop: LoopCase) -> bool:
+def keeps(demand: Demand, taps: Array, loop: LoopCase) -> bool:
     """Tell whether taps keep the demand at all cases of a loop."""
     return quiet(demand, taps) and float(loop.radii(taps).max()) <= demand.radius

@@ -5,12 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from nodes.laws import CompiledLaw
-
-Vector = NDArray[np.float64]
+from sim.arrays import Array
 
 CONVENTIONS = ((False, True), (False, False), (True, True), (True, False))
 """Of contact: (raw, clamp), which history, and whether forces into the floor are set to zero."""
@@ -50,8 +46,8 @@ class Robust:
     """The stiffest law found in a family."""
 
     # h_0 ... h_n, or the numerator over 1 − pole·w [N/m], shape (n + 1,).
-    taps: Vector
-    parameters: Vector  # weights of the family's basis, shape (p,)
+    taps: Array
+    parameters: Array  # weights of the family's basis, shape (p,)
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
     radius: float  # largest pole radius over all verified cases
@@ -68,7 +64,7 @@ class Robust:
         return filtered(self.taps, self.pole)
 
 
-def filtered(taps: Vector, pole: float) -> CompiledLaw:
+def filtered(taps: Array, pole: float) -> CompiledLaw:
     """Compile taps, or two of them over 1 − pole·w: a spring, and a difference behind the filter.
 
     `taps`, shape (n + 1,): h_0 ... h_n, or the two of the numerator [N/m]. `pole`: of the filter; 0 without one.

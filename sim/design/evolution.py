@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from nodes.compiled.kernels.sources import kernel
+from sim.arrays import Array
 from sim.design.cases import LoopCase, alternating
-from sim.design.demand import Demand, Vector
+from sim.design.demand import Demand
 from sim.design.fall import settles_one
 from sim.scene.compiled import compiled
 
@@ -171,14 +172,14 @@ evolve: Any = compiled()(_evolve)
 
 def evolved(
     demand: Demand,
-    basis: Vector,
+    basis: Array,
     loops: Sequence[LoopCase],
     free: bool,
     seed: int,
     effort: int,
     span: float,
     radius: float,
-) -> Vector | None:
+) -> Array | None:
     """Evolve in a wide box at the first cases; many parameters then in boxes that shrink about the best, at more and at all."""
     unit, p = demand.mass[0] / demand.period**2, len(basis)
     gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit

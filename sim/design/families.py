@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
@@ -22,10 +21,9 @@ from nodes.stability.every_delay import every_delay
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import tolerance
 from nodes.stability.plant import Plant
+from sim.arrays import Array
 from sim.design.demand import RIGID, Demand, Robust
 from sim.design.robust import stiffest
-
-Vector = NDArray[np.float64]
 
 ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))
 """Orders at which PDα is tuned before the best is refined."""
@@ -56,13 +54,13 @@ def designed(demand: Demand, taps: int, effort: int = 1) -> Tuned:
     # A shorter law with zeros behind it is a longer one: more taps are never worse.
     found: Robust | None = None
     for length in range(min(taps, 2), taps + 1):
-        shorter: list[Vector] = [] if found is None else [np.append(found.taps, 0.0)]
+        shorter: list[Array] = [] if found is None else [np.append(found.taps, 0.0)]
         found = stiffest(demand, np.eye(length), effort=effort, known=shorter)
     law = None if found is None else fir(found.taps, demand.period)
     return Tuned("designed", law, found)
 
 
-def fir(taps: Vector, period: float) -> dict[str, Any]:
+def fir(taps: Array, period: float) -> dict[str, Any]:
     """Describe raw taps as a law.
 
     `taps`, shape (n + 1,): h_0 ... h_n [N/m].
@@ -169,7 +167,7 @@ def _stiffest_of(
     return best
 
 
-def _numerator(law: CompiledLaw) -> tuple[Vector, float]:
+def _numerator(law: CompiledLaw) -> tuple[Array, float]:
     """Taps of a law, or its two numerator taps over 1 − pole·w."""
     if not law.sections:
         return np.array(law.taps), 0.0

@@ -18,8 +18,9 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
+from sim.arrays import Array
 from sim.design.cases import LoopCase, alternating, cases_of, keeps
-from sim.design.demand import CONVENTIONS, Demand, Vector, filtered
+from sim.design.demand import CONVENTIONS, Demand, filtered
 from sim.design.evolution import evolve
 from sim.design.fall import Falls, falls, settled
 from sim.device.model import DeviceModel
@@ -111,7 +112,7 @@ def _stiffness(law: dict[str, Any]) -> float:
     return float(law["stiffness"])
 
 
-def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Vector:
+def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Array:
     """Share of the drops before the first in which a law does not settle; 1 for a law that lands."""
     share = np.ones(len(laws))
     going = list(range(len(laws)))
@@ -126,8 +127,8 @@ def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Vector:
 
 
 def landed(
-    demand: Demand, basis: Vector, fine: LoopCase, starts: list[Vector], free: bool, seed: int, effort: int
-) -> Vector | None:
+    demand: Demand, basis: Array, fine: LoopCase, starts: list[Array], free: bool, seed: int, effort: int
+) -> Array | None:
     """Search a family for the stiffest law that keeps a demand and lands.
 
     `basis`, shape (p, n + 1): taps per unit of each parameter [N/m]. `fine`: the loop at all cases that a law is verified on.
@@ -148,14 +149,14 @@ def landed(
 
 def _shrunk(
     demand: Demand,
-    basis: Vector,
+    basis: Array,
     fine: LoopCase,
     drops: Falls,
-    start: Vector | None,
+    start: Array | None,
     free: bool,
     seed: int,
     effort: int,
-) -> Vector | None:
+) -> Array | None:
     """Search in boxes that shrink about the best so far; without a start the first is wide."""
     parameters = len(basis)
     unit, criterion = demand.mass[0] / demand.period**2, Criterion()

@@ -13,11 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
-
-Vector = NDArray[np.float64]
+from sim.arrays import Array
 
 _GRID = 1024
 _CUTS = 60
@@ -28,7 +26,7 @@ class Passive:
     """A passive law and the proof of it."""
 
     # h_0 ... h_n [N/m], shape (n + 1,).
-    taps: Vector
+    taps: Array
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
     damping_needed_n_s_per_m: float  # certain upper bound of the damping it needs, not above the device's [N s/m]
@@ -99,7 +97,7 @@ def stiffest_passive(
     )
 
 
-def certain_damping(h: Vector, period: float, delay: float) -> float:
+def certain_damping(h: Array, period: float, delay: float) -> float:
     """Bound the damping a law needs from above, for certain: the largest of many samples plus what may hide between them.
 
     A trigonometric polynomial of degree N with M > 2N equidistant samples exceeds its largest sample in modulus by at most
@@ -119,7 +117,7 @@ def certain_damping(h: Vector, period: float, delay: float) -> float:
     return period * (largest + modulus * (1.0 / math.cos(math.pi / 4096.0) - 1.0))
 
 
-def _bases(theta: Vector, taps: int, delay: float) -> tuple[Vector, Vector, Vector, float]:
+def _bases(theta: Array, taps: int, delay: float) -> tuple[Array, Array, Array, float]:
     """Per tap and frequency: Re s, Re and Im of z^−m, and φ(1−φ); all in units in which T = 1 (see damping_needed)."""
     whole = math.floor(delay)
     fraction = delay - whole
@@ -133,7 +131,7 @@ def _bases(theta: Vector, taps: int, delay: float) -> tuple[Vector, Vector, Vect
     return real.T, np.cos(angles).T, -np.sin(angles).T, fraction * (1.0 - fraction)
 
 
-def _needed(h: Vector, real: Vector, cosine: Vector, sine: Vector, spread: float) -> tuple[Vector, Vector]:
+def _needed(h: Array, real: Array, cosine: Array, sine: Array, spread: float) -> tuple[Array, Array]:
     """Damping needed at each frequency, and its slope along the taps."""
     s = real @ h
     if spread == 0.0:

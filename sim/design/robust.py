@@ -14,8 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from sim.arrays import Array
 from sim.design.cases import LoopCase, alternating, cases_of, keeps, quiet, verified_cases
-from sim.design.demand import Demand, Robust, Vector, filtered
+from sim.design.demand import Demand, Robust, filtered
 from sim.design.evolution import evolved
 from sim.design.landing import landed
 
@@ -26,11 +27,11 @@ _SPANS = (0.3, 10.0)
 
 def stiffest(
     demand: Demand,
-    basis: Vector,
+    basis: Array,
     free: bool = True,
     seed: int = 1,
     effort: int = 1,
-    known: Sequence[Vector] = (),
+    known: Sequence[Array] = (),
     pole: float = 0.0,
 ) -> Robust | None:
     """Find the law of a family with the largest H(1) that keeps the demand.
@@ -69,8 +70,8 @@ def stiffest(
 
 
 def _climbed(
-    demand: Demand, basis: Vector, fine: LoopCase, starts: list[Vector], free: bool, seed: int, effort: int
-) -> Vector | None:
+    demand: Demand, basis: Array, fine: LoopCase, starts: list[Array], free: bool, seed: int, effort: int
+) -> Array | None:
     """Climb from all starts, by linear programmes."""
     cases = cases_of(demand, _MASSES, 3)
     # A hair inside, so that rounding of the printed taps cannot cross the bound.
@@ -90,13 +91,13 @@ def _climbed(
 
 def _settle(
     demand: Demand,
-    basis: Vector,
+    basis: Array,
     fine: LoopCase,
-    cases: Vector,
-    start: Vector,
+    cases: Array,
+    start: Array,
     target: float,
     free: bool,
-) -> Vector | None:
+) -> Array | None:
     """Climb, verify everywhere, take the worst case in and come back inside, until there is none."""
     here, everywhere = start, verified_cases(demand)
     for _ in range(12):
@@ -111,8 +112,8 @@ def _settle(
 
 
 def _global(
-    demand: Demand, basis: Vector, fine: LoopCase, free: bool, seed: int, effort: int, target: float
-) -> list[Vector]:
+    demand: Demand, basis: Array, fine: LoopCase, free: bool, seed: int, effort: int, target: float
+) -> list[Array]:
     """Feasible starts, the stiffest first, each with its own seed."""
     p = len(basis)
     few, many = (LoopCase(demand, cases_of(demand, masses, 3), fine.taps, fine.pole) for masses in (15, 101))
@@ -123,7 +124,7 @@ def _global(
     return sorted((one for one in tried if one is not None), key=lambda one: -float(one @ basis.sum(axis=1)))
 
 
-def _climb(demand: Demand, basis: Vector, loop: LoopCase, start: Vector, target: float, free: bool) -> Vector:
+def _climb(demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool) -> Array:
     """Raise H(1) by linear programmes over the linearised poles, never leaving the bound."""
     from scipy.optimize import linprog
 
@@ -165,13 +166,13 @@ def _climb(demand: Demand, basis: Vector, loop: LoopCase, start: Vector, target:
     return here
 
 
-def _retreat(demand: Demand, basis: Vector, loop: LoopCase, start: Vector, target: float, free: bool) -> Vector:
+def _retreat(demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool) -> Array:
     """Bring a law back inside after a case has joined: to where the excess is least, then back as far as allowed."""
     from scipy.optimize import minimize
 
     signs = alternating(basis.shape[1])
 
-    def excess(p: Vector) -> float:
+    def excess(p: Array) -> float:
         if not free and p.min() < 0.0:
             return 1e3
         noise = max(abs(float(p @ basis @ signs)) / demand.nyquist - 1.0, 0.0)

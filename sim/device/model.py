@@ -17,11 +17,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from nodes.parameters.checked import check_fields
+from nodes.parameters.checked import NonNegative, Positive, check_fields
 from nodes.parameters.store import convert
-
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
 Coefficients = tuple[float, float, float, float, float, float]
 

@@ -29,12 +29,11 @@ from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
+from sim.arrays import Array
 from sim.experiments.proxies import icosphere
 from sim.measure.measured_launch import launch as run_launch
 from sim.scene.spatial import play
 from sim.scene.touch import touch
-
-Rows = NDArray[np.float64]
 
 FRAMES = ("world", "surface")
 
@@ -64,18 +63,18 @@ class AlongTheWay:
     largest_n: float  # largest distance of the force from that of a spring alone [N]
 
 
-def ways(ticks: int, speed: float, period: float, depth: float) -> list[tuple[str, list[Solid], Rows]]:
+def ways(ticks: int, speed: float, period: float, depth: float) -> list[tuple[str, list[Solid], Array]]:
     """List surfaces, each with a way below it that begins outside, and comes back on itself [m]."""
     s = np.arange(ticks) * speed * period
     there = np.concatenate([np.full(_ENTER, s[0]), s])
     down = np.concatenate([np.linspace(-1e-4, depth, _ENTER), np.full(ticks, depth)])
 
-    def round_way(radius: float) -> Rows:
+    def round_way(radius: float) -> Array:
         angle = there / radius
         normal = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
         return np.asarray((radius - down)[:, None] * normal)
 
-    def back(path: Rows) -> Rows:
+    def back(path: Array) -> Array:
         return np.concatenate([path, path[:_ENTER:-1]])
 
     origin = (0.0, 0.0, 0.0)
@@ -97,8 +96,8 @@ def ways(ticks: int, speed: float, period: float, depth: float) -> list[tuple[st
 
 
 def forces(
-    law: CompiledLaw, frame: str, positions: Rows, proxies: Rows, normals: Rows, contact: NDArray[np.bool_]
-) -> Rows:
+    law: CompiledLaw, frame: str, positions: Array, proxies: Array, normals: Array, contact: NDArray[np.bool_]
+) -> Array:
     """Render a law over a way that is given [N]."""
     renderer = Renderer([0, 1, 2], max(2, len(law.taps)))
     begin_turning(renderer.state, frame)
@@ -187,7 +186,7 @@ def sliding(launch: Launch, stiffness: float, speed: float, frame: str, radius: 
     return msgspec.structs.replace(launch, nodes=nodes, run=run)
 
 
-def growth(position: Rows, proxy: Rows, contact: NDArray[np.bool_]) -> float:
+def growth(position: Array, proxy: Array, contact: NDArray[np.bool_]) -> float:
     """Tell how the ripple of the depth changes over a slide: its root mean square late, over that early.
 
     The ripple is the depth's second difference: what the way itself does to it is smaller by (v T)²/r over the depth.

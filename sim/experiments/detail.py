@@ -17,9 +17,8 @@ from nodes.environment.shapes.mesh import PreparedMesh, prepare_mesh
 from nodes.environment.shapes.scene import SLIPPERY, Solid, capsule, mesh, plane, sphere
 from nodes.environment.shapes.tables import BOX, MESH, PLANE
 from nodes.parameters.store import ParameterError
+from sim.arrays import Array
 from sim.scene.touch import call_times, touch
-
-Array = NDArray[np.float64]
 
 _GRIDS = (24, 16, 12, 8)
 """Cells along the longest side to which a mesh's corners are drawn together."""

@@ -7,18 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from messages.types import Vector
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters
 from nodes.launcher.launch_spec import Launch
+from sim.arrays import Array
 from sim.experiments.detail import Detail, Level
 from sim.scene.from_launch import parameters_of
 from sim.scene.spatial import SpatialTrace, play
-
-Rows = NDArray[np.float64]
-
 
 _HEAVY = 1e6
 """Mass of a body that is led, over what it has: nothing that touches it moves it."""
@@ -31,7 +28,7 @@ class _Watched(MovingScene):
         name, given = parameters_of(launch, "mujoco", MujocoParameters)
         super().__init__(Path(given.scene).expanduser(), given.tool, launch.run.period, name, held)
         self.times: list[int] = []
-        self.went: list[tuple[Rows, Rows]] = []
+        self.went: list[tuple[Array, Array]] = []
 
     def follow(self, tick: int, position: Vector, force: Vector, since: int, delay: float, first: bool) -> bool:
         """Take the scene to a tick."""
@@ -49,7 +46,7 @@ class _Watched(MovingScene):
 class _Led(_Watched):
     """A scene whose bodies go where they went in another, whatever pushes them."""
 
-    def __init__(self, launch: Launch, went: list[tuple[Rows, Rows]]) -> None:
+    def __init__(self, launch: Launch, went: list[tuple[Array, Array]]) -> None:
         super().__init__(launch)
         self._led = iter(went)
         others = self.model.body_rootid != self.tool

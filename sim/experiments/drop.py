@@ -23,9 +23,10 @@ import numpy as np
 from nodes.compiled.kernels.sources import kernel
 from nodes.laws import CompiledLaw
 from nodes.laws.pd_windowed import WindowedDamper
+from sim.arrays import Array
 from sim.device.model import DeviceModel, Hand
 from sim.scene.compiled import compiled
-from sim.scene.loop import Array, Scene, SceneSurface, contact_of, motion_of, run
+from sim.scene.loop import Scene, SceneSurface, contact_of, motion_of, run
 from sim.scene.tick_loop import Contact, LawTables, Motion, Records, play_compiled
 
 

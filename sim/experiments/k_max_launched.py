@@ -22,11 +22,12 @@ from nodes.launcher import launch_file
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import law_to_dict
 from nodes.recording.reader import Recording
+from sim.arrays import Array
 from sim.experiments.drop import Criterion, settled, settles
 from sim.measure import measured_launch
 from sim.measure.measured_launch import MeasurementError
 from sim.scene.from_launch import LaunchedScene, from_launch
-from sim.scene.loop import Array, Scene
+from sim.scene.loop import Scene
 
 SCENARIO = "floor_drop"
 """Launch file whose nodes get the experiment's parameters."""

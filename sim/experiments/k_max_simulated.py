@@ -14,8 +14,9 @@ import numba
 import numpy as np
 
 from nodes.laws import CompiledLaw
+from sim.arrays import Array
 from sim.experiments.drop import Criterion, rest_position, settles
-from sim.scene.loop import Array, Scene, run
+from sim.scene.loop import Scene, run
 
 LawOfStiffness = Callable[[float], CompiledLaw]
 

@@ -8,11 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.environment.shapes.tables import SKIN
-
-Array = NDArray[np.float64]
+from sim.arrays import Array
 
 _MOST = 4_000_000
 """Triangles that are looked at, over all places."""

@@ -14,14 +14,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import Solid, box, capsule, mesh, plane, sphere
+from sim.arrays import Array
 from sim.experiments.polyhedron import off_polyhedron
 from sim.scene.touch import Touched, call_times, touch
-
-Array = NDArray[np.float64]
 
 RADIUS = 0.05
 """Of the sphere that is felt [m]."""

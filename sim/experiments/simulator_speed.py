@@ -23,11 +23,12 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.stability.k_max import with_spring
+from sim.arrays import Array
 from sim.device.model import DeviceModel, coefficients
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.measure.measured_launch import MeasurementError
 from sim.measure.stopwatch import Timing, interleaved
-from sim.scene.loop import Array, Scene, contact_of, motion_of
+from sim.scene.loop import Scene, contact_of, motion_of
 from sim.scene.tick_loop import LawTables, Records, play_compiled
 
 SOURCE = r"""

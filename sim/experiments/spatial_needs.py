@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.launcher.launch_spec import Launch
+from sim.arrays import Array
 from sim.experiments.needs import Needs, Outcome, Play, here, judge, movement, variants_of
 from sim.experiments.spatial_terms import SPATIAL_CONVENTIONS, SPATIAL_TERMS, SpatialScene, spatial_scene
 from sim.scene.spatial import SpatialTrace
-
-Rows = NDArray[np.float64]
 
 _TAIL = 5
 
@@ -37,7 +35,7 @@ def spatial_outcome(trace: SpatialTrace, period: float) -> Outcome:
     )
 
 
-def apart(before: Rows, after: Rows, scale: Rows) -> float:
+def apart(before: Array, after: Array, scale: Array) -> float:
     """Root mean square of a difference over that of what it is measured by."""
     size = float(np.sqrt(np.mean(np.sum(scale**2, axis=1))))
     difference = float(np.sqrt(np.mean(np.sum((after - before) ** 2, axis=1))))

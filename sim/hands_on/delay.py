@@ -12,10 +12,10 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from messages.types import ZERO
 from nodes.driver.hardware.mailbox import MailboxDevice
+from sim.arrays import Array
 
 PULSES: Final = 12
 FORCE: Final = 1.0
@@ -56,9 +56,6 @@ class MeasuredDelay(msgspec.Struct, frozen=True, kw_only=True):
     uncertainty: float
     pulses: int
     why: str = ""
-
-
-Array = NDArray[np.float64]
 
 
 def _pulse(device: MailboxDevice, force: float) -> tuple[Array, Array]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.identify.choose_model import Choice
 from sim.identify.encoder import Encoder, encoder
 from sim.identify.experiment import Experiment
@@ -25,8 +25,6 @@ from sim.identify.identified_motion import (
     STIFFNESS,
 )
 from sim.identify.output_error import Fit, own_states
-
-Array = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 

@@ -11,15 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
+from sim.arrays import Array
 from sim.device.model import coefficients
 from sim.experiments.drop import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
 from sim.scene.loop import Given, run
-
-Array = NDArray[np.float64]
 
 STILL = Criterion().tolerance
 """Largest motion over the last quarter of a run that counts as settled: that of the drop test [m]."""

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from messages.topics import DEVICE_STATE
 from nodes.base.setup import AXIS_INDEX
 from nodes.recording.reader import Recording
-
-Array = NDArray[np.float64]
+from sim.arrays import Array
 
 BRIDGED = 50
 """So many ticks that the driver slept through do not end a stretch: forces held meanwhile, and the motion is known [ticks]."""

@@ -8,11 +8,9 @@ rounding biases the result by some percent, which is why it is a first guess onl
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.identify.experiment import Experiment
-
-Array = NDArray[np.float64]
 
 HALF_WIDTH = 24
 """Half the length of the bump [ticks]."""

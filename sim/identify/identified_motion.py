@@ -14,11 +14,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.device.friction import slide
 from sim.device.model import Coefficients, coefficients
 from sim.scene.compiled import compiled
 
-Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 MOBILITY, DAMPING, FRICTION, STIFFNESS, LOAD, DELAY, QUADRATIC, LAG, SHARE, FREQUENCY, LOSS = range(11)

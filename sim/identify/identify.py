@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.identify.choose_model import Windows, choose
 from sim.identify.conclude import conclude, covariance_of, nothing
 from sim.identify.encoder import encoder
@@ -29,8 +30,6 @@ from sim.identify.identified_motion import (
     window,
 )
 from sim.identify.output_error import Fit, fit, windows
-
-Array = NDArray[np.float64]
 
 WINDOW = 100
 """Ticks of a window."""

@@ -11,13 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.identify.experiment import Experiment
 from sim.identify.output_error import Fit, left_over, own_states
 from sim.identify.suspects import Shapes, Suspect
-
-Array = NDArray[np.float64]
 
 DRAWS = 40
 """How often a model that holds is drawn."""

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import SHARE, STATES, normal, slopes
-
-Array = NDArray[np.float64]
 
 LEAST = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0])
 """Smallest value of each unknown, in the order and the units of `NAMES`."""

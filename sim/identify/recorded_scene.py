@@ -21,11 +21,10 @@ from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.parameters.store import ParameterError, merge
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.reader import Recording
+from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.scene.from_launch import LaunchedScene, from_launch
 from sim.scene.loop import PlannedSwap
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from nodes.stability.plant import Plant, held_plant
+from sim.arrays import Array
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
 from sim.identify.output_error import Fit
-
-Array = NDArray[np.float64]
 
 LOWEST = 8.0
 """Of a joint [Hz]; what is slower is a hand."""

@@ -13,9 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from sim.arrays import Array
 
 CONVERGED = 1e-6
 """Cost below which all targets count as met: each to about 1e-3."""
@@ -25,8 +24,8 @@ CONVERGED = 1e-6
 class Targets:
     """What the cost (13) asks for."""
 
-    theta: Vector  # frequencies as ωT, 0 < ωT ≤ π, shape (k,)
-    value: Vector  # wanted f there, normalised, shape (k,)
+    theta: Array  # frequencies as ωT, 0 < ωT ≤ π, shape (k,)
+    value: Array  # wanted f there, normalised, shape (k,)
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,9 @@ class Descent:
     """One run of steepest descent."""
 
     # A_i and α_i at the end, shape (t,).
-    gains: Vector
-    orders: Vector
-    cost: Vector  # J before the first step and after each one, shape (steps + 1,)
+    gains: Array
+    orders: Array
+    cost: Array  # J before the first step and after each one, shape (steps + 1,)
     # ``converged`` (J < 1e-6), ``slow`` (steps used up), ``diverged`` (J grew a millionfold or is not finite) or
     # ``out_of_range`` (an order left 0 < α < 4).
     outcome: str
@@ -50,7 +49,7 @@ def paper_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
     )
 
 
-def term_damping(theta: Vector, order: float, taps: int, leak: bool = True) -> tuple[Vector, Vector]:
+def term_damping(theta: Array, order: float, taps: int, leak: bool = True) -> tuple[Array, Array]:
     """Compute f of one Grünwald–Letnikov term with f(ω_N) = 1, and its slope along the order."""
     c, dc = np.ones(taps), np.zeros(taps)
     for m in range(1, taps):
@@ -65,20 +64,20 @@ def term_damping(theta: Vector, order: float, taps: int, leak: bool = True) -> t
     return 2.0 / total * (c @ kernel), 2.0 / total * ((dc - float(signs @ dc) / total * c) @ kernel)
 
 
-def damping_curve(theta: Vector, gains: Vector, orders: Vector, taps: int, leak: bool = True) -> Vector:
+def damping_curve(theta: Array, gains: Array, orders: Array, taps: int, leak: bool = True) -> Array:
     """Compute f of a multi-term law, normalised."""
     parts = np.array([term_damping(theta, order, taps, leak)[0] for order in orders.tolist()])
     return np.asarray(gains @ parts, dtype=np.float64)
 
 
-def cost(gains: Vector, orders: Vector, targets: Targets, taps: int) -> float:
+def cost(gains: Array, orders: Array, targets: Targets, taps: int) -> float:
     """J of eq. (13): the sum of the squared misses."""
     miss = damping_curve(targets.theta, gains, orders, taps) - targets.value
     return float(miss @ miss)
 
 
 def steepest_descent(
-    gains: Vector, orders: Vector, targets: Targets, taps: int = 4, rate: float = 0.01, steps: int = 5000
+    gains: Array, orders: Array, targets: Targets, taps: int = 4, rate: float = 0.01, steps: int = 5000
 ) -> Descent:
     """Follow −∇J with a fixed rate, gains (14) and orders (15) in the same step."""
     gains, orders = np.array(gains, dtype=np.float64), np.array(orders, dtype=np.float64)
@@ -111,7 +110,7 @@ def survey(targets: Targets, taps: int, rate: float, steps: int, starts: int, te
     return [steepest_descent(np.ones(terms), orders, targets, taps, rate, steps) for orders in starting(starts, terms)]
 
 
-def starting(starts: int, terms: int) -> list[Vector]:
+def starting(starts: int, terms: int) -> list[Array]:
     """List the orders that a survey starts from: all combinations of a grid."""
     from itertools import combinations
 

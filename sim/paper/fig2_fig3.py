@@ -11,14 +11,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.laws.fields import alternating_sum
 from nodes.laws.presets import PRESETS
+from sim.arrays import Array
 from sim.paper.claims import Claim, verdict
 from sim.paper.descent import damping_curve
-
-Vector = NDArray[np.float64]
 
 LOW_ORDERS, HIGH_ORDERS = (0.3, 0.5, 0.7, 1.0), (1.0, 1.3, 1.5, 1.7)
 """Orders of figure 2 (a) and (b)."""
@@ -30,7 +28,7 @@ MIDDLE = 0.5
 """Where the low and middle frequencies end, in units of ω_N."""
 
 
-def term_curve(theta: Vector, order: float) -> Vector:
+def term_curve(theta: Array, order: float) -> Array:
     """Give f of one term with unlimited memory, normalised: (sin(θ/2))^{α−1} cos((α+1)(π−θ)/2)."""
     shape = np.sin(theta / 2.0) ** (order - 1.0) * np.cos(0.5 * (order + 1.0) * (math.pi - theta))
     return np.asarray(shape, dtype=np.float64)
@@ -41,12 +39,12 @@ class TermCurve:
     """Figure 2, one curve."""
 
     order: float  # α
-    curve: Vector  # f with the taps of the figure, 1 at ω_N
-    unlimited: Vector  # f of unlimited memory
+    curve: Array  # f with the taps of the figure, 1 at ω_N
+    unlimited: Array  # f of unlimited memory
     zero: float  # where f last becomes positive, ω/ω_N; nan when it never is negative
 
 
-def figure_2(taps: int, points: int = 400) -> tuple[Vector, list[TermCurve], list[TermCurve]]:
+def figure_2(taps: int, points: int = 400) -> tuple[Array, list[TermCurve], list[TermCurve]]:
     """Compute f(ω) of single terms."""
     theta = np.pi * np.arange(1, points + 1) / points
 
@@ -57,12 +55,12 @@ def figure_2(taps: int, points: int = 400) -> tuple[Vector, list[TermCurve], lis
     return theta, [term(order) for order in LOW_ORDERS], [term(order) for order in HIGH_ORDERS]
 
 
-def one_term(theta: Vector, order: float, taps: int) -> Vector:
+def one_term(theta: Array, order: float, taps: int) -> Array:
     """Give f of one term of n + 1 taps, normalised by its own f(ω_N)."""
     return damping_curve(theta, np.ones(1), np.array([order]), taps)
 
 
-def _last_zero(theta: Vector, curve: Vector) -> float:
+def _last_zero(theta: Array, curve: Array) -> float:
     """Interpolate the highest sign change of a curve that ends positive [ω_N]."""
     below = np.flatnonzero(curve < 0.0)
     if not below.size:
@@ -72,7 +70,7 @@ def _last_zero(theta: Vector, curve: Vector) -> float:
     return float((theta[i] + share * (theta[i + 1] - theta[i])) / math.pi)
 
 
-def _order_of_signs(difference: Vector) -> str:
+def _order_of_signs(difference: Array) -> str:
     """Signs of a curve from low to high frequency, each run of the same sign once: '-+' is first below, then above."""
     signs = np.sign(difference)[np.abs(difference) > 1e-9]
     return "".join("+" if s > 0 else "-" for i, s in enumerate(signs) if i == 0 or s != signs[i - 1])
@@ -97,7 +95,7 @@ def claims_2(taps: int) -> list[Claim]:
     theta, low, high = figure_2(taps)
     pd = -np.cos(theta)
     orders = {*LOW_ORDERS, *HIGH_ORDERS}
-    curves: dict[tuple[float, float], Vector] = {(a, n): one_term(theta, a, n + 1) for a in orders for n in MEMORIES}
+    curves: dict[tuple[float, float], Array] = {(a, n): one_term(theta, a, n + 1) for a in orders for n in MEMORIES}
     curves |= {(a, math.inf): term_curve(theta, a) for a in orders}
     finite = [curve for (_, n), curve in curves.items() if n < math.inf]
     return [
@@ -126,11 +124,11 @@ def claims_2(taps: int) -> list[Claim]:
     ]
 
 
-Curves = Mapping[tuple[float, float], Vector]
+Curves = Mapping[tuple[float, float], Array]
 """f of one term by its order and memory n; n infinite for unlimited memory."""
 
 
-def _below_1(theta: Vector, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
+def _below_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
     """Judge what is said of orders below 1, and of the zero of all orders."""
     pd, below = -np.cos(theta), LOW_ORDERS[:-1]
 
@@ -169,7 +167,7 @@ def _below_1(theta: Vector, curves: Curves, shown: Sequence[TermCurve], taps: in
     ]
 
 
-def _above_1(theta: Vector, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
+def _above_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
     """Judge what is said of orders above 1."""
     pd, above = -np.cos(theta), HIGH_ORDERS[1:]
 
@@ -216,7 +214,7 @@ def _rising(values: Sequence[float]) -> bool:
     return all(a < b for a, b in itertools.pairwise(values))
 
 
-def _worse_somewhere(theta: Vector, curve: Vector, pd: Vector) -> bool:
+def _worse_somewhere(theta: Array, curve: Array, pd: Array) -> bool:
     inside = theta <= MIDDLE * math.pi
     return bool((curve[inside] > pd[inside] + 1e-9).any())
 
@@ -230,7 +228,7 @@ def _at_zero(order: float, taps: int) -> float:
     return 2.0 * total / alternating_sum(order, taps)
 
 
-def _ours_2(theta: Vector, taps: int) -> list[Claim]:
+def _ours_2(theta: Array, taps: int) -> list[Claim]:
     """Judge what THEORY.md adds to figure 2: the closed form and the leak."""
     # 4096 taps against the closed form, away from ω = 0 where no finite memory reaches.
     inside = theta >= 0.05 * math.pi
@@ -268,13 +266,13 @@ def _leak_sign(order: float, leak: float) -> bool:
     return leak > 0.0 if math.floor(order) % 2 == 0 else leak < 0.0
 
 
-def optimum_terms() -> tuple[Vector, Vector]:
+def optimum_terms() -> tuple[Array, Array]:
     """Gains and orders of the paper's optimum, normalised."""
     terms = PRESETS["paper_optimum"]["terms"]
     return np.array([t["gain"] for t in terms]), np.array([t["order"] for t in terms])
 
 
-def figure_3(taps: int, points: int = 400) -> dict[str, Vector]:
+def figure_3(taps: int, points: int = 400) -> dict[str, Array]:
     """Compute f(ω) of the paper's optimum and of PD."""
     theta = np.pi * np.arange(1, points + 1) / points
     gains, orders = optimum_terms()

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.paper.descent import Targets, damping_curve, term_damping
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -22,20 +20,20 @@ class Shaping:
     """Gains and orders of a multi-term law and the f they give, all normalised (T = 2), the spring taken as H(1)."""
 
     # A_i and α_i, shape (t,).
-    gains: Vector
-    orders: Vector
+    gains: Array
+    orders: Array
     ripple: float  # largest |f + 1| over the band
     nyquist: float  # f(ω_N)
 
 
-def least_squares(orders: Vector, targets: Targets, taps: int) -> Vector:
+def least_squares(orders: Array, targets: Targets, taps: int) -> Array:
     """Gains with the least cost (13) for given orders; of several, the shortest."""
     basis = np.array([term_damping(targets.theta, order, taps)[0] for order in orders.tolist()])
     gains, *_ = np.linalg.lstsq(basis.T, targets.value, rcond=None)
     return np.asarray(gains, dtype=np.float64)
 
 
-def minimax(orders: Vector, band: tuple[float, float], nyquist: float, taps: int, points: int = 61) -> Shaping | None:
+def minimax(orders: Array, band: tuple[float, float], nyquist: float, taps: int, points: int = 61) -> Shaping | None:
     """Gains with the least ripple about f = −1 over a band, f(ω_N) bounded: a linear programme."""
     from scipy.optimize import linprog
 
@@ -55,14 +53,14 @@ def minimax(orders: Vector, band: tuple[float, float], nyquist: float, taps: int
     return measured(gains, orders, band, taps)
 
 
-def measured(gains: Vector, orders: Vector, band: tuple[float, float], taps: int) -> Shaping:
+def measured(gains: Array, orders: Array, band: tuple[float, float], taps: int) -> Shaping:
     """Measure the f of a multi-term law."""
     fine = np.pi * np.linspace(band[0], band[1], 601)
     ripple = float(np.abs(damping_curve(fine, gains, orders, taps, False) + 1.0).max())
     return Shaping(gains, orders, ripple, float(damping_curve(np.array([np.pi]), gains, orders, taps, False)[0]))
 
 
-def free_taps(taps: int, band: tuple[float, float], nyquist: float, points: int = 61) -> tuple[Vector, float]:
+def free_taps(taps: int, band: tuple[float, float], nyquist: float, points: int = 61) -> tuple[Array, float]:
     """Find the least ripple that any derivative part of this length can have: the same programme over the taps themselves."""
     from scipy.optimize import linprog
 
@@ -90,7 +88,7 @@ def best_orders(
 
     solved = 0
 
-    def ripple(orders: Vector) -> float:
+    def ripple(orders: Array) -> float:
         nonlocal solved
         solved += 1
         if orders.min() <= 1e-3 or orders.max() >= 4.0 - 1e-3:

@@ -29,9 +29,8 @@ from nodes.recording.reader import Recording
 from nodes.stability.k_max import edge_of, without_spring
 from nodes.stability.occurring import Edge, position_over_force
 from nodes.stability.plant import Plant
+from sim.arrays import Array
 from sim.design.recorded_loop import measure
-
-Vector = NDArray[np.float64]
 
 _SHORTEST = 40
 _WINDOWS = ((0.12, 1.0), (0.25, 1.0), (0.12, 0.6), (0.4, 1.0))
@@ -75,7 +74,7 @@ class Decay:
     residual: float
 
 
-def ringing(position: Vector) -> Decay:
+def ringing(position: Array) -> Decay:
     """Fit one decaying swing about a slowly moving rest."""
     from scipy.optimize import least_squares
 
@@ -86,7 +85,7 @@ def ringing(position: Vector) -> Decay:
         raise CannotTellError(f"{len(position)} ticks of contact that move by {size:.2g} m: nothing swings")
     x, k = (position - position.mean()) / size, np.arange(len(position))
 
-    def misfit(guess: Vector) -> Vector:
+    def misfit(guess: Array) -> Array:
         decay, theta = guess
         envelope = np.clip(decay, 0.3, 1.05) ** k
         parts = np.column_stack(
@@ -103,7 +102,7 @@ def ringing(position: Vector) -> Decay:
     return Decay(abs(theta), decay, theta_off, decay_off, math.sqrt(spread / len(x)))
 
 
-def _start(x: Vector) -> tuple[float, float]:
+def _start(x: Array) -> tuple[float, float]:
     """Decay and ωT from x[k] = a x[k−1] + b x[k−2] + c."""
     # Instrumental variables two ticks further back: noise of the encoder does not bias the fit.
     rows = np.column_stack([x[3:-1], x[2:-2], np.ones(len(x) - 4)])
@@ -124,7 +123,7 @@ def recorded_swing(path: Path, damping: float | None = None) -> Swing:
     return swing_of(law, Plant(loop.period, 1.0, 0.0, loop.median), _contact(recording), known)
 
 
-def windows(inside: Vector) -> tuple[list[Decay], int]:
+def windows(inside: Array) -> tuple[list[Decay], int]:
     """Fit parts of a contact, the longest first; and how many ticks of it move."""
     moving = np.flatnonzero(np.abs(inside - inside[-len(inside) // 8 :].mean()) > 1e-9)
     end = int(moving[-1]) + 1 if moving.size else len(inside)
@@ -142,7 +141,7 @@ def windows(inside: Vector) -> tuple[list[Decay], int]:
     return fits, end
 
 
-def swing_of(law: Law, loop: Plant, inside: Vector, damping: float | None) -> Swing:
+def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swing:
     """Say what the positions of a contact tell of K_max [m]: period and delay of the loop are known, its mass is not."""
     compiled = law.compile(loop.period)
     if compiled.evaluate is not None:
@@ -197,10 +196,10 @@ def _solved(
     # Of a lossless mass on a spring of this size (THEORY.md §9).
     mass = abs(law.response(z)) * loop.period**2 / (4.0 * math.sin(half) * math.tan(half))
 
-    def plant(unknown: Vector) -> Plant:
+    def plant(unknown: Array) -> Plant:
         return replace(loop, mass=math.exp(min(unknown[0], 50.0)), damping=trial(unknown[1])[0])
 
-    def balance(unknown: Vector) -> tuple[float, float]:
+    def balance(unknown: Array) -> tuple[float, float]:
         z = trial(unknown[1])[1]
         law_there = complex(law.response(z))
         off = (1.0 / position_over_force(z, plant(unknown)) + law_there) / abs(law_there)
@@ -213,7 +212,7 @@ def _solved(
     return None
 
 
-def _contact(recording: Recording) -> Vector:
+def _contact(recording: Recording) -> Array:
     """Positions of the longest contact along the axis that pushes most; one law, no limit of the driver in between."""
     states = recording.messages(DEVICE_STATE)
     force = np.array([state.force for state in states])

@@ -10,15 +10,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.laws.excitation import Telegraph
+from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.identify.experiment import Experiment, lockstep
 from sim.population.virtual import PUSH, draw
 from sim.scene.richer import RicherModel, pushed
-
-Array = NDArray[np.float64]
 
 
 def excite_outside(device: RicherModel, period: float, seconds: float, seed: int, peak: float = 3.3) -> Experiment:

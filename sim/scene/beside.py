@@ -14,8 +14,9 @@ import msgspec
 
 from nodes.base.setup import Setup
 from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
+from sim.arrays import Array
 from sim.scene.from_launch import from_launch
-from sim.scene.loop import Array, Scene, run
+from sim.scene.loop import Scene, run
 
 
 def beside_scene(

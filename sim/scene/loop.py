@@ -19,6 +19,7 @@ from nodes.driver.passivity import PassivityParameters, line_of
 from nodes.driver.safety import REACH
 from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.laws import CompiledLaw
+from sim.arrays import Array
 from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.scene.compiled import numbers_of
 from sim.scene.driver_rules import DriverRules
@@ -32,8 +33,6 @@ from sim.scene.tick_loop import (
     play,
     play_compiled,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.laws.excitation import held_back
 from nodes.stability.flexible import FlexiblePlant
+from sim.arrays import Array
 from sim.device.friction import slide
 from sim.device.model import DeviceModel, coefficients, quantise
 from sim.scene.compiled import compiled
-
-Array = NDArray[np.float64]
 
 SUBSTEPS = 64
 """Steps of a tick."""

@@ -28,22 +28,21 @@ from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Meeting, meet_axes, numbers_of, parse_surface
 from nodes.launcher.launch_spec import Launch
+from sim.arrays import Array
 from sim.device.driver import SimDriverParameters, parts_of
 from sim.device.state import read_axis, write_axis
 from sim.scene.driver_rules import DriverRules
 from sim.scene.from_launch import parameters_of
 
-Rows = NDArray[np.float64]
-
 
 class SpatialTrace(NamedTuple):
     """What happened, one row a tick."""
 
-    position: Rows  # what the encoders read [m], shape (ticks, 3)
-    proxy: Rows  # where the proxy was [m], shape (ticks, 3)
-    normal: Rows  # outward normal of what was touched; zero for a body that moves, shape (ticks, 3)
+    position: Array  # what the encoders read [m], shape (ticks, 3)
+    proxy: Array  # where the proxy was [m], shape (ticks, 3)
+    normal: Array  # outward normal of what was touched; zero for a body that moves, shape (ticks, 3)
     contact: NDArray[np.bool_]  # whether something was touched, shape (ticks,)
-    force: Rows  # force handed to the device, after all limits [N], shape (ticks, 3)
+    force: Array  # force handed to the device, after all limits [N], shape (ticks, 3)
     law: list[str]  # which law rendered
 
 
@@ -118,7 +117,7 @@ def play(
     launch: Launch,
     ticks: int | None = None,
     solids: Sequence[Solid] | None = None,
-    path: Rows | None = None,
+    path: Array | None = None,
     world: MovingScene | None = None,
 ) -> SpatialTrace:
     """Play a launch file.

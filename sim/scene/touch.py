@@ -14,11 +14,11 @@ import nodes.environment.shapes.compiled_geometry as _registered
 from nodes.environment.shapes import proxy
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY, ROUNDS
+from sim.arrays import Array
 from sim.scene.compiled import compiled
 
 del _registered
 
-Rows = NDArray[np.float64]
 
 meet: Callable[[Any, Any, float, float, float], None] = compiled()(proxy.meet)
 """`nodes.environment.shapes.proxy.meet`, compiled."""
@@ -27,7 +27,7 @@ _ANSWER = 9
 
 
 @compiled()
-def _walk(scene: Rows, memory: Rows, path: Rows, answers: Rows) -> None:
+def _walk(scene: Array, memory: Array, path: Array, answers: Array) -> None:
     for i in range(len(path)):
         meet(scene, memory, path[i, 0], path[i, 1], path[i, 2])
         for k in range(3):
@@ -39,22 +39,22 @@ def _walk(scene: Rows, memory: Rows, path: Rows, answers: Rows) -> None:
 class Touched(NamedTuple):
     """What came of a path, one row a tick."""
 
-    path: Rows  # device positions [m], shape (ticks, 3)
-    proxy: Rows  # where the proxy was [m], shape (ticks, 3)
-    normal: Rows  # outward normal, shape (ticks, 3)
-    distance: Rows  # signed distance along it [m], shape (ticks,)
+    path: Array  # device positions [m], shape (ticks, 3)
+    proxy: Array  # where the proxy was [m], shape (ticks, 3)
+    normal: Array  # outward normal, shape (ticks, 3)
+    distance: Array  # signed distance along it [m], shape (ticks,)
     contact: NDArray[np.bool_]  # whether something was touched, shape (ticks,)
-    rounds: Rows  # rounds that each call took, shape (ticks,)
-    memory: Rows  # what the proxy remembers at the end
+    rounds: Array  # rounds that each call took, shape (ticks,)
+    memory: Array  # what the proxy remembers at the end
 
 
 def touch(
     solids: Sequence[Solid],
-    path: Rows,
+    path: Array,
     tool_radius: float = 0.0,
     period: float = 1e-3,
     interpreted: bool = False,
-    memory: Rows | None = None,
+    memory: Array | None = None,
 ) -> Touched:
     """Lead a device over shapes.
 
@@ -75,8 +75,8 @@ def touch(
 
 
 def call_times(
-    solids: Sequence[Solid], path: Rows, tool_radius: float = 0.0, period: float = 1e-3, most: int = 20_000
-) -> Rows:
+    solids: Sequence[Solid], path: Array, tool_radius: float = 0.0, period: float = 1e-3, most: int = 20_000
+) -> Array:
     """Time single calls of the compiled proxy along a path, with what the interpreter adds to each (under 1 µs).
 
     Returns: one time for each position, of at most so many [s].

@@ -16,15 +16,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.laws.knock import Knock
+from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.scene.loop import Scene, SceneSurface, run
 from sim.scene.richer import RicherModel, knock_on
-
-Array = NDArray[np.float64]
 
 WINDOW = 400
 """Ticks that a knock is watched."""

@@ -16,9 +16,10 @@ import numpy as np
 
 from messages.errors import RefusedError
 from nodes.client.launches import ask
+from sim.arrays import Array
 from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, Borrowed, PushedLaunch
 from sim.identify.signals_once import undisturbed
-from sim.tune.knocking import LONGEST, WINDOW, Array, KnockedEdge, KnockVerdict, Plan, climb, factor_of, judge, law_of
+from sim.tune.knocking import LONGEST, WINDOW, KnockedEdge, KnockVerdict, Plan, climb, factor_of, judge, law_of
 
 AGAIN = 10
 """How often one stiffness is tried when the machine stalls."""
