@@ -39,6 +39,10 @@ LONGEST = (
     "tests/sim/api",
     "tests/nodes/launcher",
     "tests/nodes/compiled/test_second_launch.py",
+    "tests/sim/scene",
+    "tests/sim/cli",
+    "tests/sim/test_hands_on.py",
+    "tests/nodes/cli",
 )
 """What takes minutes comes first: a long file that begins last is waited for by one processor alone."""
 
@@ -66,6 +70,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return item.path in alone, length
 
     items.sort(key=place)
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Take two workers more than there are processors: a good part of the suite waits, for processes and for real time."""
+    return len(os.sched_getaffinity(0)) + 2
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -25,6 +25,8 @@ PAGES = {
 }
 README = PAGES["README.md"]
 
+pytestmark = pytest.mark.timeout(600)  # its commands compile what they need once, beside other tests that do
+
 SHORTER = {
     "haptic launch": "duration:=1",
     "haptic launch floor_swap": "first:=0.4 second:=0.8 duration:=1.2",
@@ -42,7 +44,7 @@ SHORTER = {
     "haptic bench curve": "--rounds 1 --ticks 50",
     "haptic drill": "flood",
     "haptic drill --list": "",
-    "haptic drill soak": "--minutes 0.3 --miss-limit 1",
+    "haptic drill soak": "--minutes 0.17 --miss-limit 1",
     "haptic study kmax --law pd --gain 3 --method lockstep": "--grid 3",
     "haptic study chart": "--quick --parts kmax",
     "haptic study curved": "--slides 0.02",

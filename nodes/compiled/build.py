@@ -196,7 +196,10 @@ def _main(words: Sequence[str]) -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
         for module in words:
-            _compile(module, keep_failure=False)
+            with cache.making(f"{module}.tick"):
+                found = find(module)
+                if found is None or reason(found):
+                    _compile(module, keep_failure=False)
     except cache.CacheRefusedError as error:
         sys.exit(f"not kept: {error}")
 

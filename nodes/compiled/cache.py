@@ -21,7 +21,8 @@ import pwd
 import re
 import stat
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -36,6 +37,9 @@ ROOT: Final = Path(__file__).parents[2]
 
 LARGEST: Final = 256 * 2**20
 """Longest entry that is read [bytes]; a kernel has some hundred thousand."""
+
+PATIENCE: Final = 30.0
+"""How long another process that makes an entry is waited for, before it is made twice [s]."""
 
 _DIGEST: Final = 64
 _BARE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
@@ -254,6 +258,60 @@ def write(name: str, entry: CacheEntry, sources: Mapping[str, str]) -> None:
         raise CacheRefusedError(f"{folder() / name}: {error.strerror}") from error
     finally:
         os.close(at)
+
+
+_made_here: set[str] = set()
+"""Entries that a thread of this process makes: for these nobody waits, as who waits may hold what that thread needs."""
+
+
+@contextlib.contextmanager
+def making(name: str) -> Iterator[None]:
+    """Make an entry while no other process makes it too: whoever waited looks for it again. None is waited for too long.
+
+    Raises
+    ------
+    CacheRefusedError
+        When it could not be kept.
+    """
+    if name in _made_here:
+        yield
+        return
+    at = _enter(name, make=True)
+    lock = f".{name}.making"
+    until = time.monotonic() + PATIENCE
+    held = None
+    _made_here.add(name)
+    try:
+        try:
+            while (held := _locked(at, lock)) is None and time.monotonic() < until:
+                time.sleep(0.02)
+        except OSError as error:
+            raise CacheRefusedError(f"{folder() / name}: {error.strerror}") from error
+        yield
+    finally:
+        _made_here.discard(name)
+        if held is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(lock, dir_fd=at)
+            os.close(held)
+        os.close(at)
+
+
+def _locked(at: int, lock: str) -> int | None:
+    """Take a lock that its holder removes in the end; None while another has it."""
+    held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600, dir_fd=at)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # It may have been removed between opening and locking.
+        if os.stat(lock, dir_fd=at, follow_symlinks=False).st_ino == os.fstat(held).st_ino:
+            return held
+    except (BlockingIOError, FileNotFoundError):
+        pass
+    except BaseException:
+        os.close(held)
+        raise
+    os.close(held)
+    return None
 
 
 def alone() -> int | None:

@@ -7,6 +7,7 @@ print is read as well. A function that draws is decorated with `styled`; `save_f
 from __future__ import annotations
 
 import functools
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -75,7 +76,9 @@ def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
     def drawn(*words: _P.args, **named: _P.kwargs) -> _T:
         import matplotlib as mpl
 
-        with mpl.rc_context(_rc()):
+        with mpl.rc_context(_rc()), warnings.catch_warnings():
+            # On a machine that stalls for a second while a legend is placed: nothing that its user could mend.
+            warnings.filterwarnings("ignore", message="Creating legend with loc", category=UserWarning)
             return draw(*words, **named)
 
     return drawn

@@ -9,9 +9,10 @@ import ctypes
 from collections.abc import Callable
 from typing import Any
 
+import numba
 import numpy as np
 
-from nodes.compiled.kernels.machine import compilable, record_at
+from nodes.compiled.kernels.machine import record_at
 from nodes.compiled.kernels.sources import record_of
 from nodes.coupling.kernel import _render as render
 from nodes.coupling.render import begin_turning
@@ -27,7 +28,6 @@ _RADIUS, _DEEP, _STEP = 0.035, 2e-3, 4e-4
 _look = record_at(record_of(CouplingState))
 
 
-@compilable
 def _play(address: int, normals: Any, position: Any, proxy: Any, force: Any) -> float:
     """Render along a way: from the normals alone, so that little beside the tick is timed."""
     s = _look(address)
@@ -40,6 +40,9 @@ def _play(address: int, normals: Any, position: Any, proxy: Any, force: Any) -> 
         render(s, position, proxy, normal, -_DEEP, True, force, s.pushes[s.axes - 1] + 1)
         felt += force[2]
     return felt
+
+
+_played: Any = numba.njit(_play)
 
 
 def time_turning(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
@@ -55,6 +58,6 @@ def time_turning(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
         renderer.law = ActiveLaw("pd", "", law, renderer.histories)
         kept.append(renderer)
         at, rooms = ctypes.addressof(renderer.state), [np.zeros(3) for _ in range(3)]
-        return lambda: _play(at, normals, *rooms)
+        return lambda: _played(at, normals, *rooms)
 
     return interleaved({frame: (job(frame), _TICKS) for frame in FRAMES}, rounds, step)

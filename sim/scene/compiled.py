@@ -7,9 +7,11 @@ code (nodes/compiled/cache.py), each version of a function with the digests of a
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import pickle
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -123,6 +125,13 @@ overload(own_force, strict=False)(
 _dumps: Any = serialize.dumps
 
 
+class _Making(threading.local):
+    """What a thread compiles while other processes wait for it."""
+
+    def __init__(self) -> None:
+        self.held = contextlib.ExitStack()
+
+
 class _Kept:
     """What a compiled function of numba's asks for its machine code: that of each combination of argument types is an entry.
 
@@ -134,6 +143,7 @@ class _Kept:
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         self._sources: dict[str, str] | None = None
+        self._making = _Making()
 
     def _name(self, types: Any, codegen: Any) -> str:
         which = f"{self._function.__qualname__}{types}{codegen.magic_tuple()}"
@@ -142,8 +152,17 @@ class _Kept:
     def load_overload(self, types: Any, target: Any) -> Any:
         """Find machine code; None where it must be compiled."""
         target.refresh()
+        name = self._name(types, target.codegen())
+        # Of a function that could not be compiled.
+        self._making.held.close()
         try:
-            entry = cache.read(self._name(types, target.codegen()))
+            entry = cache.read(name)
+            if entry is None:
+                # Of processes that begin together, one compiles.
+                self._making.held.enter_context(cache.making(name))
+                entry = cache.read(name)
+                if entry is not None:
+                    self._making.held.close()
         except cache.CacheRefusedError as error:
             self._refused(error)
             return None
@@ -156,13 +175,14 @@ class _Kept:
 
     def save_overload(self, types: Any, result: Any) -> None:
         """Keep machine code."""
-        if self._sources is None or result.lifted or result.library.has_dynamic_globals:
-            return
-        try:
-            entry = cache.CacheEntry(kind="numba", content=_dumps(result._reduce()))
-            cache.write(self._name(types, result.codegen), entry, self._sources)
-        except cache.CacheRefusedError as error:
-            self._refused(error)
+        with self._making.held:
+            if self._sources is None or result.lifted or result.library.has_dynamic_globals:
+                return
+            try:
+                entry = cache.CacheEntry(kind="numba", content=_dumps(result._reduce()))
+                cache.write(self._name(types, result.codegen), entry, self._sources)
+            except cache.CacheRefusedError as error:
+                self._refused(error)
 
     def flush(self) -> None:
         """Nothing waits to be written."""
@@ -180,7 +200,9 @@ def compiled() -> Callable[[Function], Function]:
     """
 
     def decorate(function: Function) -> Function:
-        made: Any = numba.njit(nogil=True)(function)
+        # Of numba's options a type checker knows only the common ones. C does not call it.
+        compile_: Any = numba.njit
+        made = compile_(nogil=True, no_cfunc_wrapper=True)(function)
         # With NUMBA_DISABLE_JIT functions stay what they are.
         if made is not function:
             made._cache = _Kept(function)

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from sim.hands_on.delay import measure
 from tests.support.devices import Bench, bench, real_devices
 from tests.support.launching import HAPTIC, haptic, wait_for
 
@@ -129,29 +128,6 @@ def test_a_handle_that_flies_off_is_let_go(tmp_path: Path) -> None:
         assert code == 1
         assert "let go: the handle moved at" in said
         assert not any(stand.world.force())
-
-
-@pytest.mark.realtime
-@pytest.mark.parametrize("late", [0.0, 0.01])
-def test_the_delay_from_force_to_effect_is_told_with_its_uncertainty(stand: Bench, late: float) -> None:
-    w = stand.world.state
-    w.resolution, w.late = 2e-5, late
-    device = stand.opened()
-    # A hand: heavy, and slow; it reaches its speed in 10 ms, which is no delay.
-    w.mass, w.damping, w.free_from = 1.0, 100.0, 0.0
-    measured = measure(device)
-    assert measured.delay is not None, measured.why
-    # On the way out it waits for the servo loop, on the way back for a sample: up to a period each. Three times the 95 % are as
-    # good as certain.
-    assert measured.delay == pytest.approx(late + 1.0 / device.servo_rate, abs=3.0 * measured.uncertainty)
-    assert measured.uncertainty < 0.01
-
-
-def test_a_handle_that_does_not_move_tells_no_delay(stand: Bench) -> None:
-    device = stand.opened()
-    measured = measure(device)
-    assert (measured.delay, measured.pulses) == (None, 0)
-    assert "hold it more loosely" in measured.why
 
 
 def test_yes_to_everything_pushes_nobody(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ import zmq
 
 from messages.transport.requests import ControlError, call
 from nodes.launcher.runs import RunInfo
+from sim.measure.measured_launch import PATIENCE
 from tests.support.launching import DEADLINE, assert_nothing_left, wait_for
 
 _BLOCK = re.compile(r"^```sh\n(.*?)^```$(?:\n+^```text\n(.*?)^```$)?", re.MULTILINE | re.DOTALL)
@@ -274,7 +275,7 @@ class Shell:
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
-            timeout=2.0 * DEADLINE,
+            timeout=PATIENCE,
             check=False,
         )
         assert done.returncode == 0, f"$ {wanted.line}\n{done.stdout}{done.stderr}exit code {done.returncode}"

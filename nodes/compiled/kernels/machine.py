@@ -28,7 +28,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def compilable(function: Function) -> Function:
     """Let a function be compiled into those that call it; to a type checker it stays what it is."""
-    made: Function = numba.njit(function)
+    # Neither the interpreter nor C calls it: a way of calling it from there would be compiled for each.
+    # Of numba's options a type checker knows only the common ones.
+    compile_: Any = numba.njit
+    made: Function = compile_(no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
     return made
 
 

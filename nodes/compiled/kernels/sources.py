@@ -15,7 +15,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def kernel(function: Function) -> Function:
     """Let compiled functions call a plain function, which itself stays as it is."""
-    same: Function = register_jitable(function)
+    # Only compiled code calls it: a way of calling it from C would be compiled for each.
+    same: Function = register_jitable(no_cfunc_wrapper=True)(function)
     return same
 
 

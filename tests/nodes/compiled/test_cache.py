@@ -9,7 +9,9 @@ import resource
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -238,6 +240,45 @@ def test_two_that_compile_at_once_do_no_harm(kept: Path) -> None:
     build.build([TINY, TINY])
     assert obtain(TINY)(41) == 42
     assert sorted(path.name for path in kept.parent.iterdir()) == [kept.name]
+
+
+def test_who_waited_for_an_entry_finds_it(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits, locked = threading.Event(), cache._locked
+
+    def tried(at: int, lock: str) -> int | None:
+        held = locked(at, lock)
+        if held is None:
+            waits.set()
+        return held
+
+    def found() -> cache.CacheEntry | None:
+        with cache.making("a.tick"):
+            return cache.read("a.tick")
+
+    # Another process makes it.
+    with cache.making("other.tick"):
+        folder = os.open(place, os.O_RDONLY)
+    lock = ".a.tick.making"
+    held = locked(folder, lock)
+    assert held is not None
+    monkeypatch.setattr(cache, "_locked", tried)
+    with ThreadPoolExecutor(1) as beside:
+        second = beside.submit(found)
+        assert waits.wait(60.0)
+        cache.write("a.tick", ENTRY, SOURCES)
+        os.unlink(lock, dir_fd=folder)
+        os.close(held)
+        assert second.result(60.0) == ENTRY
+        assert [path.name for path in place.iterdir()] == ["a.tick"]
+        # A thread of the same process does not wait, nor does anybody without an end.
+        with cache.making("a.tick"):
+            assert beside.submit(found).result(60.0) == ENTRY
+    held = locked(folder, lock)
+    assert held is not None
+    monkeypatch.setattr(cache, "PATIENCE", 0.0)
+    assert found() == ENTRY
+    os.close(held)
+    os.close(folder)
 
 
 def test_without_a_linker_the_object_file_runs(place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

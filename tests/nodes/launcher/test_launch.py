@@ -36,9 +36,10 @@ PROMISED = {
 @pytest.mark.parametrize("scenario", launch_file.scenarios())
 def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None:
     _, arguments = launch_file.read_arguments(launch_file.find(scenario))
-    # Some run until they are stopped.
-    endless = "duration" in arguments and arguments["duration"].default == 0.0
-    figures = launch_json(tmp_path, scenario, *(["duration:=2"] if endless else []))
+    # Some run until they are stopped. One swaps its law, which it does here within the second.
+    words = ["duration:=1"] if "duration" in arguments else []
+    words += ["first:=0.3", "second:=0.6"] if scenario == "floor_swap" else []
+    figures = launch_json(tmp_path, scenario, *words)
     assert set(figures) >= PROMISED
     assert figures["exit_reason"] == "done"
     recording = Recording(tmp_path / figures["recording"])
