@@ -60,10 +60,11 @@ class Ros2Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     backend : str
         ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it imports.
     wrench : str
-        Topic of a WrenchStamped whose force is handed to the driver on top of the law's; empty for none. The driver must allow
-        it (``external``).
+        Topic of a WrenchStamped, behind the namespace of the chain, whose force is handed to the driver on top of the law's;
+        empty for none. The driver must allow it (``external``).
     target : str
-        Topic of a PoseStamped where the hand of a virtual device is pulled to; empty for none. It needs a ``pointer``.
+        Topic of a PoseStamped, behind that namespace too, where the hand of a virtual device is pulled to; empty for none. It
+        needs a ``pointer``.
     age_limit : float
         What is stamped so much before its arrival, or after it, is refused [s]. A stamp of 0 is not looked at.
     """
@@ -121,7 +122,7 @@ class Ros2(Node):
     def configure(self) -> None:
         """Join the graph, which may take seconds, before the loop is waited for."""
         parameters: Ros2Parameters = self.store.current
-        namespace = f"/{self.setup.namespace}".rstrip("/")
+        namespace = self._namespace = f"/{self.setup.namespace}".rstrip("/")
         backend = choose(parameters.backend, self.setup.name)
         self._graph: Graph = join(backend, self.setup.name.rpartition("/")[2], namespace or "/")
         self._make = RosMessages(self._graph.look_up, parameters.frame)
@@ -246,7 +247,7 @@ class Ros2(Node):
                     f"{self.setup.name}.wrench: the driver takes no force from outside; allow it with "
                     "external: {peak: 1.0, age: 0.1}"
                 )
-            self._graph.listen(parameters.wrench, WRENCH, self._take_wrench)
+            self._graph.listen(self._namespace + parameters.wrench, WRENCH, self._take_wrench)
         if parameters.target:
             try:
                 self._hand = PointerWriter(
@@ -256,7 +257,7 @@ class Ros2(Node):
                 raise ParameterError(
                     f"{self.setup.name}.target: no hand can be dragged; a sim_driver has one with device.hand and pointer: {{}}"
                 ) from error
-            self._graph.listen(parameters.target, POSE, self._take_target)
+            self._graph.listen(self._namespace + parameters.target, POSE, self._take_target)
         self._graph.serve(self._parameters(), self._change)
 
     def _parameters(self) -> dict[str, Any]:

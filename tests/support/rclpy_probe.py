@@ -1,6 +1,7 @@
 """A ROS 2 node that knows nothing of this project: listens, pushes, pulls, sets parameters, and prints what came of it as JSON.
 
-Run by whichever Python has rclpy: ``python rclpy_probe.py SECONDS parameters|plain``.
+Run by whichever Python has rclpy: ``python rclpy_probe.py SECONDS parameters|plain NAMESPACE``, which may
+be empty.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 PUSH, PULL = 0.5, 0.012
 
 
-def main(seconds: float, with_parameters: bool) -> None:
+def main(seconds: float, with_parameters: bool, namespace: str) -> None:
     """Do it."""
     import rclpy
     from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -37,9 +38,9 @@ def main(seconds: float, with_parameters: bool) -> None:
         ("contact", Bool),
         ("law", String),
     ):
-        node.create_subscription(kind, f"/haptic/{topic}", keep(topic), 100)
-    wrench = node.create_publisher(WrenchStamped, "/haptic/wrench", 10)
-    target = node.create_publisher(PoseStamped, "/haptic/target", 10)
+        node.create_subscription(kind, f"{namespace}/haptic/{topic}", keep(topic), 100)
+    wrench = node.create_publisher(WrenchStamped, f"{namespace}/haptic/wrench", 10)
+    target = node.create_publisher(PoseStamped, f"{namespace}/haptic/target", 10)
 
     def spin(until: float, between: Callable[[], None] | None = None) -> None:
         while time.time() < until:
@@ -87,7 +88,7 @@ def main(seconds: float, with_parameters: bool) -> None:
             result = answer.results[0]
             told[name] = [result.successful, result.reason]
         told["nodes"] = node.get_node_names()
-    told["types"] = {name: types for name, types in node.get_topic_names_and_types() if name.startswith("/haptic")}
+    told["types"] = dict(node.get_topic_names_and_types())
     told["counts"] = {topic: len(found) for topic, found in got.items()}
     told["poses"] = [
         [m.header.stamp.sec, m.header.stamp.nanosec, m.pose.position.x, m.pose.position.y, m.pose.position.z]
@@ -101,4 +102,4 @@ def main(seconds: float, with_parameters: bool) -> None:
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]), sys.argv[2] == "parameters")
+    main(float(sys.argv[1]), sys.argv[2] == "parameters", sys.argv[3])

@@ -58,9 +58,14 @@ def heard(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     folder = tmp_path_factory.mktemp(backend)
     # A domain of its own: nobody else's graph hears it, or is heard.
     domain = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 99), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    with running(folder, "ros2_wall", f"backend:={backend}", environment=domain) as launch:
+    # One of them within a namespace, as where several chains share a graph.
+    namespace = "/left" if backend == "cyclonedds" else ""
+    include = {"launch": "ros2_wall", "namespace": namespace[1:], "arguments": {"backend": backend}}
+    file = folder / "wall.yaml"
+    file.write_text(json.dumps({"summary": "a wall on a graph", "include": [include]}), encoding="utf-8")
+    with running(folder, str(file), environment=domain) as launch:
         done = subprocess.run(
-            [PYTHON, str(PROBE), str(SECONDS), "parameters" if backend == "rclpy" else "plain"],
+            [PYTHON, str(PROBE), str(SECONDS), "parameters" if backend == "rclpy" else "plain", namespace],
             capture_output=True,
             text=True,
             timeout=90.0,
@@ -72,7 +77,12 @@ def heard(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         figures = launch.figures
     assert not figures["failures"]
     recording = Recording(folder / figures["recording"])
-    return Heard(json.loads(done.stdout), recording, float(recording.manifest["wall_minus_monotonic_s"]))
+    told = json.loads(done.stdout)
+    told["poses_are"] = told["types"][f"{namespace}/haptic/device/pose"]
+    # Each chain is pulled and pushed by what is named as its own, and by nothing else.
+    inputs = {name for name in told["types"] if name.endswith(("/wrench", "/target"))}
+    assert inputs == {f"{namespace}/haptic/wrench", f"{namespace}/haptic/target"}
+    return Heard(told, recording, float(recording.manifest["wall_minus_monotonic_s"]))
 
 
 def test_rclpy_hears_what_was_recorded(heard: Heard) -> None:
@@ -89,7 +99,7 @@ def test_it_is_told_at_the_decimated_rate(heard: Heard) -> None:
     rate = len(heard.told["poses"]) / heard.told["span"]
     # Of 500 Hz every fifth or less: a busy machine sends less, never more.
     assert rate <= 100.0 * 1.05
-    assert heard.told["types"]["/haptic/device/pose"] == ["geometry_msgs/msg/PoseStamped"]
+    assert heard.told["poses_are"] == ["geometry_msgs/msg/PoseStamped"]
 
 
 def test_a_wrench_is_taken_on_top_of_the_law_and_ends_with_its_age(heard: Heard) -> None:
