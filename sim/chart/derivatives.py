@@ -168,7 +168,7 @@ def _groups(order: float, details: dict[str, tuple[str, dict[str, Detail]]], rou
         return 1.0 - float(measured["h1_max_n_per_m"]) / best
 
     best = max(float(measured["h1_max_n_per_m"] or 0.0) for _, measured in details.values())
-    error, time = "relative error, best delay removed (rms)", "time per tick in the node [µs]"
+    error, time = "relative error, best delay removed (rms) [1]", "time per tick in the node [µs]"
     note = (
         f"Error against (jω)^α, 0.001 to 0.5 of Nyquist. T = {1e3 * PERIOD:g} ms; times by the "
         f"coupling's own rendering, median of {rounds} interleaved rounds."
@@ -187,7 +187,7 @@ def _groups(order: float, details: dict[str, tuple[str, dict[str, Detail]]], rou
             f"derivative_stiffness_{order:g}",
             f"D^{order:g}: stiffness left",
             time,
-            f"stiffness lost against the best, {best:.0f} N/m",
+            f"stiffness lost against the best, {best:.0f} N/m [1]",
             points("node_us", lost),
             f"H(1) at which the pole radius reaches 1: m = {MASS} kg, b = {DAMPING} N s/m, {DELAY:g} tick of delay, "
             f"normalised gain {GAIN:g} N s/m for all.",

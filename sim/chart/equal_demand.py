@@ -123,8 +123,8 @@ def _group(order: float, demand: str, radius: float, rows: list[tuple[str, str, 
     return Group(
         f"equal_demand_{order:g}_{demand}",
         f"D^{order:g}: accuracy and stiffness at equal demand, pole radius ≤ {radius:.3g}",
-        "relative error of the derivative, best delay removed (rms)",
-        f"stiffness lost against the best, {best:.0f} N/m",
+        "relative error of the derivative, best delay removed (rms) [1]",
+        f"stiffness lost against the best, {best:.0f} N/m [1]",
         tuple(points),
         f"Gain and K tuned for each: pole radius ≤ {radius:.3g} for {', '.join(f'{m:g}' for m in MASSES)} kg, b = {DAMPING:g} "
         f"N s/m, {DELAY:g} tick of delay, |H(−1)| ≤ {NYQUIST:g} N/m, T = {1e3 * PERIOD:g} ms. "

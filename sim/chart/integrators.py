@@ -130,7 +130,7 @@ def integrator_groups(step: Callable[[str], None], quick: bool = False) -> list[
             "integrator_k_max",
             "Integrators: K_max of a spring",
             label,
-            "relative error of K_max",
+            "relative error of K_max [1]",
             tuple(stiff),
             f"Spring alone, m = {MASS} kg, b = {DAMPING} N s/m, no delay: K_max = {limit:.1f} N/m.",
         ),

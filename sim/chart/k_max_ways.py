@@ -137,7 +137,7 @@ def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
                 f"k_max_delay_{delay:g}",
                 f"Ways to K_max, {'no delay' if delay == 0.0 else 'one tick of delay'}",
                 "time for one K_max [ms]",
-                "relative error of K_max",
+                "relative error of K_max [1]",
                 tuple(points),
                 f"PD with B = {GAIN:g} N s/m on m = {MASS} kg, b = {DAMPING} N s/m, T = {1e3 * PERIOD:g} ms: "
                 f"K_max = {exact:.2f} N/m. Simulations search to {_PRECISION:g}.",

@@ -157,7 +157,7 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
             "rate_force",
             "Loop rate: force",
             "rate of the loop [Hz]",
-            "error of the rendered force against a continuous floor (rms)",
+            "error of the rendered force against a continuous floor (rms) [1]",
             tuple(Point(name, rate, float(d["force_error"] or 0.0), family, d) for name, rate, _, family, d in points),
             note,
         ),
@@ -165,7 +165,7 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
             "rate_stiffness",
             "Loop rate: stiffest floor that calms down",
             "rate of the loop [Hz]",
-            f"stiffness lost against the best, {best:.0f} N/m",
+            f"stiffness lost against the best, {best:.0f} N/m [1]",
             tuple(Point(name, rate, 1.0 - stable / best, family, d) for name, rate, stable, family, d in points),
             f"{note} One launch each at 95, 80, 65 and 50 % of what the pole radius at the measured delay allows, until "
             "one calms down.",

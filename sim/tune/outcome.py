@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from sim.tune.knocking import STEP, KnockedEdge
+from sim.tune.tuning_text import number
 
 AGREES = 0.1
 """An edge so far from the predicted one is another device's: then the model tells nothing of this one's poles either."""
@@ -86,17 +87,20 @@ def headline(record: Mapping[str, Any]) -> str:
     lands = "" if designed["lands"] else "; it does not bear a landing"
     if after is None or not (after["steps"] or after["ended"]):
         why = f" ({stopped})" if stopped else ""
-        return f"Not tried: a law of {designed['h1_n_per_m']:.4g} N/m was designed, but not tried on the device{why}{lands}."
+        law = f"a law of {number(designed['h1_n_per_m'], 'N/m')}"
+        return f"Not tried: {law} was designed, but not tried on the device{why}{lands}."
     if after["holds"]:
         until = edge_in_words(after)
         broken = f", {stopped}" if stopped else ""
-        return f"The law holds: {designed['h1_n_per_m']:.4g} N/m were tried on the device{broken}, {until}{lands}."
-    rested = after["stiffest_at_rest_n_per_m"]
-    softer = "nothing softer came to rest either" if rested is None else f"it came to rest up to {rested:.4g} N/m"
-    if stopped and after["edge_factor"] is None:
         return (
-            f"Not verified: {stopped}; {softer}, the law has {designed['h1_n_per_m']:.4g} N/m. Nothing was delivered."
+            f"The law holds: {number(designed['h1_n_per_m'], 'N/m')} were tried on the device{broken}, {until}{lands}."
         )
+    rested = after["stiffest_at_rest_n_per_m"]
+    softer = (
+        "nothing softer came to rest either" if rested is None else f"it came to rest up to {number(rested, 'N/m')}"
+    )
+    if stopped and after["edge_factor"] is None:
+        return f"Not verified: {stopped}; {softer}, the law has {number(designed['h1_n_per_m'], 'N/m')}. Nothing was delivered."
     return f"The law does NOT hold: {after['ended']}; {softer}. Nothing was delivered."
 
 
@@ -104,6 +108,6 @@ def edge_in_words(after: Mapping[str, Any]) -> str:
     """Say where the edge is: a figure where it is known to 5 %, else the interval alone."""
     ends, edge = after["edge_by_poles_between_n_per_m"], after["edge_by_poles_h1_n_per_m"]
     if ends is None:
-        return f"no edge was found up to {after['stiffest_at_rest_n_per_m'] or 0.0:.4g} N/m"
-    between = f"between {ends[0]:.4g} and {ends[1]:.4g} N/m"
-    return f"its edge lies {between}" if edge is None else f"its edge is at {edge:.4g} N/m, {between}"
+        return f"no edge was found up to {number(after['stiffest_at_rest_n_per_m'] or 0.0, 'N/m')}"
+    between = f"between {number(ends[0])} and {number(ends[1], 'N/m')}"
+    return f"its edge lies {between}" if edge is None else f"its edge is at {number(edge, 'N/m')}, {between}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,13 +12,16 @@ from sim.tune.tuning_pictures import pictures
 from sim.tune.tuning_text import SECTIONS, Row, number
 
 STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem;color-scheme:light dark}"
+    ":root{color-scheme:light dark}body{font:15px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem}"
     "table{border-collapse:collapse}td,th{padding:.15rem .8rem .15rem 0;text-align:left;border-bottom:1px solid #8884;"
     "vertical-align:top}img{max-width:100%}.verdict{font-size:1.2rem;border-left:.4rem solid #c33;padding-left:.8rem}"
     ".holds{border-color:#393}.by{opacity:.75}img{border-radius:.4rem;margin:.6rem 0}"
     # In the dark a picture's paper is dark, too, and its colours stay what they are.
     "@media(prefers-color-scheme:dark){img{filter:invert(.9) hue-rotate(180deg)}}"
 )
+
+READ_IN = {"m": ("µm", 1e6), "s": ("ms", 1e3)}
+"""Units in which a device's small lengths and times are read, and how many of them one SI unit has."""
 
 
 def page(record: Mapping[str, Any]) -> str:
@@ -38,7 +42,8 @@ def page(record: Mapping[str, Any]) -> str:
         if key in record:
             parts += [f"<h2>{title}</h2>", _table(rows(record[key]))]
     parts += [f'<img alt="{name}" src="data:image/png;base64,{picture}">' for name, picture in pictures(record)]
-    head = f'<meta charset="utf-8"><title>haptic tune</title><style>{STYLE}</style>'
+    seen = '<meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
+    head = f"{seen}<title>haptic tune</title><style>{STYLE}</style>"
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
 
 
@@ -51,6 +56,14 @@ def _table(rows: Sequence[Row]) -> str:
     return f"<table>{lines}</table>"
 
 
+def _interval(low: float, high: float) -> str:
+    if math.isclose(low, high, rel_tol=1e-12):
+        return "exact"
+    # What is known to three digits and better is record by how far it may be off.
+    ends = number(low), number(high)
+    return f"± {number((high - low) / 2.0)}" if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
+
+
 def _device(record: Mapping[str, Any]) -> str:
     lines = ["<tr><th></th><th>value</th><th>95 % interval</th><th></th></tr>"]
     for key, _, name, unit in ROWS:
@@ -58,13 +71,12 @@ def _device(record: Mapping[str, Any]) -> str:
         if one["value"] is None:
             lines.append(f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>")
         else:
-            # What is known to three digits and better is told by how far it may be off.
-            low, high = number(one["low"]), number(one["high"])
-            interval = f"± {number((one['high'] - one['low']) / 2.0)}" if low == high else f"{low} to {high}"
-            lines.append(f"<tr><td>{name}</td><td>{number(one['value'])}</td><td>{interval}</td><td>{unit}</td></tr>")
-    refuted = (
-        f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>" if record.get("refuted") else ""
-    )
+            shown, factor = READ_IN.get(unit, (unit, 1.0))
+            value, low, high = (factor * one[end] for end in ("value", "low", "high"))
+            lines.append(
+                f"<tr><td>{name}</td><td>{number(value)}</td><td>{_interval(low, high)}</td><td>{shown}</td></tr>"
+            )
+    refuted = f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>" if record.get("refuted") else ""
     steps = record["residual_steps"]
     ended = f"The push ended: {_plain(record['stopped'])}. "
     residual = f"Residual {number(steps)} encoder steps; rounding alone leaves 0.29."

@@ -14,6 +14,7 @@ import numpy as np
 from messages.errors import HapticError
 from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, styled, threshold
 from sim.tune.knocking import LEFT
+from sim.tune.tuning_text import number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -102,7 +103,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     axes.plot(depth, force, color=COLOURS[0], ls="-", lw=1.0, label="a fall from 10 mm")
     most = max(float(depth.max()), 0.1)
     h1 = designed["h1_n_per_m"]
-    axes.plot([0.0, most], [0.0, 1e-3 * most * h1], color=COLOURS[1], ls="--", label=f"at rest: {h1:.3g} N/m")
+    axes.plot([0.0, most], [0.0, 1e-3 * most * h1], color=COLOURS[1], ls="--", label=f"at rest: {number(h1, 'N/m')}")
     axes.set_xlim(-0.25 * most, 1.05 * most)
     threshold(axes, 0.0, "surface", vertical=True)
     axes.set(xlabel="depth  [mm]", ylabel="force  [N]", title="the wall that is felt, on the identified device")

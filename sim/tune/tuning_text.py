@@ -7,6 +7,8 @@ from typing import Any
 
 Row = tuple[str, str]
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 
 def number(value: Any, unit: str = "") -> str:
     """Write a figure with three digits."""
@@ -16,8 +18,14 @@ def number(value: Any, unit: str = "") -> str:
         return "yes" if value else "NO"
     if isinstance(value, str):
         return value
-    shown = f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
-    return f"{shown} {unit}".rstrip()
+    return f"{_three(value)} {unit}".rstrip()
+
+
+def _three(value: float) -> str:
+    if value and abs(value) < 1e-3:
+        digits, _, power = f"{value:.2e}".partition("e")
+        return f"{digits} × 10{str(int(power)).translate(_RAISED)}".replace("-", "−")
+    return f"{float(f'{value:.3g}'):.15g}".replace("-", "−")
 
 
 def _poses(record: Mapping[str, Any]) -> str:
@@ -35,7 +43,7 @@ def law_rows(record: Mapping[str, Any]) -> list[Row]:
         ("stiffness that is felt, H(1)", number(record["h1_n_per_m"], "N/m")),
         ("beside PD of the same demand", compared),
         ("settles after every drop on a floor", "yes" if record["lands"] else "NO: it does not survive a landing"),
-        ("taps", ", ".join(number(tap) for tap in record["taps_n_per_m"]) + " N/m"),
+        ("taps", ", ".join(f"{tap:.4g}" for tap in record["taps_n_per_m"]) + " N/m"),
         ("for masses", f"{number(asked['mass'][0])} to {number(asked['mass'][1])} kg{_poses(record)}"),
         ("for delays", f"{number(asked['delay'][0])} to {number(asked['delay'][1])} ticks"),
         ("pole radius at most", number(asked["radius"])),

@@ -16,7 +16,7 @@ from nodes.cli.quantities import declare, interval, positive
 from nodes.laws import CompiledLaw
 from nodes.laws.multi_term import MultiTerm, Term
 from nodes.laws.presets import PRESETS
-from nodes.recording.figure_style import COLOURS, OMEGA, save_figure, styled
+from nodes.recording.figure_style import COLOURS, LINES, OMEGA, save_figure, styled
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.cli import arguments as shared
@@ -178,15 +178,14 @@ def _draw(arguments: argparse.Namespace, descents: dict[float, list[Descent]], r
 
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
-    colours = [*COLOURS, *COLOURS]
-    for colour, (rate, runs) in zip(colours, descents.items(), strict=False):
+    for k, (rate, runs) in enumerate(descents.items()):
         for i, one in enumerate(runs):
             left.loglog(
                 np.arange(1, one.cost.size + 1),
                 one.cost,
-                color=colour,
+                color=COLOURS[k % len(COLOURS)],
                 lw=0.6,
-                ls="-",
+                ls=LINES[k % len(LINES)],
                 label=f"rate {rate:g}" if i == 0 else None,
             )
     left.set(

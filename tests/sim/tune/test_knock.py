@@ -37,6 +37,7 @@ from sim.tune.knocking import (
 )
 from sim.tune.outcome import MARGIN, compared, headline, verified
 from sim.tune.predict import linear_edge
+from sim.tune.tuning_text import number
 
 T = 0.002
 KNOCK = 1e-3
@@ -152,7 +153,7 @@ def test_an_edge_that_is_not_known_to_5_percent_is_told_as_an_interval(steps: in
     assert not told_as_one or all(abs(point / truth - 1.0) < 0.05 for truth in truths)
     words = headline({"designed": {"h1_n_per_m": 1000.0, "lands": True}, "verified": told})
     assert ("its edge is at" in words) is told_as_one
-    assert f"between {low:.4g} and {high:.4g} N/m" in words
+    assert f"between {number(low)} and {number(high)} N/m" in words
 
 
 @pytest.mark.parametrize(("measured", "agrees"), [(1.41, False), (1.38, True), (1.16, True), (1.12, False)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -154,6 +155,12 @@ def test_the_report_and_the_parameters_are_there(tuned: tuple[Path, dict[str, An
     assert "The push ended: done" in page
     assert "haptic tune" in page.split("command: ")[1][:2000] or "tune identify" in page
     assert "h1_n_per_m" not in page
+    # A phone reads it at its own width, and the dark is the whole page's.
+    assert ":root{color-scheme:light dark}" in page
+    assert "width=device-width" in page
+    assert re.search(r"encoder step</td><td>23</td><td>[^<]*</td><td>µm", page)
+    # Three digits, and no power of ten as a program writes it.
+    assert not re.search(r"<td>[^<]*\de[-+]\d", page)
     assert told["files"]["params"].endswith("tuned.yaml")
     law = read_yaml(folder / told["files"]["params"])["coupling"]["laws"]["tuned"]
     # Of two taps the best may be PD itself, which is written as such; numbers in YAML have six digits or more.
