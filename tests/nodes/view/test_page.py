@@ -209,6 +209,59 @@ def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
     assert page.locator("#pause").get_attribute("aria-pressed") == "false"
 
 
+def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Browser, launch: Running) -> None:
+    wait_for(lambda: bins(page) > 1500, "some seconds")
+    plot = page.locator(".plot .u-over").first
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    assert box is not None
+    u, v = box["x"] + 0.5 * box["width"], box["y"] + 40.0
+    page.mouse.move(u, v)
+    wait_for(
+        lambda: all(unit in shown(page, "#values") for unit in (" s ", "mm", "N", "mJ", "µs")), "all under the pointer"
+    )
+    before = page.evaluate("haptic.plots.sight()")
+    page.mouse.down()
+    page.mouse.move(u + 0.25 * box["width"], v, steps=4)
+    page.mouse.up()
+    # A quarter of what was in sight, to the pixel; the plot runs on until the button is up.
+    low, high = page.evaluate("haptic.plots.sight()")
+    assert high - low == pytest.approx(0.25 * (before[1] - before[0]), rel=0.02)
+    page.locator("#live").click()
+    assert page.evaluate("haptic.plots.window") is None
+    with OpenPage(browser, url_of(launch) + "#lab", has_touch=True, is_mobile=True) as phone:
+        wait_for(lambda: bins(phone) > 300, "some of the past")
+        plot = phone.locator(".plot .u-over").first
+        plot.scroll_into_view_if_needed()
+        box = plot.bounding_box()
+        assert box is not None
+        middle, y, fingers = box["x"] + box["width"] / 2, box["y"] + 40.0, phone.context.new_cdp_session(phone)
+
+        def touch(kind: str, *along: float) -> None:
+            there = [{"x": middle + at, "y": y, "id": k} for k, at in enumerate(along)]
+            fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": there})
+
+        begun = phone.evaluate("haptic.plots.sight()")
+        touch("touchStart", 0.0)
+        for k in range(1, 8):
+            touch("touchMove", 10.0 * k)
+        touch("touchEnd")
+        moved = phone.evaluate("haptic.plots.sight()")
+        assert moved[0] < begun[0]
+        assert moved[1] - moved[0] == pytest.approx(begun[1] - begun[0])
+        touch("touchStart", -20.0)
+        touch("touchStart", -20.0, 20.0)
+        for k in range(1, 8):
+            touch("touchMove", -20.0 - 8.0 * k, 20.0 + 8.0 * k)
+        touch("touchEnd")
+        near = phone.evaluate("haptic.plots.sight()")
+        # The browser lets the first move of a finger pass; two move at different times, and the middle of both stays.
+        assert 0.2 < (near[1] - near[0]) / (moved[1] - moved[0]) < 0.35
+        assert phone.evaluate("[haptic.plots.fingers.size, visualViewport.scale]") == [0, 1], (
+            "the page itself is not zoomed"
+        )
+
+
 @pytest.mark.parametrize("size", [(390, 844), (1440, 900)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, browser: Browser, launch: Running) -> None:
