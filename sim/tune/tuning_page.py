@@ -76,7 +76,9 @@ def _device(record: Mapping[str, Any]) -> str:
             lines.append(
                 f"<tr><td>{name}</td><td>{number(value)}</td><td>{_interval(low, high)}</td><td>{shown}</td></tr>"
             )
-    refuted = f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>" if record.get("refuted") else ""
+    refuted = (
+        f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>" if record.get("refuted") else ""
+    )
     steps = record["residual_steps"]
     ended = f"The push ended: {_plain(record['stopped'])}. "
     residual = f"Residual {number(steps)} encoder steps; rounding alone leaves 0.29."
