@@ -173,9 +173,9 @@ class DrawnScene:
             if self._is_due(topic, message.stamp):
                 yield _entity(at, f"{before}proxy", spheres=[_ball(message.proxy, self._radius.get(chain, 0.0), _TOOL)])
             return
-        before = len(self.left_out)
+        left_out = len(self.left_out)
         bodies = self._follow(chain, message)
-        if len(self.left_out) > before:
+        if len(self.left_out) > left_out:
             yield from self._words(at)
         if self._is_due(topic, message.stamp):
             yield _entity(at, f"{before}device", spheres=[_ball(message.position, 0.0, _DEVICE)])
