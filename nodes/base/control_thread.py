@@ -46,6 +46,8 @@ END_TIMEOUT = 10.0
 """How long a request that is being served may take at the node's end [s]."""
 
 WATCH_PERIOD = 0.1
+MOST, SHOWN = 4, 60
+"""How many changes of a file are told by name, and how many characters of each value."""
 
 
 def _watched(path: str) -> WatchedFile:
@@ -304,7 +306,7 @@ class ControlServer(threading.Thread):
             values = watched.poll()
             if values is not None and node.store.merged(values) != node.store.current:
                 receipt = node.changes.change(lambda: node.store.merged(values), node.prepare)
-                node.events.log(f"applied {watched.path}: {receipt}")
+                node.events.log(f"applied {watched.path}: {_told(receipt)}")
         except Exception as error:  # noqa: BLE001  # as for requests: refused, told, and served on
             reason = str(error) if isinstance(error, ParameterError) else f"{type(error).__name__}: {error}"
             where = "" if reason.startswith(watched.path) else f"{watched.path}: "
@@ -326,3 +328,10 @@ class ControlServer(threading.Thread):
             self._links.close()
             self._socket.close(linger=0)
         return True
+
+
+def _told(receipt: dict[str, Any]) -> str:
+    """Tell what a changed file has changed, in one line; the receipt itself is published and recorded."""
+    changed = [f"{path} {str(old)[:SHOWN]} → {str(new)[:SHOWN]}" for path, (old, new) in receipt["changed"].items()]
+    more = f", {len(changed) - MOST} more" if len(changed) > MOST else ""
+    return f"{', '.join(changed[:MOST])}{more} from tick {receipt['seq']} on"

@@ -184,7 +184,8 @@ class ByHand(Child):
     def _ask(self, op: str, **args: object) -> Any:
         wait = self._wait
         if self._seen:
-            wait = min(wait, max(0.25, self._lost - (time.monotonic() - self._seen)))
+            patience = UNREPORTED + self.distance if self._over else self._lost
+            wait = min(wait, max(0.25, patience - (time.monotonic() - self._seen)))
         asked = time.monotonic()
         answer = self._line.call(op, timeout=wait, **args)
         self._seen = time.monotonic()

@@ -113,6 +113,9 @@ _Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
 
 _TAB = r"found character '\t' that cannot start any token"
 
+_NAMELESS = ' in "<unicode string>"'
+"""What PyYAML calls a file of which it was given the text; its name stands before that."""
+
 
 def parse_yaml(text: str, source: str) -> Any:
     """Read one YAML document, bounded in size and depth."""
@@ -122,7 +125,7 @@ def parse_yaml(text: str, source: str) -> Any:
         # _Loader is a SafeLoader: it constructs builtins only.
         return yaml.load(text, Loader=_Loader)  # noqa: S506
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        reason = " ".join(str(error).split()).replace(_TAB, "a tab, where YAML takes spaces")
+        reason = " ".join(str(error).split()).replace(_TAB, "a tab, where YAML takes spaces").replace(_NAMELESS, "")
         raise ParameterError(f"{source}: not valid YAML: {reason}") from error
 
 

@@ -52,6 +52,7 @@ def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path
             assert now(launch, "laws.pd.stiffness") == 530.0
             file.write("0.0}}\n")
         wait_for(lambda: now(launch, "laws.pd.stiffness") == 540.0, "the slowly saved stiffness")
+        wait_for(lambda: "coupling.yaml: laws.pd.stiffness 530.0 → 540.0 from tick " in launch.errors, "its report")
         figures = launch.finish(signal.SIGINT, code=0)
     found = receipts(recorded(tmp_path, figures))
     assert [json.loads(receipt.after)["stiffness"] for receipt in found] == [530.0, 540.0]
