@@ -45,8 +45,9 @@ export class Dial {
   }
 
   value() {
-    const [least, most] = this.ends(), found = least * (most / least) ** (this.dial.value / STEPS);
-    return Math.min(most, Number(found.toPrecision(3)));
+    const [least, most] = this.ends();
+    // Three digits are half a per cent off at most: still below the edge at the dial's end.
+    return Number((least * (most / least) ** (this.dial.value / STEPS)).toPrecision(3));
   }
 
   place(stiffness) {
