@@ -26,6 +26,11 @@ class Plant:
         Delay of the loop, whole or fractional [ticks].
     stiffness : float
         Stiffness of a hand [N/m].
+
+    Examples
+    --------
+    >>> Plant(period=0.002, mass=0.1, damping=1.0, delay=1.3).delay
+    1.3
     """
 
     period: float

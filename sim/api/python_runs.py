@@ -79,6 +79,13 @@ class Run:
         Reads and changes parameters.
     law : Laws
         Lists and switches laws.
+
+    Examples
+    --------
+    >>> with launch("wall_press", duration=0) as run:
+    ...     run.param["coupling.laws.pd.stiffness"] = 800
+    ...     run.law.active
+    'pd'
     """
 
     def __init__(
