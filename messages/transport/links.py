@@ -44,7 +44,7 @@ _EVENTS = (
     FAILURES | zmq.EVENT_CONNECTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_HANDSHAKE_SUCCEEDED
 )
 _NOT_LET_IN = "this machine's key is not let in there; there: haptic keys allow NAME KEY"
-_NO_KEY = "what answers there does not have the expected key; its messages are ignored"
+_NO_KEY = "what answers there does not have the key that is expected; its messages are ignored"
 _NO_NODE = "what answers there is not a node"
 _STATES: dict[int, str] = {
     zmq.EVENT_CONNECTED: "no handshake",

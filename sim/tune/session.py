@@ -174,7 +174,7 @@ class Tuning:
 
         designed = self.record["designed"]
         low, high = designed["demand"]["mass"]
-        lands = "every drop settles" if designed["lands"] else "it does NOT bear a landing"
+        lands = "every drop settles" if designed["lands"] else "it does NOT survive a landing"
         lines = (f"haptic launch SCENARIO --params {path}", tried, lands, f"m {low:.4g}..{high:.4g} kg")
         path.write_text(to_yaml(designed["law"], LAW, comment="\n".join(lines)), encoding="utf-8")
 

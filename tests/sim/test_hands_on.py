@@ -165,7 +165,7 @@ def test_info_and_free(stand: Bench, tmp_path: Path) -> None:
         assert [one["mass_kg"] for one in told["edge"]["axes"]] == pytest.approx([0.15, 0.1, 0.1])
         stiffest = [one["k_max_n_per_m"] for one in told["edge"]["axes"]]
         assert stiffest[1] == stiffest[2] != stiffest[0]
-        assert "nobody holds it" in haptic(tmp_path, "device", "free", stand.kind, *words(stand)).stdout
+        assert "no process holds it" in haptic(tmp_path, "device", "free", stand.kind, *words(stand)).stdout
         done = haptic(tmp_path, "device", "info", stand.kind, f"{stand.section}.nonsense:=1", code=2)
         assert "nonsense" in done.stderr
     wait_for(lambda: stand.world.state.open == 0, "it is given back")

@@ -210,7 +210,7 @@ def _designed(arguments: argparse.Namespace, demand: Demand, law: Tuned, pd: Tun
     assert law.law is not None  # noqa: S101  # the caller looked
     path = fresh(arguments.out / "designed.yaml")
     lands = all(drops(law.found.law, demand).values())
-    comment = _describe(demand) + ("" if lands else "\nit does NOT bear a landing")
+    comment = _describe(demand) + ("" if lands else "\nit does NOT survive a landing")
     path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
     every = certificate(law.found.law, demand)
     result = _row(law, demand) | {"yaml": str(path), "lands": lands, "every_delay": every}

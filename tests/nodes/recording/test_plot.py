@@ -149,7 +149,7 @@ def test_files_are_what_they_are_called(bag: Path, ending: str, start: bytes) ->
 def test_an_unknown_ending_is_refused(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = bag.with_name("picture.jpeg2")
     assert main.main(["bag", "plot", str(bag), "--out", str(out)]) == 1
-    assert "none of the formats of a plot: .png, .svg, .pdf" in capsys.readouterr().err
+    assert "not a format of plots: .png, .svg, .pdf" in capsys.readouterr().err
     assert not out.exists()
 
 
