@@ -124,7 +124,6 @@ def test_who_comes_late_is_told_that_bodies_are_not_drawn(tmp_path: Path) -> Non
         finally:
             end(view)
     assert not [one for one in drawn if one["id"] == "bodies"]
-    assert (
-        "a page that was launched with the run knows" in next(one for one in drawn if one["id"] == "left out")["texts"][0]["text"]
-    )
+    left_out = next(one for one in drawn if one["id"] == "left out")
+    assert "a page that was launched with the run knows" in left_out["texts"][0]["text"]
     assert [one for one in drawn if one["id"] == "proxy"]
