@@ -12,7 +12,7 @@ from typing import Any
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from nodes.cli.quantities import declare, not_negative, positive
-from nodes.recording.figure_style import save_figure, styled
+from nodes.recording.figure_style import BAD, save_figure, styled
 from sim.cli import arguments as shared
 from sim.cli.sweeps import add_sweep, swept
 from sim.results import fresh
@@ -156,6 +156,9 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             ls="-" if lands else ":",
             label=f"{_held(hand)}, {'lands, every sequence of delays' if lands else 'poles alone'}",
         )
+    none = [100.0 * (row["spread"] - 1.0) for row in rows if row["spread"] is not None and row["h1_n_per_m"] is None]
+    if none:
+        axes.plot(none, [0.0] * len(none), marker="x", ls="", color=BAD, clip_on=False, label="no law found")
     axes.set(xlabel="frequency of the joint known to ± [%]", ylabel="H(1) of the designed law [N/m]", ylim=(0.0, None))
     axes.grid(alpha=0.3)
     axes.legend()
