@@ -9,6 +9,8 @@ import sys
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError
 
@@ -45,7 +47,11 @@ class Registry:
         if point is None:
             raise NotInstalledError(f"{name!r} is not an installed {self._noun}; {choices(name, self.names())}")
         try:
-            return point.load()
+            found = point.load()
+            if isinstance(found, type) and issubclass(found, msgspec.Struct):
+                # Its first decoder looks up the types of its fields: made here, where it can be said whose they are.
+                msgspec.msgpack.Decoder(found)
+            return found
         except (Exception, SystemExit) as error:  # another package's module may raise anything while it is imported
             package = point.dist.name if point.dist is not None else "?"
             raise NotInstalledError(

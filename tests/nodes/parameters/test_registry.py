@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from nodes.parameters.registry import NotInstalledError, Registry
 from tests.support.launching import haptic, launch_json, private_runtime_dir, running
 
 HALF_DERIVED = "{kind: pd_alpha, stiffness: 1000, damping: 3, order: 0.5, taps: 4, gains: physical, derivative: half}"
@@ -69,6 +70,28 @@ def test_who_asks_for_it_is_told_what_is_wrong_and_whose_it_is(
     if noun != "kind of node":
         assert f"'half': the {noun} cannot be imported" in told
         assert "half-finished" in told
+
+
+UNRESOLVED = """
+from __future__ import annotations
+import msgspec
+
+class Soft(msgspec.Struct):
+    stiffness: Stifness
+"""
+
+
+def test_a_field_of_an_unknown_type_is_told_with_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    info = tmp_path / "typing_error-1.0.dist-info"
+    info.mkdir()
+    (tmp_path / "typing_error.py").write_text(UNRESOLVED, encoding="utf-8")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: typing-error\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text("[haptic.surfaces]\nsoft = typing_error:Soft\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(
+        NotInstalledError, match=r"'soft': the surface .*NameError: .*Stifness.*of the package typing-error"
+    ):
+        Registry("haptic.surfaces", "surface").load("soft")
 
 
 SOFT = """
