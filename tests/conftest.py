@@ -59,22 +59,34 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files first, and last those that want the machine to themselves.
+    """Put the longest files first, those with a browser apart, and last those that want the machine to themselves.
 
-    Each of their tests waits for whatever the other workers are at; at the end that is nothing long.
+    Each test of the last waits for whatever the other workers are at; at the end that is nothing long. A browser draws with
+    both processors of a small machine: two at once, each beside a launch in real time, would test nothing but the load.
     """
     alone = {item.path for item in items if item.get_closest_marker("realtime") is not None}
+    drawn = {item.path for item in items if "browser" in getattr(item, "fixturenames", ())} - alone
 
-    def place(item: pytest.Item) -> tuple[bool, int]:
-        length = next((i for i, start in enumerate(LONGEST) if item.nodeid.startswith(start)), len(LONGEST))
-        return item.path in alone, length
+    def length(item: pytest.Item) -> int:
+        return next((i for i, start in enumerate(LONGEST) if item.nodeid.startswith(start)), len(LONGEST))
 
-    items.sort(key=place)
+    items.sort(key=length)
+    order = {
+        path: float(i) for i, path in enumerate(dict.fromkeys(item.path for item in items if item.path not in drawn))
+    }
+    for i, path in enumerate(dict.fromkeys(item.path for item in items if item.path in drawn)):
+        # So far apart that one is done before the next begins.
+        order[path] = 2 * WORKERS * i - 0.5
+    items.sort(key=lambda item: (item.path in alone, order[item.path]))
+
+
+WORKERS = len(os.sched_getaffinity(0)) + 1
+"""One more than there are processors: a good part of the suite waits, for processes and for real time."""
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Take two workers more than there are processors: a good part of the suite waits, for processes and for real time."""
-    return len(os.sched_getaffinity(0)) + 2
+    """Take as many workers as there are, by `-n auto`."""
+    return WORKERS
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
