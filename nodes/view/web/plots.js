@@ -20,10 +20,12 @@ export class Plots {
     this.viewChanged = viewChanged;
     this.span = 10;
     this.window = null;
+    this.still = false;
     this.marks = [];
     this.panels = [];
     onTheme(() => this.panels.forEach(({ plot }) => plot.redraw(false, true)));
     new ResizeObserver(() => this.resize()).observe(place);
+    for (const name of ["mouseup", "blur"]) addEventListener(name, () => { this.still = false; });
   }
 
   start(store, axes, hand) {
@@ -60,6 +62,8 @@ export class Plots {
       series,
       hooks: { setSelect: [(u) => this.selected(u)], setCursor: [(u) => this.read(u)], draw: [(u) => this.drawOver(u, unit), (u) => this.drawMarks(u, unit === "position")] },
     }, [[], ...wanted.map(() => [])], box);
+    // What is being chosen holds still.
+    plot.over.addEventListener("mousedown", () => { this.still = true; });
     plot.over.addEventListener("dblclick", () => this.follow());
     plot.over.addEventListener("click", (event) => { if (Math.abs(event.offsetX - this.pressed) < 4) this.picked(plot.posToVal(event.offsetX, "x")); });
     plot.over.addEventListener("pointerdown", (event) => { this.pressed = event.offsetX; this.finger(event, plot); });
@@ -158,7 +162,7 @@ export class Plots {
   // -- drawing ----------------------------------------------------------------------------------------------------
 
   draw() {
-    if (!this.store || !this.panels.length || document.hidden) return;
+    if (!this.store || !this.panels.length || this.still || document.hidden) return;
     if (!this.dirty && this.window && this.at === this.drawn) return;
     this.drawn = this.at;
     this.dirty = false;

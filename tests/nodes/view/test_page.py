@@ -222,13 +222,17 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(page: Page, browser: Bro
     )
     before = page.evaluate("haptic.plots.sight()")
     page.mouse.down()
+    drawn, newest = page.evaluate("[haptic.plots.panels[0].plot.scales.x.max, haptic.plots.store.end]")
+    wait_for(lambda: page.evaluate("haptic.plots.store.end") > newest + 0.5, "half a second more")
+    assert page.evaluate("haptic.plots.panels[0].plot.scales.x.max") == drawn, "what is being chosen holds still"
     page.mouse.move(u + 0.25 * box["width"], v, steps=4)
     page.mouse.up()
-    # A quarter of what was in sight, to the pixel; the plot runs on until the button is up.
+    # A quarter of what was in sight, to the pixel.
     low, high = page.evaluate("haptic.plots.sight()")
     assert high - low == pytest.approx(0.25 * (before[1] - before[0]), rel=0.02)
     page.locator("#live").click()
     assert page.evaluate("haptic.plots.window") is None
+    wait_for(lambda: page.evaluate("haptic.plots.panels[0].plot.scales.x.max") > drawn, "the plots run again")
     with OpenPage(browser, url_of(launch) + "#lab", has_touch=True, is_mobile=True) as phone:
         wait_for(lambda: bins(phone) > 300, "some of the past")
         plot = phone.locator(".plot .u-over").first
