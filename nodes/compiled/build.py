@@ -73,7 +73,8 @@ def build(modules: Sequence[str]) -> None:
             process.communicate()
             errors = f"not compiled within {TIMEOUT:g} s"
         if process.returncode:
-            failed = failed or f"{module}: {(errors.strip().splitlines() or ['no reason given'])[-1]}"
+            lines = errors.strip().splitlines() or [f"the compiler ended with exit code {process.returncode}"]
+            failed = failed or f"{module}: {lines[-1]}"
     if failed:
         raise NotCompilableError(failed)
 

@@ -39,7 +39,7 @@ def test_an_earlier_file_is_set_aside_and_said(tmp_path: Path, capsys: pytest.Ca
 def test_a_study_that_runs_again_keeps_what_was_there(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(results, "_told", {})
+    monkeypatch.setattr(results, "_moved", {})
     out = tmp_path / "studies"
     for taps in ("4", "6"):
         assert main(["study", "fig3", "--out-dir", str(out), "--taps", taps]) == 0
