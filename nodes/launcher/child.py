@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,7 @@ class Child:
         self.required = required
         self.restarts = 0
         self.process: subprocess.Popen[bytes] | None = None
+        self._exit: int | None = None
         self.again_at: float | None = None
         self.ready_at = time.monotonic()  # when it was ready; before, when it was made [s]
         # How long its device may take to open, from then on, and to close [s].
@@ -57,12 +59,26 @@ class Child:
     @property
     def running(self) -> bool:
         """Whether the process exists."""
-        return self.process is not None and self.process.poll() is None
+        return self.process is not None and self.code is None
 
     @property
     def code(self) -> int | None:
-        """Exit code of the process; negative for a signal, None while it runs."""
-        return None if self.process is None else self.process.returncode
+        """Exit code of the process; negative for a signal, None while it runs.
+
+        Seen without taking the process from the kernel's table, which a thread does: Linux 6.18 was seen to spend a minute
+        on that, and nobody was looked after meanwhile.
+        """
+        if self._exit is None and self.process is not None:
+            try:
+                ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+            except ChildProcessError:
+                # Whoever started the launcher ignores SIGCHLD, and the kernel keeps no exit code.
+                self._exit = 0
+                return self._exit
+            if ended is not None:
+                self._exit = ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
+                threading.Thread(target=self.process.wait, name="reap", daemon=True).start()
+        return self._exit
 
     @property
     def end(self) -> str:
@@ -110,7 +126,7 @@ class Child:
             stdout=sys.stderr,
             process_group=0,
         )
-        self.again_at = None
+        self.again_at = self._exit = None
         # Another process: its interpreter is being set up again.
         self.ready = self.unreported = False
 
@@ -150,8 +166,10 @@ class Child:
     def send(self, number: signal.Signals) -> None:
         """Ask it to end."""
         assert self.process is not None  # noqa: S101
-        self.process.send_signal(number)
-        self.process.send_signal(signal.SIGCONT)
+        # Its number is its own until it is taken from the kernel's table, which `code` begins.
+        for each in (number, signal.SIGCONT):
+            if self.running:
+                os.kill(self.process.pid, each)
 
     def release(self) -> None:
         """Let go of what the supervisor held for it."""
