@@ -239,7 +239,7 @@ class Shell:
         }
 
     def run(self, wanted: Command) -> str:
-        """Run one command: to its end, or in the background until it is up.
+        """Run one command: to its end, or in the background until it is up; ``wait`` waits for what ends by itself.
 
         Parameters
         ----------
@@ -267,6 +267,11 @@ class Shell:
             if wanted.words[:2] == ["haptic", "launch"]:
                 wait_for(lambda: process.poll() is not None or self._ticks(), f"{wanted.line}: the first tick")
             assert process.poll() is None, f"{wanted.line} ended: {self._log.read_text(encoding='utf-8')}"
+            return ""
+        if wanted.words == ["wait"]:
+            for process in self.background:
+                assert process.wait(timeout=DEADLINE) == 0, self._log.read_text(encoding="utf-8")
+            self.background.clear()
             return ""
         done = subprocess.run(
             [*shell, wanted.line],

@@ -213,6 +213,7 @@ function slider(field, row, change) {
     number.value = Number(number.value) + by;
     change(Number(number.value));
   });
+  keepWhileTyped(number, row);
   for (const event of ["change", "blur"]) range.addEventListener(event, () => { delete row.dataset.moving; });
   number.addEventListener("change", () => { if (number.value !== "") change(map.whole ? Math.round(Number(number.value)) : Number(number.value)); });
   return {
@@ -231,6 +232,12 @@ function slider(field, row, change) {
   };
 }
 
+// Another value that comes meanwhile does not overwrite what somebody types.
+function keepWhileTyped(input, row) {
+  input.addEventListener("input", () => { row.dataset.moving = "1"; });
+  for (const event of ["change", "blur"]) input.addEventListener(event, () => { delete row.dataset.moving; });
+}
+
 function choice(field, row, change) {
   const select = document.createElement("select");
   select.setAttribute("aria-label", field.name);
@@ -243,6 +250,7 @@ function choice(field, row, change) {
 function numbers(field, row, change) {
   const text = Object.assign(document.createElement("input"), { type: "text" });
   text.setAttribute("aria-label", field.name);
+  keepWhileTyped(text, row);
   text.addEventListener("change", () => change(text.value.split(/[\s,]+/).filter(Boolean).map(Number)));
   row.append(text);
   return { set(value) { text.value = (value ?? []).join(", "); } };

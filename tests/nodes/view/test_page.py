@@ -132,6 +132,24 @@ def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -
     wait_for(lambda: page.locator("#log li.refused").count() >= 2, "refusals are in the log")
 
 
+def test_what_is_typed_is_not_overwritten_from_elsewhere(page: Page, launch: Running) -> None:
+    launch.call("coupling", "law.switch", law="pd")
+    exact = page.locator("input[aria-label='stiffness, exact value']")
+    wait_for(lambda: exact.count() == 1, "the sliders")
+    before = {name: launch.call("coupling", "param.get", name=f"laws.pd.{name}") for name in ("stiffness", "damping")}
+    exact.fill("321")
+    launch.call("coupling", "param.set", values={"laws.pd.damping": 1.1 * before["damping"]})
+    other = page.locator("input[aria-label='damping, exact value']")
+    wait_for(
+        lambda: float(other.input_value()) == pytest.approx(1.1 * before["damping"], rel=1e-5), "the other's value"
+    )
+    assert exact.input_value() == "321"
+    page.keyboard.press("Enter")
+    wait_for(lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 321.0, "what was typed")
+    launch.call("coupling", "param.set", values={f"laws.pd.{name}": value for name, value in before.items()})
+    wait_for(lambda: float(exact.input_value()) == pytest.approx(before["stiffness"], rel=1e-5), "the old value")
+
+
 def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Running) -> None:
     with lab(browser, launch) as other:
         for name in ("multi_term", "pd"):
