@@ -61,6 +61,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         ``compiled`` where the node takes its usual ticks without the interpreter (nodes/compiled), ``plain`` where not.
     axes : list of str
         Axes that the scene computes.
+    virtual : bool
+        Whether every device of the launch is made up, so that nothing can break.
     ticks : int
         Ticks to run; 0 runs until stopped.
     publish, control, listen : str
@@ -109,6 +111,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     sources: dict[str, str]
     remap: dict[str, str] = {}
     tick: Tick = "plain"
+    virtual: bool = False
     listen: str = ""
     reach: str = ""
     listen_reach: str = ""

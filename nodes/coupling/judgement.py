@@ -49,8 +49,11 @@ class Judgement:
             return f"{self._node}.plant, the device, is not declared"
         return f"{self._node}.stability is off" if parameters.stability == "off" else "the law has code of its own"
 
-    def at_start(self, parameters: CouplingParameters, delay: float) -> list[str]:
-        """Judge the law of tick 0, those that are scheduled, and the fallback."""
+    def at_start(self, parameters: CouplingParameters, delay: float, because: str = "") -> list[str]:
+        """Judge the law of tick 0, those that are scheduled, and the fallback.
+
+        `because`: why a start is only warned of where changes are refused.
+        """
         if parameters.stability == "refuse" and parameters.plant is None:
             raise ParameterError(
                 f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is judged with; "
@@ -64,9 +67,11 @@ class Judgement:
                     f"{self._complaint(f'laws.{name}', verdict)}; {self._remedy(None, parameters, name, verdict)}"
                 )
         warnings += self._of_fallback(parameters, delay)
-        if warnings and parameters.stability == "refuse":
+        policy = parameters.stability
+        if warnings and (policy == "refuse" or (policy == "changes" and not because)):
             raise ParameterError(f"{warnings[0]}, or set {self._node}.stability to warn")
-        return warnings
+        why = because if policy == "changes" else f"{self._node}.stability is {policy}"
+        return [f"{warning}; started all the same: {why}" for warning in warnings]
 
     def _of_fallback(self, parameters: CouplingParameters, delay: float) -> list[str]:
         if not parameters.fallback.damping:

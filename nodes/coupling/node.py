@@ -41,6 +41,9 @@ Scheduled: TypeAlias = tuple[int, ActiveLaw, int]
 ATTEMPTS = 5
 """How often a law's own code is tried before it is found too slow."""
 
+VIRTUAL, ASKED_FOR = "the device is virtual, and its driver ends what swings", "somebody took it while it was felt"
+"""Why a node may start, or start again, with a law that would be refused as a change."""
+
 
 def _least_delay(setup: Setup) -> float:
     return 1.0 if setup.apply == "next_tick" else 0.0
@@ -70,8 +73,9 @@ class Coupling(Node):
         book = LawBook(setup.name, setup.period)
         book.check(parameters)
         _check_frame(parameters, setup)
-        if parameters.stability == "refuse":
-            Judgement(setup.name, setup.period, book).at_start(parameters, _least_delay(setup))
+        because = VIRTUAL if setup.virtual else ""
+        if parameters.stability == "refuse" or (parameters.stability == "changes" and not because):
+            Judgement(setup.name, setup.period, book).at_start(parameters, _least_delay(setup), because)
 
     # -- off the hot path --------------------------------------------------------------------------------------------
 
@@ -92,7 +96,8 @@ class Coupling(Node):
         self._renderer = Renderer(axes, parameters.memory, self.counters)
         for reason in self._book.unfit(parameters):
             self.events.emit_each("law", f"{reason}; it cannot be switched to")
-        for text in self._judgement.at_start(parameters, self._felt_delay):
+        because = VIRTUAL if self.setup.virtual else ASKED_FOR if self.resumed_at >= 0 else ""
+        for text in self._judgement.at_start(parameters, self._felt_delay, because):
             self.events.emit_each("stability", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)

@@ -49,13 +49,16 @@ def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
     for policy in ("refuse", "changes", "warn", "off"):
         assert judgement.at_start(at(0.999 * low, policy), 0.0) == []
     assert judgement.at_start(at(1.001 * high, "off"), 0.0) == []
-    (warning,) = judgement.at_start(at(1.001 * high, "warn"), 0.0)
-    assert judgement.at_start(at(1.001 * high, "changes"), 0.0) == [warning]
-    with pytest.raises(ParameterError) as raised:
-        judgement.at_start(at(1.001 * high, "refuse"), 0.0)
-    for text in (warning, str(raised.value)):
-        assert "coupling.laws.pd: pole radius 1.0" in text
-        assert "limit: < 1" in text
+    (warned,) = judgement.at_start(at(1.001 * high, "warn"), 0.0)
+    (started,) = judgement.at_start(at(1.001 * high, "changes"), 0.0, "nothing can break")
+    for policy in ("refuse", "changes"):
+        with pytest.raises(ParameterError, match=r"set coupling\.stability to warn") as raised:
+            judgement.at_start(at(1.001 * high, policy), 0.0, "nothing can break" if policy == "refuse" else "")
+        for text in (warned, started, str(raised.value)):
+            assert "coupling.laws.pd: pole radius 1.0" in text
+            assert "limit: < 1" in text
+    assert warned.endswith("started all the same: coupling.stability is warn")
+    assert started.endswith("started all the same: nothing can break")
     # The measured delay counts, unless the plant declares one; that of the device itself comes on top of either.
     with pytest.raises(ParameterError, match=r"at a delay of 3 ticks"):
         judgement.at_start(at(0.999 * low, "refuse"), 3.0)
@@ -147,7 +150,7 @@ def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
         parameters(fallback={"damping": damping}, plant={"mass": 0.1, "damping": 1.0}) for damping in (20.0, 1e4)
     )
     assert judgement.at_start(soft, 0.0) == []
-    assert "coupling.fallback: pole radius" in judgement.at_start(hard, 0.0)[0]
+    assert "coupling.fallback: pole radius" in judgement.at_start(hard, 0.0, "made up")[0]
     with pytest.raises(ParameterError, match=r"coupling\.fallback: pole radius .*nothing was changed"):
         judgement.refuse_fallback(soft, hard, 0.0, force=False)
     judgement.refuse_fallback(soft, hard, 0.0, force=True)

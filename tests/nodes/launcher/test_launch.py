@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.driver.response_times import ResponseTimes
@@ -181,6 +182,24 @@ def test_a_publisher_waits_for_every_subscription_of_the_launch(tmp_path: Path) 
         "coupling": 5,
     }
     assert setups["logger"].listeners == 3
+
+
+def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path) -> None:
+    """What `param set` would refuse; a virtual device cannot break, and its page may go past the edge."""
+    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
+    content["nodes"]["driver"] = {"kind": "force_dimension_driver"}
+    (tmp_path / "real.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+
+    def wired(scenario: str, stiffness: float) -> bool:
+        return wire(launch_file.read(scenario, {"stiffness": stiffness}), "r", tmp_path, {})["coupling"].virtual
+
+    real = str(tmp_path / "real.yaml")
+    assert not wired(real, 1000.0)
+    with pytest.raises(
+        ParameterError, match=r"laws\.pd: pole radius .* that would be taken is 5800, or set .* to warn"
+    ):
+        wired(real, 900_000.0)
+    assert wired("touch_wall", 900_000.0)
 
 
 def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path) -> None:
