@@ -134,8 +134,8 @@ class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     budget : float
         Part of the period that a law's own code may take.
     stability : str
-        What to do about a pole radius ≥ 1 with `plant`: ``refuse`` it; refuse ``changes`` that lead there, and a start on a real
-        device, but start with a warning on a virtual one; ``warn``; or ``off``.
+        What to do about a pole radius ≥ 1 with `plant`: ``refuse`` it; refuse ``changes`` that lead there and a start on a real
+        device, but warn of a start on a virtual one; ``warn``; or ``off``.
     plant : PlantParameters or None
         The device; None when it is not known.
     figures : bool
