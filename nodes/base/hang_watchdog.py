@@ -1,7 +1,7 @@
 """A loop that stands still, noticed from another thread: a device's call that hangs is an end like any other, not a silence.
 
-The thread that looks does so about twice a second. Time in which it was stopped or starved itself does not count: it saw
-nothing then.
+Who looks does so about twice a second. Time in which it was stopped or starved itself does not count: it saw nothing then.
+Nor does time in which what it looks at was kept from running. The launcher looks at its processes with the same `HangWatchdog`.
 """
 
 from __future__ import annotations
@@ -86,18 +86,18 @@ class HangWatchdog:
     def __init__(self) -> None:
         self._last: object = None
         self._looked = time.monotonic()
-        self._stood = 0.0
+        self._stood = self._waited = 0.0
 
-    def look(self, progress: object) -> float:
-        """Look once more."""
+    def look(self, progress: object, waited: float = 0.0) -> float:
+        """Look once more; `waited`: what it has waited for a processor so far, because others had it [s]."""
         now = time.monotonic()
         passed = now - self._looked
         if progress != self._last:
             # At once: what is done next has a limit of its own.
-            self._last, self._stood, self._looked = progress, 0.0, now
+            self._last, self._stood, self._looked, self._waited = progress, 0.0, now, waited
         elif passed >= LOOK:
-            self._looked = now
-            self._stood += min(passed, 2.0 * LOOK)
+            self._stood += max(0.0, min(passed, 2.0 * LOOK) - (waited - self._waited))
+            self._looked, self._waited = now, waited
         return self._stood
 
 

@@ -20,6 +20,7 @@ from messages.transport.requests import ControlError, call
 from nodes.base.hang_watchdog import held_in
 from nodes.base.node_kinds import load
 from nodes.base.setup import Setup
+from nodes.launcher.processor_wait import ProcessorWait, state_of
 
 PYTHON = (sys.executable, "-P")
 """The interpreter that our processes run in: without the working directory on its path, where a ``sim.py`` may be anybody's."""
@@ -47,6 +48,7 @@ class Child:
         self.restarts = 0
         self.process: subprocess.Popen[bytes] | None = None
         self._exit: int | None = None
+        self._wait_for_processor = ProcessorWait()
         self.again_at: float | None = None
         self.ready_at = time.monotonic()  # when it was ready; before, when it was made [s]
         # How long its device may take to open, from then on, and to close [s].
@@ -149,12 +151,15 @@ class Child:
     def is_frozen(self) -> bool:
         """Whether the kernel holds on to it; one that has only not got its turn to die yet is not."""
         with contextlib.suppress(OSError, AttributeError):
-            text = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="ascii", errors="replace")  # type: ignore[union-attr]
-            return text.rsplit(")", 1)[1].split()[0] in "Tt"
+            return state_of(Path(f"/proc/{self.process.pid}")) in "Tt"  # type: ignore[union-attr]
         return False
 
+    def waited(self) -> float:
+        """Tell how long it has waited for a processor, because others had it, since it was asked first [s]."""
+        return self._wait_for_processor.look(self.process.pid) if self.process is not None else 0.0
+
     def progress(self) -> int:
-        """Tell how much it has written so far, which grows as long as it gets on [bytes]."""
+        """Tell how much it has written so far, which grows as long as a logger gets on [bytes]."""
         assert self.process is not None  # noqa: S101
         # One that has ended writes nothing more.
         with contextlib.suppress(OSError):

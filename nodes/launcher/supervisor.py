@@ -24,6 +24,7 @@ from messages.errors import HapticError
 from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
 from nodes.base import realtime
+from nodes.base.hang_watchdog import LOOK, HangWatchdog
 from nodes.launcher import reaper, runs
 from nodes.launcher.child import PYTHON, Child
 from nodes.launcher.external_child import ByHand
@@ -38,8 +39,6 @@ KILL_TIMEOUT = 2.0
 DYING = 20.0
 """So much longer may one take that is not held by the kernel [s]."""
 
-GETTING_ON = 1.0
-"""How often the launcher looks whether a logger that ends still writes: it does so every half second [s]."""
 _INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
@@ -316,31 +315,36 @@ class Supervisor:
                 self._say(self.failures[-1])
 
     def _await_end(self, left: list[Child], number: signal.Signals, patience: float) -> None:
-        """Wait for as long as one of them may take, and for a logger as long as it gets on with what it has to write."""
-        begun, following = time.monotonic(), time.monotonic() + GETTING_ON
-        written = {child.setup.name: child.progress() for child in left if child.listens and child.running}
+        """Wait for as long as one may take, not counting time in which it gets on or is kept from running by others."""
+        killed = number == signal.SIGKILL
+        begun = looked = time.monotonic()
+        watched = {child.setup.name: HangWatchdog() for child in left}
         announced = False
         while any(child.running for child in left):
             now = time.monotonic()
-            killed = number == signal.SIGKILL
-            hurry = self._hurry and not killed and not any(child.drives for child in left)
             granted = 0.0 if killed else max((child.end_patience for child in left), default=0.0)
             if killed and not any(child.is_frozen for child in left if child.running):
                 # On a machine with thirty times more to do than it can, dying takes its time too.
                 granted = DYING
-            if now - begun > (HURRY_TIMEOUT if hurry else patience + granted):
+            if self._hurry and not killed and not any(child.drives for child in left) and now - begun > HURRY_TIMEOUT:
                 return
-            if now >= following and not killed:
-                following = now + GETTING_ON
-                more = {child.setup.name: child.progress() for child in left if child.listens and child.running}
-                busy = [name for name, amount in more.items() if amount > written.get(name, 0)]
-                written = more
-                if busy and not announced and now - begun > patience / 2.0:
-                    announced = True
-                    self._say(f"{', '.join(busy)}: still writing; waited for as long as it gets on (Ctrl-C again: not)")
-                if busy:
-                    begun = max(begun, now - patience / 2.0)
+            if killed and now - begun > patience + granted:
+                return
+            if now >= looked and not killed:
+                looked = now + LOOK
+                stood = [(child, self._stood(watched[child.setup.name], child)) for child in left if child.running]
+                if all(seconds > patience + granted for _, seconds in stood):
+                    return
+                half = 0.5 * (now - begun)
+                if not announced and half > 0.25 * patience + 0.5 * granted:
+                    reasons = [_reason(child.setup.name, child.waited() > half) for child, at in stood if at < half]
+                    announced = bool(reasons)
+                    for reason in reasons:
+                        self._say(f"{reason}; waited for (Ctrl-C again: not)")
             time.sleep(0.005)
+
+    def _stood(self, watched: HangWatchdog, child: Child) -> float:
+        return watched.look(child.progress() if child.listens else 0, child.waited())
 
     def _read_report(self, name: str) -> dict[str, Any]:
         report = self.reports.get(name) or self.children[name].report(self.run_dir)
@@ -349,7 +353,11 @@ class Supervisor:
         return report
 
 
+def _reason(name: str, waits: bool) -> str:
+    return f"{name}: does not get its turn{_burdened()}" if waits else f"{name}: still writing"
+
+
 def _burdened() -> str:
     """Name a machine that has more to do than it can as the reason of what takes too long."""
-    load, processors = os.getloadavg()[0], len(os.sched_getaffinity(0))
+    load, processors = os.getloadavg()[0], os.cpu_count() or 1
     return f"; this machine is busy: load {load:.0f} on {processors} processors" if load > 2 * processors else ""

@@ -5,9 +5,12 @@ That nothing is left is asserted by `running` at the end of each block.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -17,6 +20,7 @@ import msgspec
 import pytest
 import zmq
 
+from nodes.launcher.processor_wait import ProcessorWait
 from nodes.launcher.runs import alive
 from nodes.launcher.supervisor import INT_TIMEOUT
 from nodes.recording.reader import Recording
@@ -123,6 +127,46 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
         assert time.monotonic() - begun < INT_TIMEOUT
         assert launch.errors.index("deaf: does not end; SIGTERM") < launch.errors.index("deaf: does not end; SIGKILL")
         assert figures["nodes"]["driver"]["state"] == "finished"
+
+
+@contextlib.contextmanager
+def starved(pid: int) -> Iterator[None]:
+    """Let a process run only when another, which never rests, leaves it the processor: a part in 300."""
+    processor = min(os.sched_getaffinity(0))
+    for thread in map(int, os.listdir(f"/proc/{pid}/task")):
+        os.sched_setaffinity(thread, {processor})
+        os.sched_setscheduler(thread, os.SCHED_IDLE, os.sched_param(0))
+    spin = f"import os\nos.sched_setaffinity(0, {{{processor}}})\nwhile True: pass"
+    with subprocess.Popen([sys.executable, "-c", spin]) as hog:
+        try:
+            yield
+        finally:
+            hog.kill()
+
+
+def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
+    with running(tmp_path, scenario(tmp_path)) as launch:
+        logger = launch.pid("logger")
+        waits = {name: ProcessorWait() for name in ("logger", "reaper")}
+        pids = {"logger": logger, "reaper": reaper(launch)}
+        for name, wait in waits.items():
+            wait.look(pids[name])
+        with starved(logger):
+            launch.process.send_signal(signal.SIGINT)
+            # Its own clock: what the launcher would have granted it, had it not been kept from running.
+            wait_for(lambda: waits["logger"].look(logger) > INT_TIMEOUT, "the logger waits for a processor")
+            assert waits["reaper"].look(pids["reaper"]) < 0.5 * INT_TIMEOUT, (
+                "it waits for the launcher, not for a processor"
+            )
+            # It once lost most of a recording.
+            assert "does not end" not in launch.errors
+            assert "logger: does not get its turn" in launch.errors
+            assert launch.process.poll() is None
+        figures = launch.finish()
+        assert {status["state"] for status in figures["nodes"].values()} == {"finished"}
+    recording = Recording(tmp_path / "run.mcap")
+    assert recording.complete
+    assert recording.topics["/device/state"].messages == figures["ticks"] + 1
 
 
 @pytest.fixture
