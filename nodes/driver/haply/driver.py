@@ -109,6 +109,7 @@ class Inverse3Device(MailboxDevice):
         self._id = ""
         self._remark = ""
         self._others: Vector = ZERO
+        self._withheld = False
         self.round_trip = 0.0
 
     @classmethod
@@ -219,7 +220,7 @@ class Inverse3Device(MailboxDevice):
         force, sample = (ctypes.c_double * 3)(), (ctypes.c_double * SAMPLE)()
         period, first = 1.0 / self._wants.servo_rate, True
         due = begun = time.monotonic()
-        owed = blind = False
+        owed = blind = proven = False
         refused_since = math.inf
         while not self._ending.is_set():
             # Without a position nothing is known of where a force acts.
@@ -259,9 +260,13 @@ class Inverse3Device(MailboxDevice):
                 code.mailbox_ticked(at)
                 given = state.current_cursor_force.numbers()
                 self._others = tuple(a - b for a, b in zip(given, wanted, strict=True)) if acts else given  # type: ignore[assignment]
-                taken = max(map(abs, wanted)) < ASKED or max(map(abs, given)) > 0.0
+                acting = max(map(abs, given)) > 0.0
+                taken = max(map(abs, wanted)) < ASKED or acting
                 refused_since = math.inf if taken else min(refused_since, begun)
-                if begun - refused_since > FORCELESS_AFTER:
+                self._withheld = begun - refused_since > FORCELESS_AFTER
+                proven = proven or acting
+                # A service that has taken forces is of the right version: now something else keeps them off, its brake for one.
+                if self._withheld and not proven and not self._remark:
                     self._failed(FORCELESS, fatal=True)
                     return
             due = max(due + period, time.monotonic())
@@ -298,6 +303,8 @@ class Inverse3Device(MailboxDevice):
             return f"{self.error_text(self._box.fault)}: forces are off until the node is started again"
         if self._remark:
             return self._remark
+        if self._withheld:
+            return "the Inverse Service lets no force act (0 N while a force is asked for), and does not say why"
         if max(map(abs, self._others)) > ASKED:
             x, y, z = self._others
             return f"another session of the Inverse Service adds {x:+.2f}, {y:+.2f}, {z:+.2f} N along the device's axes"
