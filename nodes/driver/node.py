@@ -51,6 +51,12 @@ __all__ = [
 ASK_AGAIN = 0.5
 """In lockstep, a tick without an answer for so long is published again: its answer was lost with a node [s]."""
 
+STAND_STILL = 60.0
+"""Longest that a loop in lockstep stands still at one request [s]."""
+
+LOOK_UP = 0.01
+"""How often it looks meanwhile at what waits between two ticks [s]."""
+
 SOFT_STOP = STOP_TIME + 1.0
 """After so long on the way down to zero force the device is taken to hang [s]."""
 
@@ -96,6 +102,7 @@ class Driver(Node):
         super().__init__(setup)
         self.driving = self.counters
         self._report = DriverReport(self.driving)
+        self._stands_until = 0.0
         self.events.interrupt = self._interrupt
 
     def make_counters(self) -> Any:
@@ -214,6 +221,10 @@ class Driver(Node):
         s = self.driving
         asked = 0.0
         while s.seq < s.until and not self.stopping:
+            if s.phase == BETWEEN and time.monotonic() < self._stands_until:
+                self.between_ticks(s.seq)
+                time.sleep(LOOK_UP)
+                continue
             why = ticks(s)
             if why == SILENT:
                 asked = max(asked, s.sampled)
@@ -299,6 +310,7 @@ class Driver(Node):
             "progress": lambda: {**self._report.progress(self.setup.ticks), "condition": self.condition()},
             "device": lambda: times,
             "rearm": self._rearm,
+            "stand": self._stand,
             "force": lambda: {"why": why_no_force(self.driving, self.condition())},
             "external": lambda force: give(self.driving, self.store.current.external, self.setup.name, force),
         }
@@ -319,6 +331,17 @@ class Driver(Node):
 
         receipt: dict[str, Any] = self.changes.hand_over(apply)
         return receipt
+
+    def _stand(self, seconds: float) -> dict[str, Any]:
+        """Begin no tick for so long, or until 0 s are asked for: a loop that nobody follows takes the machine from others."""
+        name = self.setup.name
+        if self.driving.realtime:
+            raise ParameterError(f"{name}: only a loop in lockstep can stand still; a device in real time cannot wait")
+        if not (isinstance(seconds, int | float) and 0.0 <= seconds <= STAND_STILL):
+            raise ParameterError(f"{name}: stand still for {seconds!r} s: expected 0 to {STAND_STILL:g} s")
+        self._stands_until = time.monotonic() + seconds
+        self.events.notify()
+        return {}
 
     def condition(self) -> str:
         """Say what keeps the device from giving the forces that it gets; empty when nothing is known to.

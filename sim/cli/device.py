@@ -230,7 +230,8 @@ def _pushed(
         duration = min(times * law["duration"], LONGEST)
         pushed = push(loop, {**law, "duration": duration}, out, centre, tell, arguments.load)
         try:
-            return pushed, _axes(loop, pushed, arguments.held)
+            with loop.standing():
+                return pushed, _axes(loop, pushed, arguments.held)
         except RefusedError as error:
             if pushed.reason != "done" or times == longer[-1]:
                 raise

@@ -101,7 +101,8 @@ def run(arguments: argparse.Namespace) -> int:
             for now in steps:
                 say(f"{now} ...")
                 tuning.do(now)
-                tuning.write()
+                with tuning.standing():
+                    tuning.write()
             now = ""
         except KeyboardInterrupt:
             tuning.record["interrupted"] = now or "the start"

@@ -20,6 +20,7 @@ from messages.types import DeviceState
 from nodes.base.node_kinds import load
 from nodes.client.launches import ask
 from nodes.client.listen import listen
+from nodes.driver.node import STAND_STILL
 from nodes.launcher.runs import RunInfo
 from sim.identify.signals_once import undisturbed, whole
 
@@ -119,6 +120,24 @@ class PushedLaunch:
         first = self.progress()["tick"]
         while self.progress()["tick"] < first + ticks:
             time.sleep(0.02)
+
+    @contextlib.contextmanager
+    def standing(self) -> Iterator[None]:
+        """Let a loop in lockstep stand still for the length of a with block, in which something is calculated.
+
+        It would go on as fast as it can, on all processors, with nobody who looks. Should this process be killed, or take
+        longer than the driver grants, the loop goes on by itself.
+        """
+        if self.run.nodes[self.driver].pace != "lockstep":
+            yield
+            return
+        ask(self.run, self.driver, "stand", seconds=STAND_STILL)
+        try:
+            yield
+        finally:
+            # A launch that has ended is told of by whoever asks it next.
+            with contextlib.suppress(RefusedError), undisturbed():
+                ask(self.run, self.driver, "stand", seconds=0.0)
 
     def states(self, silence: float = 30.0) -> Iterator[DeviceState]:
         """Hear every tick of the driver; one that says nothing for so long [s] is an error."""

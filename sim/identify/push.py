@@ -71,9 +71,10 @@ def push(
             # It is ended from here; by itself only should nobody do so.
             longer = {f"laws.{LAW}": {**law, "duration": min(duration + LONGER, LONGEST)}}
             loop.change(loop.coupling, "param.set", values=longer)
-            recorder = beside(*record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             # In lockstep a push is over in less time than a process takes to start.
-            within(lambda: recorder.poll() is not None or out.exists(), START)
+            with loop.standing():
+                recorder = beside(*record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                within(lambda: recorder.poll() is not None or out.exists(), START)
             _watch(loop, duration, held, say, result)
     except KeyboardInterrupt:
         result.reason = "Ctrl-C"

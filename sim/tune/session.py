@@ -104,7 +104,12 @@ class Tuning:
         if step in ("identify", "design", "verify"):
             # A law that was delivered before is not this one.
             self._tuned.unlink(missing_ok=True)
-        getattr(self, f"_{step}")()
+        with self.standing() if step in ("design", "predict") else contextlib.nullcontext():
+            getattr(self, f"_{step}")()
+
+    def standing(self) -> contextlib.AbstractContextManager[None]:
+        """Let the launch stand still in lockstep while something is calculated, if there is one."""
+        return contextlib.nullcontext() if self._loop is None else self._loop.standing()
 
     def _identify(self) -> None:
         from sim.identify.identified_text import figures

@@ -14,9 +14,23 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.excitation import ASTRAY, Excitation, held_back
 from nodes.laws.parse import parse_law
-from tests.support.launching import haptic, running
+from tests.support.launching import Running, haptic, running, wait_for
 
 T = 0.002
+
+
+def stands_still(launch: Running) -> None:
+    """Let the loop stand still: it begins no tick, takes changes all the same, and goes on when it is asked to."""
+    anywhere: dict[str, Any] = {"values": {"passivity": {"guard": "off"}}}
+    launch.call("driver", "stand", seconds=60.0)
+    ticks = []
+    for _ in range(2):
+        # Taken between two ticks: the one under way is over then.
+        launch.call("driver", "param.set", **anywhere)
+        ticks.append(launch.call("driver", "progress")["tick"])
+    assert ticks[0] == ticks[1]
+    launch.call("driver", "stand", seconds=0.0)
+    wait_for(lambda: launch.call("driver", "progress")["tick"] > ticks[0], "the loop to go on")
 
 
 def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path) -> None:
@@ -24,6 +38,7 @@ def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path
     (tmp_path / "held.yaml").write_text(f"driver: {{device: {{{hand}}}}}", encoding="utf-8")
     words = ("identify", "axes:=[x,y,z]", "pace:=lockstep", "apply:=next_tick", "duration:=0", "--params", "held.yaml")
     with running(tmp_path, *words) as launch:
+        stands_still(launch)
         done = launch.haptic("device", "identify", "--duration", "2", "--json")
         launch.finish(signal.SIGINT, code=None)
     told = json.loads(done.stdout.splitlines()[-1])["places"]
