@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from nodes.cli.main import VERBS, verbs
+from nodes.parameters.installed import OURS
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.pages import Block, anchors, blocks, command, links, promised, shell
@@ -150,7 +151,7 @@ def test_every_scenario_and_every_verb_is_mentioned() -> None:
     for path in (ROOT / "launch").glob("*.yaml"):
         assert f"`{path.stem}`" in PAGES["launch/README.md"], f"scenario {path.stem} is not described"
     for verb in (VERBS.points()[name] for name in verbs()):
-        if verb.dist is None or verb.dist.name == "haptic-nodes":
+        if verb.package == OURS:
             assert re.search(rf"\bhaptic {verb.name}\b", README), f"haptic {verb.name} is not mentioned"
 
 

@@ -114,9 +114,10 @@ def step_aside() -> None:
 
 
 def quiet_interpreter() -> None:
-    """Keep the interpreter's own work out of the ticks: collect and freeze the garbage, switch threads quickly."""
-    gc.collect()
+    """Keep the interpreter's own work out of the ticks: leave all that there is to no collection, switch threads quickly."""
+    # Not collected before: of 26 000 objects 500 are garbage, and to find them takes 5 to 10 ms.
     gc.freeze()
+    gc.enable()
     # The control thread must give the interpreter lock back within a fraction of a tick (Python's default is 5 ms).
     sys.setswitchinterval(5e-5)
 

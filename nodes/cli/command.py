@@ -1,17 +1,23 @@
 """The command ``haptic`` itself: quiet when it is interrupted before it can do anything."""
 
+import gc
 import signal
 import sys
 
 
 def main() -> int:
     """Import the command line and run it."""
+    # What imports make stays: looking through it after every 700 objects takes a tenth of the time that most verbs take.
+    gc.set_threshold(100_000)
     # Importing takes some tenths of a second, in which Ctrl-C would be answered with a traceback.
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     from nodes.cli.main import main as run
 
     signal.signal(signal.SIGINT, before)
-    return run()
+    code = run()
+    # It all ends now, without being looked through once more.
+    gc.freeze()
+    return code
 
 
 if __name__ == "__main__":

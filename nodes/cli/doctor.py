@@ -13,7 +13,6 @@ import sysconfig
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,6 +24,7 @@ from nodes.compiled.build import find
 from nodes.compiled.cache import CacheRefusedError, folder
 from nodes.launcher.runs import MAX_IPC_PATH, RunError, runtime_dir
 from nodes.launcher.wiring import FIFO
+from nodes.parameters.installed import OURS, groups
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
 
@@ -276,10 +276,10 @@ def _packages() -> Diagnosis:
     """Import what other packages have installed beside us, as a launch would that names it."""
     broken: dict[str, str] = {}
     found = []
-    for group in sorted(group for group in entry_points().groups if group.startswith("haptic.")):
+    for group in groups():
         registry = Registry(group, group.partition(".")[2])
         for name, point in registry.points().items():
-            if point.dist is None or point.dist.name != "haptic-nodes":
+            if point.package != OURS:
                 found.append(f"{group} {name}")
                 try:
                     registry.load(name)

@@ -20,6 +20,7 @@ from typing import Any, NoReturn
 from messages.errors import HapticError, UsageError
 from nodes.base.stderr_queue import last_words
 from nodes.cli.colour import coloured
+from nodes.parameters.installed import OURS, version
 from nodes.parameters.registry import NotInstalledError, Registry
 
 VERBS = Registry("haptic.verbs", "verb")
@@ -166,9 +167,7 @@ def _run(argv: list[str]) -> int:
             arguments.parser.refuse(left_over)
         arguments.assignments = [*arguments.assignments, *left_over]
     if arguments.version:
-        from importlib.metadata import version
-
-        print(f"haptic-nodes {version('haptic-nodes')}")
+        print(f"haptic-nodes {version(OURS) or 'not installed as a package'}")
         return 0
     run = getattr(arguments, "run", None)
     if run is None:

@@ -42,7 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
-    from nodes.view.server import check_address
+    from nodes.view.address import check_address
 
     try:
         check_address(arguments.address, arguments.port)

@@ -24,13 +24,13 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
 from messages.errors import HapticError
+from nodes.parameters.installed import version
 
 ROOT: Final = Path(__file__).parents[2]
 """Where the packages are installed: sources are named from here."""
@@ -80,10 +80,7 @@ def _versions() -> str:
     """Name this installation, these compilers and this processor."""
     text = [str(ROOT), sys.implementation.cache_tag or "", platform.machine()]
     for package in ("numba", "llvmlite", "numpy"):
-        try:
-            text.append(version(package))
-        except PackageNotFoundError:
-            text.append("none")
+        text.append(version(package) or "none")
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

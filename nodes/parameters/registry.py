@@ -5,17 +5,13 @@ Nothing is imported until it is asked for by name, and of what cannot be importe
 
 from __future__ import annotations
 
-import sys
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
+from nodes.parameters import installed
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 
 class NotInstalledError(ParameterError):
@@ -33,9 +29,9 @@ class Registry:
         """List what is installed, without importing any."""
         return sorted(self.points())
 
-    def points(self) -> dict[str, EntryPoint]:
+    def points(self) -> dict[str, installed.Point]:
         """Find the entry points."""
-        return _installed(self.group, tuple(sys.path))
+        return installed.points(self.group)
 
     def load(self, name: str) -> Any:
         """Import one.
@@ -53,10 +49,9 @@ class Registry:
                 msgspec.msgpack.Decoder(found)
             return found
         except (Exception, SystemExit) as error:  # another package's module may raise anything while it is imported
-            package = point.dist.name if point.dist is not None else "?"
             raise NotInstalledError(
                 f"{name!r}: the {self._noun} cannot be imported: {type(error).__name__}: {error} "
-                f"({point.value}, of the package {package})"
+                f"({point.value}, of the package {point.package})"
             ) from error
 
     def all(self) -> tuple[dict[str, Any], dict[str, str]]:
@@ -72,13 +67,3 @@ class Registry:
             except NotInstalledError as error:
                 broken[name] = str(error)
         return found, broken
-
-
-@cache
-def _installed(group: str, path: tuple[str, ...]) -> dict[str, EntryPoint]:
-    """Read a group once per search path: that takes milliseconds, and a running loop asks at every change."""
-    # Later: a node that looks up nothing starts without it.
-    from importlib.metadata import entry_points
-
-    del path
-    return {point.name: point for point in entry_points(group=group)}

@@ -10,17 +10,16 @@ import contextlib
 import os
 import platform
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, cast
 
 import msgspec
-from mcap.writer import CompressionType, Writer
 
 from messages.errors import HapticError
 from messages.schema import schema_json
 from messages.types import Message
+from nodes.parameters.installed import version
 from nodes.recording import wall_clock
 
 CHUNK_SIZE = 65536
@@ -40,10 +39,7 @@ def versions() -> dict[str, str]:
     """Tell what wrote a recording."""
     found = {"python": platform.python_version(), "system": f"{platform.system()} {platform.release()}"}
     for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed as a package"
+        found[package] = version(package) or "not installed as a package"
     return found
 
 
@@ -120,6 +116,9 @@ def save(path: Path, data: bytes, overwrite: bool) -> None:
 
 def mcap_writer(output: Output, library: str) -> Any:
     """Start an MCAP writer the way this project writes: zstd, 64 KiB chunks, checksums over everything."""
+    # A launcher, which only checks a logger's parameters, does without it.
+    from mcap.writer import CompressionType, Writer
+
     writer: Any = Writer(
         cast("IO[Any]", output), chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
     )

@@ -268,7 +268,7 @@ class Commander:
             self._recordings += 1
             path = f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
             self._recorder = subprocess.Popen(
-                [*PYTHON, "-m", "nodes.cli.main", "bag", "record", "--run", self._run.run, "--out", path],
+                [*PYTHON, "-m", "nodes.cli.command", "bag", "record", "--run", self._run.run, "--out", path],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,

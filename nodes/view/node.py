@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import msgspec
 
@@ -15,8 +14,10 @@ from nodes.base.setup import Setup
 from nodes.launcher.runs import RunError, RunInfo, read_run
 from nodes.parameters.store import convert
 from nodes.recording.logger import QUEUE
-from nodes.view.run_pages import RunPages
-from nodes.view.server import ADDRESS, check_address
+from nodes.view.address import ADDRESS, check_address
+
+if TYPE_CHECKING:
+    from nodes.view.run_pages import RunPages
 
 
 class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -88,6 +89,12 @@ class View(Node):
 
             load()
 
+    def configure(self) -> None:
+        """Import what serves: numpy and asyncio take 0.2 s, which a launcher that only checks the parameters does without."""
+        from nodes.view import run_pages
+
+        self._make_pages = run_pages.RunPages
+
     def connect(self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]) -> None:
         """Listen to all publishers of the run."""
         self._listening = subscribe(set(self.setup.sources.values()), [""], QUEUE)
@@ -102,8 +109,10 @@ class View(Node):
     def loop(self) -> None:
         """Serve until stopped."""
         self.state = "running"
+        import asyncio
+
         again = self.store.current.again
-        asyncio.run(self._serve(RunPages(self._run_info(), self._listening, self._token(), again)))
+        asyncio.run(self._serve(self._make_pages(self._run_info(), self._listening, self._token(), again)))
 
     def _token(self) -> str:
         place = read_place(self.setup.run_dir, self.setup.name)

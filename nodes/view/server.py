@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import getpass
 import importlib.resources
 import logging
 import mimetypes
 import secrets
-import socket
 from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any, Protocol
@@ -25,15 +23,9 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from nodes.parameters.store import ParameterError
+from nodes.view.address import ADDRESS, LOCAL
 from nodes.view.bundle import bundle
 from nodes.view.commands import CommandError
-
-ADDRESS = "127.0.0.1"
-"""The one address that is bound."""
-
-LOCAL = ("127.0.0.1", "localhost")
-"""Names under which a browser of this machine, or behind an ssh tunnel, asks for it."""
 
 SEND_PERIOD = 1.0 / 50.0
 """Pause between two messages to a page [s]."""
@@ -90,18 +82,6 @@ def _hostname(host: str) -> str:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return ""
-
-
-def check_address(address: str, port: int) -> None:
-    """Refuse every address but this machine's own: who reaches the page can command the loop."""
-    if address in LOCAL:
-        return
-    shown = port or 8080
-    raise ParameterError(
-        f"view.address: {address} is refused: anyone who reaches the page can command the loop, so it is served on {ADDRESS} "
-        f"only. From another machine, set view.port to {shown}, run ssh -L {shown}:{ADDRESS}:{shown} "
-        f"{getpass.getuser()}@{socket.gethostname()} there, and open the printed URL"
-    )
 
 
 def _files() -> dict[str, tuple[str, bytes]]:

@@ -32,7 +32,7 @@ from sim.api.recordings import Recorded, read
 from sim.api.run_summary import RunSummary
 from sim.api.values import plain
 
-HAPTIC = (*PYTHON, "-m", "nodes.cli.main")
+HAPTIC = (*PYTHON, "-m", "nodes.cli.command")
 
 STARTS_WITHIN = 60.0
 """When a launch that has not ticked is given up [s]."""

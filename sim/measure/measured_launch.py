@@ -32,7 +32,7 @@ from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs
 from sim.measure import stopwatch
 
-HAPTIC = (*PYTHON, "-m", "nodes.cli.main")
+HAPTIC = (*PYTHON, "-m", "nodes.cli.command")
 """The command ``haptic`` with this interpreter."""
 
 DEADLINE = 60.0

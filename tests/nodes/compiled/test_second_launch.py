@@ -72,7 +72,7 @@ class Changed(NamedTuple):
 
     def launch(self, *words: str) -> tuple[dict[str, Any], str]:
         """Launch the scenario; its summary, and what it said."""
-        done = self.run("-m", "nodes.cli.main", "launch", *WORDS, *words, "--json")
+        done = self.run("-m", "nodes.cli.command", "launch", *WORDS, *words, "--json")
         return json.loads(done.stdout.splitlines()[-1]), done.stderr
 
 
