@@ -74,7 +74,16 @@ class _Elsewhere:
     def start(self) -> None:
         (self.folder / "r").mkdir(mode=0o700, exist_ok=True)
         self._node = subprocess.Popen(
-            [sys.executable, "-m", "nodes.cli.command", "node", "start", "coupling", "--bind", f"127.0.0.1:{self.port}"],
+            [
+                sys.executable,
+                "-m",
+                "nodes.cli.command",
+                "node",
+                "start",
+                "coupling",
+                "--bind",
+                f"127.0.0.1:{self.port}",
+            ],
             env={**os.environ, "HAPTIC_KEYS": str(self.folder / "far"), "HAPTIC_RUNTIME_DIR": str(self.folder / "r")},
             cwd=self.folder,
             stdin=subprocess.DEVNULL,
