@@ -96,6 +96,18 @@ def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambd
     return path
 
 
+def name_rows(axes: Axes, names: Sequence[str]) -> None:
+    """Give a panel one row for each name, the first on top, below room for the name of a threshold."""
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -1.0)
+    axes.grid(visible=False, axis="x")
+
+
+def legend_above(axes: Axes, columns: int = 2) -> None:
+    """Name marks above a panel whose inside is full."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, handletextpad=0.3)
+
+
 def label_ends(axes: Axes, size: float = 8.0) -> None:
     """Write the label of each curve at its right end, in its colour, in place of a legend.
 
@@ -150,8 +162,6 @@ def threshold(axes: Axes, value: float, name: str, vertical: bool = False) -> No
 
     `name`: what it is, value and unit included.
     """
-    from matplotlib.patheffects import withStroke
-
     draw = axes.axvline if vertical else axes.axhline
     draw(value, color=INK, lw=0.9, ls=(0, (1, 1.5)))
     place: tuple[float, float] = (value, 0.99) if vertical else (0.01, value)
@@ -169,7 +179,7 @@ def threshold(axes: Axes, value: float, name: str, vertical: bool = False) -> No
         fontsize=7.5,
         color=INK,
         va="top" if vertical or high else "bottom",
-        # A curve that passes behind it does not strike it through.
-        path_effects=[withStroke(linewidth=2.5, foreground="white")],
+        # A curve that passes behind it does not strike it through; an outline would make shapes of the letters.
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
         zorder=5,
     )

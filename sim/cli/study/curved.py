@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import answer
 from nodes.cli.quantities import declare, not_negative, positive
+from nodes.recording.figure_style import COLOURS, MARKERS, legend_above, name_rows, save_figure, styled, threshold
+from sim.cli import arguments as shared
 from sim.cli.sweeps import add_spread, spread
 from sim.measure.jobs import call
+from sim.results import fresh
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from sim.experiments.curved import AlongTheWay
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -26,7 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--launched", action="store_true", help="confirm each K_max by two launches, 2 %% below it and above"
     )
     add_spread(parser)
-    add_json(parser)
+    shared.add_answer(parser)
     parser.set_defaults(run=run)
 
 
@@ -75,6 +85,50 @@ def run(arguments: argparse.Namespace) -> int:
             text += f"; launched, the ripple grows {below:.3f} times at 0.98 of that, {above:.3f} times at 1.02"
         lines.append(text)
         edges.append(row)
-    figures = {"ways": [asdict(row) for row in found], "one_axis_n_per_m": one_axis, "edges": edges}
-    answer(arguments.json, figures, "\n".join(lines))
+    picture = draw(arguments.out / "curved.png", found, edges)
+    figures = {
+        "ways": [asdict(row) for row in found],
+        "one_axis_n_per_m": one_axis,
+        "edges": edges,
+        "plot": str(picture),
+    }
+    answer(arguments.json, figures, "\n".join([*lines, str(picture)]))
     return 0
+
+
+@styled
+def draw(path: Path, ways: Sequence[AlongTheWay], edges: Sequence[Mapping[str, Any]]) -> Path:
+    """Draw the energy along closed ways, and how a slide moves the edge, in the world's axes and in turning ones."""
+    from matplotlib.figure import Figure
+
+    surfaces = list(dict.fromkeys(row.surface for row in ways))
+    frames = list(dict.fromkeys(row.frame for row in ways))
+    laws = list(dict.fromkeys(row.law for row in ways))
+    figure = Figure(figsize=(9.4, 1.6 + 0.36 * len(surfaces)), layout="constrained")
+    # Without slides there is no edge to show.
+    panels = figure.subplots(1, 1 + bool(edges), width_ratios=(1.4, 1.0)[: 1 + bool(edges)], squeeze=False)
+    energy = panels[0, 0]
+    name_rows(energy, surfaces)
+    for number, (frame, law) in enumerate((frame, law) for frame in frames for law in laws):
+        mine = [row for row in ways if (row.frame, row.law) == (frame, law)]
+        rows = [surfaces.index(row.surface) + 0.16 * (number - 1.5) for row in mine]
+        mark = {"marker": MARKERS[number], "color": COLOURS[frames.index(frame)], "ls": ""}
+        energy.plot([100.0 * row.given_out for row in mine], rows, **mark, label=f"{law}, axes of the {frame}")
+    energy.set_xlabel("energy given out, of force times way, there and back  [%]")
+    threshold(energy, 0.0, "gives out nothing", vertical=True)
+    legend_above(energy)
+    if edges:
+        _draw_edges(panels[0, 1], edges)
+    return save_figure(figure, path, fresh)
+
+
+def _draw_edges(limit: Axes, edges: Sequence[Mapping[str, Any]]) -> None:
+    for number, frame in enumerate(dict.fromkeys(row["frame"] for row in edges)):
+        mine = [row for row in edges if row["frame"] == frame]
+        places = [row["speed_m_per_s"] for row in mine], [row["over"] for row in mine]
+        limit.plot(*places, marker=MARKERS[number], label=f"axes of the {frame}")
+    limit.set_xlabel("speed of a slide over a sphere of 35 mm  [m/s]")
+    limit.set_ylabel(r"$K_\mathrm{max}$ over that of one axis  [1]")
+    limit.set_ylim(0.99 * min(limit.get_ylim()[0], 1.0), 1.01 * max(limit.get_ylim()[1], 1.0))
+    limit.locator_params(nbins=5)
+    legend_above(limit)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import answer
 from nodes.cli.quantities import not_negative, positive
+from nodes.recording.figure_style import COLOURS, MARKERS, legend_above, name_rows, save_figure, styled, threshold
+from sim.cli import arguments as shared
+from sim.results import fresh
 
 if TYPE_CHECKING:
     from nodes.launcher.launch_spec import Launch
@@ -28,7 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resolution", type=positive, help="encoder step [m] (default: the scene's device, or a Touch X's)"
     )
-    add_json(parser)
+    shared.add_answer(parser)
     parser.set_defaults(run=run)
 
 
@@ -59,8 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     except ValueError as error:
         raise UsageError(f"{launch.scenario}: {error}") from error
+    picture = draw(arguments.out / f"detail_{launch.scenario}.png", launch.scenario, found)
     result: dict[str, Any] = {"scenario": launch.scenario, **asdict(found), "needs": found.coarsest.name}
-    answer(arguments.json, result, _text(launch.scenario, law.h1, resolution, found))
+    text = f"{_text(launch.scenario, law.h1, resolution, found)}\n{picture}"
+    answer(arguments.json, result | {"plot": str(picture)}, text)
     return 0
 
 
@@ -79,7 +85,6 @@ def _of_shapes(
     arguments: argparse.Namespace, launch: Launch, words: list[str], stiffness: float, resolution: float
 ) -> Detail:
     import tempfile
-    from pathlib import Path
 
     import numpy as np
 
@@ -130,3 +135,37 @@ def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> 
             f"{finest.call_us - enough.call_us:+.3g} µs a tick"
         )
     return "\n".join(lines)
+
+
+@styled
+def draw(path: Path, scenario: str, found: Detail) -> Path:
+    """Draw by how much the force of each level differs, and what a call costs."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    levels = found.levels
+    figure = Figure(figsize=(8.6, 1.4 + 0.32 * len(levels)), layout="constrained")
+    differs, costs = figure.subplots(1, 2, sharey=True, width_ratios=(1.6, 1.0))
+    name_rows(differs, [level.name for level in levels])
+    # What differs by nothing, or by rounding alone, has no place on a logarithmic axis: it stands at its end.
+    least = 1e-3 * (1e3 * found.limit_n)
+    for axes, low, high, names, scale in (
+        (differs, "rms_n", "force_n", ("rms", "largest"), 1e3),
+        (costs, "call_us", "call_p99_us", ("median", "p99"), 1.0),
+    ):
+        for key, name, colour, mark in zip((low, high), names, COLOURS, MARKERS, strict=False):
+            values = [scale * getattr(level, key) for level in levels]
+            axes.plot(
+                np.maximum(values, least if axes is differs else 0.0),
+                range(len(levels)),
+                mark,
+                color=colour,
+                label=name,
+                clip_on=False,
+            )
+        legend_above(axes)
+    differs.set(xscale="log", xlabel="the force differs by, at the left end less than that  [mN]", xlim=(least, None))
+    costs.set(xscale="log", xlabel="time of a call  [µs]")
+    figure.suptitle(f"{scenario} needs: {found.coarsest.name}", fontsize=9.5, x=0.01, ha="left")
+    threshold(differs, 1e3 * found.limit_n, f"no difference: up to {1e3 * found.limit_n:.3g} mN", vertical=True)
+    return save_figure(figure, path, fresh)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from nodes.cli.quantities import Interval, declare, positive
+from nodes.recording.figure_style import GREY, name_rows, save_figure, styled, threshold
 from sim.cli import arguments as shared
 from sim.cli.sweeps import add_sweep, swept
+from sim.results import fresh
 
 ORDERS = (0.3, 0.5, 0.7, 0.9, 1.0)
 RELAXATIONS = (0.5, 1.0, 2.0, 4.0)
@@ -166,11 +168,9 @@ def run(arguments: argparse.Namespace) -> int:
         *map(_line, rows),
         f"passive at this delay: those with a b of at most {arguments.damping:g} N s/m (THEORY.md §16)",
     ]
-    answer(
-        arguments.json,
-        {"delay_ticks": arguments.delay, "rate_hz": arguments.rate, "rows": rows, "ledger": str(ledger)},
-        "\n".join([*lines, str(ledger)]),
-    )
+    picture = draw(arguments.out / "relatives.png", lines[0], arguments.damping, rows)
+    figures = {"delay_ticks": arguments.delay, "rate_hz": arguments.rate, "rows": rows, "ledger": str(ledger)}
+    answer(arguments.json, figures | {"plot": str(picture)}, "\n".join([*lines, str(ledger), str(picture)]))
     return 0
 
 
@@ -186,3 +186,37 @@ def _line(row: Mapping[str, Any]) -> str:
         f"{row['family']:22} {row['h1_n_per_m']:10.1f} {row['h_nyquist_n_per_m']:9.0f}  "
         f"{row['damping_needed_n_s_per_m']:18.3f} {row['at_nyquist_without_delay_n_s_per_m']:14.3f}  {row['drops_settled']}"
     )
+
+
+@styled
+def draw(path: Path, demand: str, damping: float, rows: Sequence[Mapping[str, Any]]) -> Path:
+    """Draw how stiff each family gets, and the damping with which it is passive."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.6, 1.6 + 0.32 * len(rows)), layout="constrained")
+    figure.suptitle(demand, fontsize=8.5, x=0.01, ha="left")
+    stiffness, passive = figure.subplots(1, 2, sharey=True)
+    name_rows(stiffness, [row["family"] for row in rows])
+    for at, row in enumerate(rows):
+        felt, needed = row["h1_n_per_m"], row.get("damping_needed_n_s_per_m")
+        why = "" if felt else "H(1) = 0" if felt == 0.0 else "no law keeps the demand"
+        for axes, value, told in ((stiffness, felt or None, why), (passive, needed, "" if why else "not judged")):
+            if value is None:
+                axes.annotate(told, (0.15, at), xycoords=("axes fraction", "data"), fontsize=8, color=GREY, va="center")
+                continue
+            axes.plot([0.0, value], [at, at], color=GREY, lw=0.8, ls="-")
+            axes.plot(value, at, "o", color="C0")
+            axes.annotate(
+                f"{value:.3g}" if value < 100.0 else f"{value:.0f}",
+                (value, at),
+                xytext=(6, 0),
+                textcoords="offset points",
+                fontsize=8,
+                va="center",
+            )
+    stiffness.set(xlabel="stiffness felt at rest, H(1)  [N/m]", xlim=(0.0, 1.2 * (stiffness.get_xlim()[1] or 1.0)))
+    passive.set(
+        xlabel="damping with which it is passive  [N s/m]", xlim=(0.0, 1.2 * max(damping, passive.get_xlim()[1]))
+    )
+    threshold(passive, damping, f"the device's, {damping:g} N s/m", vertical=True)
+    return save_figure(figure, path, fresh)

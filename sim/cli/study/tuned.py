@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from messages.errors import UsageError
 from nodes.cli.main import answer
 from nodes.cli.quantities import declare, positive
+from nodes.recording.figure_style import BAD, COLOURS, MARKERS, legend_above, save_figure, styled, threshold
 from sim.cli import arguments as shared
 from sim.cli.sweeps import add_sweep, swept
+from sim.results import fresh
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -57,14 +60,16 @@ def run(arguments: argparse.Namespace) -> int:
     ]
     rows, ledger = swept(arguments, tune_device, jobs, "tuned")
     found = summary(rows)
-    answer(arguments.json, found | {"rows": rows, "ledger": str(ledger)}, _text(found, rows, str(ledger)))
+    picture = draw(arguments.out / "tuned.png", rows)
+    text = "\n".join([_text(found, rows), str(ledger), str(picture)])
+    answer(arguments.json, found | {"rows": rows, "ledger": str(ledger), "plot": str(picture)}, text)
     missed = (
         found["edges"] - found["edges_within_5_percent"] + found["intervals"] - found["intervals_that_hold_the_edge"]
     )
     return 1 if found["delivered_unstable"] or missed else 0
 
 
-def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], ledger: str) -> str:
+def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
     lines = [f"{'device':20} {'law [N/m]':>10} {'edge told':>22} {'true edge':>10} {'true radius':>11}  outcome"]
     for row in rows:
         if row["holds"] is None:
@@ -84,7 +89,7 @@ def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], ledger: s
         + ("" if worst is None else f", the worst {100 * worst:.1f} % off")
         + f"; {found['intervals_that_hold_the_edge']} of {found['intervals']} intervals hold the edge"
     )
-    return "\n".join([*lines, ledger])
+    return "\n".join(lines)
 
 
 def _outcome(row: Mapping[str, Any]) -> str:
@@ -97,3 +102,42 @@ def _outcome(row: Mapping[str, Any]) -> str:
 
 def _shown(value: float | None) -> str:
     return f"{'none':>10}" if value is None else f"{value:10.0f}"
+
+
+@styled
+def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
+    """Draw the edge that was told over the true one, and how far each law is from it."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.8, 5.4), layout="constrained")
+    told, radius = figure.subplots(2, 1, sharex=True)
+    tried = [row for row in rows if row["holds"] is not None and row["true_edge_n_per_m"]]
+    stable = [row for row in tried if row["delivered"] and row["true_radius"] < 1.0]
+    wrong = [row for row in tried if row["delivered"] and row["true_radius"] >= 1.0]
+    kept = [row for row in tried if not row["delivered"]]
+    for name, mine, colour, mark in (
+        ("delivered, and stable", stable, COLOURS[0], MARKERS[0]),
+        ("not delivered", kept, COLOURS[1], MARKERS[1]),
+        ("delivered, and unstable", wrong, BAD, "X"),
+    ):
+        for row in mine:
+            true, ends = row["true_edge_n_per_m"], row["edge_between_n_per_m"]
+            if row["edge_n_per_m"]:
+                told.plot(true, row["edge_n_per_m"] / true, mark, color=colour)
+            elif ends:
+                told.plot([true, true], [end / true for end in ends], marker="_", ms=7, color=colour, ls="-")
+        if mine:
+            places = [row["true_edge_n_per_m"] for row in mine], [row["true_radius"] for row in mine]
+            radius.plot(*places, mark, color=colour, label=name)
+    told.set(
+        ylabel="edge told / true edge  [1]",
+        xscale="log",
+        title=f"{len(rows)} devices tuned end to end, {len(tried)} laws tried",
+    )
+    radius.set(xlabel="true edge of the device with its law, H(1)  [N/m]", ylabel="true pole radius  [1]")
+    for value, name in ((0.95, "−5 %"), (1.0, "true"), (1.05, "+5 %")):
+        threshold(told, value, name)
+    threshold(radius, 1.0, "unstable from 1")
+    if tried:
+        legend_above(radius, 3)
+    return save_figure(figure, path, fresh)

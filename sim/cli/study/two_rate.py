@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from messages.errors import UsageError
-from nodes.cli.main import add_json, answer
+from nodes.cli.main import answer
 from nodes.cli.quantities import declare, not_negative
+from nodes.recording.figure_style import label_ends, save_figure, styled
+from sim.cli import arguments as shared
+from sim.results import fresh
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -14,7 +20,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare(parser, mass=0.1, damping=1.0, delay=1.0, rate=500.0)
     parser.add_argument("--servo", type=not_negative, default=3.0, help="damper of the servo [N s/m] (default: 3)")
     parser.add_argument("--ratios", type=int, nargs="+", default=[1, 2, 4, 8], help="servo ticks per tick of the loop")
-    add_json(parser)
+    shared.add_answer(parser)
     parser.set_defaults(run=run)
 
 
@@ -46,5 +52,30 @@ def run(arguments: argparse.Namespace) -> int:
             + ("none" if k is None else f"{k:.5g} N/m")
             + f", heavy device {row['heavy_limit_n_per_m']:.5g} N/m"
         )
-    answer(arguments.json, {"rate_hz": arguments.rate, "rows": rows}, "\n".join(lines))
+    picture = draw(arguments.out / "two_rate.png", lines[0], rows)
+    figures = {"rate_hz": arguments.rate, "rows": rows, "plot": str(picture)}
+    answer(arguments.json, figures, "\n".join([*lines, str(picture)]))
     return 0
+
+
+@styled
+def draw(path: Path, title: str, rows: Sequence[Mapping[str, Any]]) -> Path:
+    """Draw the largest stiffness over the servo's rate."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.add_subplot(
+        xlabel="rate of the servo  [Hz]", ylabel="largest stiffness  [N/m]", title=title, xscale="log"
+    )
+    rates = [row["servo_hz"] for row in rows]
+    for key, label, mark in (
+        ("k_max_n_per_m", "$K_\\mathrm{max}$", "o"),
+        ("heavy_limit_n_per_m", "of a heavy device", "s"),
+    ):
+        values = [float("nan") if row[key] is None else row[key] for row in rows]
+        axes.plot(rates, values, marker=mark, label=label)
+    axes.set_xticks(rates, [f"{rate:g}" for rate in rates], minor=False)
+    axes.minorticks_off()
+    axes.margins(y=0.3)
+    label_ends(axes)
+    return save_figure(figure, path, fresh)

@@ -32,7 +32,9 @@ def test_a_picture_comes_in_three_formats_and_its_names_can_be_read(tmp_path: Pa
     assert path.read_bytes().startswith(b"\x89PNG")
     assert path.with_suffix(".pdf").read_bytes().startswith(b"%PDF")
     # Letters stay letters.
-    assert ">law 3<" in path.with_suffix(".svg").read_text(encoding="utf-8")
+    written = path.with_suffix(".svg").read_text(encoding="utf-8")
+    assert ">law 3<" in written
+    assert ">a limit<" in written
     figure.draw_without_rendering()
     notes = [text for text in figure.axes[0].texts if text.get_text().startswith("law")]
     boxes = [text.get_window_extent() for text in notes]

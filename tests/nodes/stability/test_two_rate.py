@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +16,7 @@ from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
 from nodes.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max, two_rate_radius
 from sim.device.model import advance, coefficients
+from tests.support.pictures import assert_drawn
 
 T = 0.002
 SPRING = CompiledLaw((0.0,))
@@ -99,9 +101,11 @@ def test_a_faster_servo_gives_a_stiffer_wall() -> None:
     assert edges == sorted(edges)  # type: ignore[type-var]
 
 
-def test_the_study_answers(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["study", "two_rate", "--ratios", "1", "4", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+def test_the_study_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["study", "two_rate", "--ratios", "1", "4", "--json", "--out", str(tmp_path)]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert_drawn(told["plot"], "rate of the servo  [Hz]", "largest stiffness  [N/m]")
+    rows = told["rows"]
     assert [row["ratio"] for row in rows] == [1, 4]
     assert rows[0]["heavy_limit_n_per_m"] == pytest.approx(4.0 / (T * 1.5))
 

@@ -25,6 +25,7 @@ from sim.population.tuned import summary, true_edge, true_radius
 from sim.population.virtual import draw
 from sim.scene.richer import RicherModel
 from sim.tune.knocking import scaled
+from tests.support.pictures import assert_drawn
 
 T = 0.002
 
@@ -80,6 +81,7 @@ def test_relatives_are_judged_at_the_delay_that_was_measured(
 ) -> None:
     words = ("relatives", "--families", "pd", "Maxwell", "passive FIR", "--mass", "0.1")
     late = study(capsys, tmp_path, *words, "--from-run", str(recorded(tmp_path, 1.3)))
+    assert_drawn(late["plot"], "stiffness felt at rest", "H(1) = 0")
     assert late["delay_ticks"] == pytest.approx(1.3)
     pd, maxwell, passive = late["rows"]
     assert maxwell["h1_n_per_m"] == 0.0
@@ -229,6 +231,9 @@ def test_an_unstable_delivery_and_a_false_edge_are_failures(
     put(tmp_path / "tuned.jsonl", job, device_row(**told))
     found = study(capsys, tmp_path, "tuned", "--devices", "1", code=code)
     assert found["devices"] == 1
+    assert_drawn(
+        found["plot"], "unstable from 1", "delivered, and unstable" if told == {"true_radius": 1.01} else "+5 %"
+    )
     assert main(["study", "tuned", "--devices", "1", "--out", str(tmp_path)]) == code
     assert "intervals hold the edge" in capsys.readouterr().out
 

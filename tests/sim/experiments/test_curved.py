@@ -10,6 +10,7 @@ import pytest
 from nodes.cli.main import main
 from nodes.launcher import launch_file
 from sim.experiments.curved import growth_launched, sliding_k_max, theory
+from tests.support.pictures import assert_drawn
 
 # The first run on a machine compiles the geometry.
 pytestmark = pytest.mark.timeout(900)
@@ -18,14 +19,17 @@ PERIOD, DEPTH, SPEED, GAIN, STIFFNESS, RADIUS = 0.002, 2e-3, 0.2, 2.0, 800.0, 0.
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[tuple[str, str, str], dict[str, float]]:
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str, str], dict[str, float]]:
     from contextlib import redirect_stdout
     from io import StringIO
 
     out = StringIO()
     with redirect_stdout(out):
-        assert main(["study", "curved", "--slides", "", "--json"]) == 0
-    rows = json.loads(out.getvalue().splitlines()[-1])["ways"]
+        folder = str(tmp_path_factory.mktemp("curved"))
+        assert main(["study", "curved", "--slides", "", "--json", "--out", folder]) == 0
+    told = json.loads(out.getvalue().splitlines()[-1])
+    assert_drawn(told["plot"], "energy given out", "rod of 6 mm", "gives out nothing")
+    rows = told["ways"]
     return {(row["surface"], row["law"], row["frame"]): row for row in rows}
 
 

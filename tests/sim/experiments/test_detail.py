@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import SLIPPERY, Friction, mesh
 from sim.experiments.detail import Detail, detail
 from sim.experiments.proxies import icosphere, ring
+from tests.support.pictures import assert_drawn
 from tests.support.shapes import Array, box_triangles, turned
 
 # The first run on a machine compiles the geometry.
@@ -83,9 +85,10 @@ def test_a_path_in_the_air_is_refused() -> None:
         judged(box_triangles((0.04, 0.06, 0.02)), np.full((10, 3), 0.1))
 
 
-def test_the_study_leads_a_real_run_through_the_levels(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["study", "detail", "rough_plane", "duration:=1.2", "--json"]) == 0
+def test_the_study_leads_a_real_run_through_the_levels(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["study", "detail", "rough_plane", "duration:=1.2", "--json", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert_drawn(told["plot"], "without friction", "no difference: up to", "time of a call")
     assert [level["name"] for level in told["levels"]] == ["as it is", "without friction"]
     assert told["needs"] == "as it is"
     # A Touch X's encoder step, times the stiffness.
@@ -94,9 +97,9 @@ def test_the_study_leads_a_real_run_through_the_levels(capsys: pytest.CaptureFix
     assert "has one level of detail" in capsys.readouterr().err
 
 
-def test_bodies_are_led_held_and_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bodies_are_led_held_and_left_out(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
-    assert main(["study", "detail", "stack_boxes", "duration:=1.2", "--json"]) == 0
+    assert main(["study", "detail", "stack_boxes", "duration:=1.2", "--json", "--out", str(tmp_path)]) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     levels = {level["name"]: level for level in found["levels"]}
     assert list(levels) == [
