@@ -45,7 +45,6 @@ class DriverTicks(CompiledTicks):
         s.attention = 0
         # What waits between two ticks is not left waiting.
         s.most = 1 if node.events.waiting or node.stopping else self._most
-        s.clock_offset = node.clock.offset
         node.publisher.flush()
         if not s.realtime:
             self._inbox.set_timeout(WAIT_MS)

@@ -225,6 +225,7 @@ class Driver(Node):
                 self.between_ticks(s.seq)
                 time.sleep(LOOK_UP)
                 continue
+            s.clock_offset = self.clock.offset
             why = ticks(s)
             if why == SILENT:
                 asked = max(asked, s.sampled)

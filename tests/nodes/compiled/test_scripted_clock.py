@@ -24,7 +24,7 @@ from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
 from nodes.driver.state import DAMPING, FAULT, NOTHING, RAMP, STOPPED
 from nodes.environment.node import Environment
-from tests.support.scripted import Hand, Script, assert_alike, played
+from tests.support.scripted import AHEAD, Hand, Script, assert_alike, played
 from tests.support.scripted_world import EPOCH, TICK, Arrival, T, at
 from tests.support.scripts import BOX, KINDS, TICKS, answer, answers_but, driver, follower, moving
 
@@ -191,6 +191,14 @@ def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path
         assert acted(s)
     # Whatever happened, the soft stop left nothing on the device.
     assert outcome.given[-1][1] == (0.0, 0.0, 0.0)
+
+
+def test_states_are_stamped_in_the_time_of_the_launchers_machine(tmp_path: Path) -> None:
+    """Plain ticks took this machine's: recordings of a driver elsewhere had positions from hours before their forces."""
+    outcome, _ = assert_alike(RULES["nothing unusual"].script, tmp_path)
+    stamps = [Decoder(DeviceState).decode(frames[1]).stamp - AHEAD for _, frames in outcome.sent]
+    # A scripted sleep ends one step of the script's grid late: 1 µs. A clock at 6000 s has steps of 1e-12 s.
+    assert stamps == pytest.approx([EPOCH * 1e-9 + seq * T for seq in range(TICKS + 1)], rel=0.0, abs=1.0e-6 + 3e-12)
 
 
 def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path) -> None:
