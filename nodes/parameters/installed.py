@@ -17,7 +17,7 @@ OURS = "haptic-nodes"
 """The name of this project's package."""
 
 
-class Point(NamedTuple):
+class EntryPoint(NamedTuple):
     """One entry point: ``name = module:attribute`` of a package."""
 
     name: str
@@ -40,7 +40,7 @@ def groups() -> list[str]:
     return sorted(_points(tuple(sys.path)))
 
 
-def points(group: str) -> dict[str, Point]:
+def points(group: str) -> dict[str, EntryPoint]:
     """List the entry points of a group, by name."""
     return _points(tuple(sys.path)).get(group, {})
 
@@ -74,9 +74,9 @@ def _folders(path: tuple[str, ...]) -> dict[str, Path]:
 
 
 @cache
-def _points(path: tuple[str, ...]) -> dict[str, dict[str, Point]]:
+def _points(path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
     """Read the entry points of all groups: that takes milliseconds, and a running loop asks at every change."""
-    groups: dict[str, dict[str, Point]] = {}
+    groups: dict[str, dict[str, EntryPoint]] = {}
     for folder in _folders(path).values():
         try:
             with open(folder / "entry_points.txt", encoding="utf-8", errors="replace") as file:
@@ -91,7 +91,7 @@ def _points(path: tuple[str, ...]) -> dict[str, dict[str, Point]]:
                 name, _, value = (word.strip() for word in line.partition("="))
                 package = package or _header(folder, "Name") or folder.stem.partition("-")[0]
                 # What stands in brackets are extras, which nothing here asks for.
-                groups.setdefault(group, {})[name] = Point(name, value.partition("[")[0].strip(), package)
+                groups.setdefault(group, {})[name] = EntryPoint(name, value.partition("[")[0].strip(), package)
     return groups
 
 

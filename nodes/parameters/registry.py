@@ -29,7 +29,7 @@ class Registry:
         """List what is installed, without importing any."""
         return sorted(self.points())
 
-    def points(self) -> dict[str, installed.Point]:
+    def points(self) -> dict[str, installed.EntryPoint]:
         """Find the entry points."""
         return installed.points(self.group)
 
