@@ -102,7 +102,7 @@ def test_what_another_session_adds_is_told(stand: Bench) -> None:
 
 @pytest.mark.parametrize("events", [True, False])
 def test_an_emergency_brake_is_told_and_ends_nothing(stand: Bench, events: bool) -> None:
-    device = stand.opened(**({} if events else {"events_port": 0}))
+    device = stand.opened() if events else stand.opened(events_port=0)
     stand.press(device, (0.0, 0.0, 1.0))
     why = "emergency brake of the Inverse3 is on" if events else "lets no force act (0 N while a force is asked for)"
 

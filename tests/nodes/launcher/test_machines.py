@@ -388,7 +388,11 @@ def test_a_cable_cut_for_a_moment_costs_forces_but_no_node(pair: Pair) -> None:
         launch.launcher.send_signal(signal.SIGINT)
         figures = launch.finish()
         assert launch.started[0].returncode == 0
-    assert figures["safety"]["entered"] == {"active": 2, "damping": 1, "zero": 1, "ramp": 1}
+    entered = figures["safety"]["entered"]
+    # Once without force, and whatever was damped came back by a ramp: a busy machine damps a tick or some of its own.
+    assert entered["zero"] == 1
+    assert entered["active"] >= 2
+    assert entered["ramp"] == entered["damping"] >= 1
     assert figures["nodes"]["coupling"]["state"] == "finished"
     pair.assert_nothing_left()
 
