@@ -6,7 +6,7 @@ const STEPS = 1000, SOFTEST = 0.02, BELOW = 0.98, PAST = 8, RESTS = 700;
 export class Dial {
   // `change` is called with a stiffness [N/m] and whether it lies past the edge.
   constructor({ dial, hardness, edge, beyond, allowed }, change) {
-    Object.assign(this, { dial, hardness, mark: edge, box: beyond, allowed, change, edge: null, stiffness: null, turning: -Infinity });
+    Object.assign(this, { dial, hardness, mark: edge, box: beyond, allowed, change, edge: null, stiffness: null, looked: false, turning: -Infinity });
     dial.addEventListener("input", () => {
       this.turning = performance.now();
       const wanted = this.value();
@@ -26,8 +26,9 @@ export class Dial {
     this.off = hello.replay;
   }
 
-  // What renders now, and where the edge is for it: null where the law has no stiffness, or no edge is known.
-  show(stiffness, edge) {
+  // What renders now, where the edge is for it, and whether it was looked for: null where the law has no stiffness, or no edge is known.
+  show(stiffness, edge, looked) {
+    this.looked = looked;
     const safe = this.edge;
     this.stiffness = stiffness;
     // A trembling delay moves the edge a little, and must not move the dial under a hand.
@@ -86,7 +87,7 @@ export class Dial {
     const past = this.isPast(stiffness);
     this.hardness.textContent = unbroken(`${figure(stiffness)} N/m`);
     this.hardness.classList.toggle("bad", past);
-    this.mark.textContent = unbroken(this.edge === null ? "The edge is not known here."
+    this.mark.textContent = unbroken(this.edge === null ? (this.looked ? "The edge is not known here." : "looking for the edge …")
       : past ? `${figure(stiffness / this.edge)} × the edge of ${figure(this.edge)} N/m`
       : `edge at ${figure(this.edge)} N/m: ${figure(this.edge / stiffness)} × this`);
     this.dial.setAttribute("aria-valuetext", `${this.hardness.textContent}, ${this.mark.textContent}`);

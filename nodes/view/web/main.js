@@ -173,7 +173,7 @@ $("axis").addEventListener("change", () => lookAt($("axis").value));
 
 function turn() {
   const law = laws.state?.laws[laws.state.active];
-  dial.show(law?.stiffness ?? null, laws.edge);
+  dial.show(law?.stiffness ?? null, laws.edge, map.map !== null);
   if (delay.offered && laws.state) delay.show(laws.state.device_delay, map.delayEdge());
 }
 

@@ -21,8 +21,18 @@ if TYPE_CHECKING:
 
 pytestmark = needs_browser
 
-SIZES = [(1366, 768), (390, 844), (844, 390), (1024, 768), (1920, 1080), (683, 384), (3840, 2160)]
-"""A laptop, a phone, the same on its side, a tablet, a large screen, the laptop at 200 %, and four thousand pixels."""
+SIZES = [
+    (1366, 768),
+    (390, 844),
+    (844, 390),
+    (320, 568),
+    (568, 320),
+    (1024, 768),
+    (1920, 1080),
+    (683, 384),
+    (3840, 2160),
+]
+"""A laptop, a phone, the same on its side, a small one both ways, a tablet, a large screen, the laptop at 200 %, and four thousand pixels."""
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +91,14 @@ def test_scene_and_force_share_the_first_screen(size: tuple[int, int], browser: 
         assert strip["y"] + strip["height"] <= size[1]
         assert not page.locator("#laws").is_visible(), "the rest is folded away"
         assert page.locator("#lens").is_visible()
+        dial: Any = page.locator("#dial").bounding_box()
+        assert dial["y"] + dial["height"] <= size[1]
+        # However long a refusal is, it lies over nothing, and what it is about stays in sight.
+        page.evaluate("haptic.laws.refuse('a reason that takes many lines, '.repeat(12))")
+        told: Any = page.locator("#refusal").bounding_box()
+        moved: Any = page.locator("#dial").bounding_box()
+        assert told["y"] + told["height"] <= moved["y"]
+        assert moved["y"] + moved["height"] <= size[1]
 
 
 def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Running) -> None:
@@ -210,6 +228,25 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     page.mouse.move(box["x"] + u - own, box["y"] + v, steps=3)
     page.mouse.up()
     wait_for(lambda: float(launch.call("driver", "param.get", name="device.delay")) < 0.3 * turned, "dragged back")
+    # The other dot, along stiffness and damping: a trail stays where one was.
+    k = float(page.evaluate("haptic.map.map.k_n_per_m"))
+    begun = page.evaluate("haptic.map.trail.length")
+    u, v = page.evaluate("""() => { const { map, frame } = haptic.map, { left, end, right, bottom, top, most } = frame;
+      return [left + map.b_n_s_per_m / right * (end - left), bottom - map.k_n_per_m / most * (bottom - top)]; }""")
+    page.mouse.move(box["x"] + u, box["y"] + v)
+    page.mouse.down()
+    page.mouse.move(box["x"] + u, box["y"] + v + 0.4 * (box["height"] - 30.0 - v), steps=3)
+    page.mouse.up()
+    wait_for(lambda: float(page.evaluate("haptic.map.map.k_n_per_m")) < 0.8 * k, "softer")
+    trail = page.evaluate("haptic.map.trail")
+    assert len(trail) > begun
+    assert any(each == pytest.approx([3.0, k], rel=0.02) for each in trail[begun:]), "where it was"
+    drawn = """([b, k]) => { const { canvas, frame } = haptic.map, { left, end, right, bottom, top, most } = frame, ratio = devicePixelRatio;
+      const at = [left + b / right * (end - left), bottom - k / most * (bottom - top)].map((each) => Math.round(each * ratio));
+      return [...canvas.getContext("2d").getImageData(...at, 1, 1).data]; }"""
+    red, _, blue, alpha = page.evaluate(drawn, [3.0, k])
+    assert alpha > 40
+    assert blue > red + 60, "in the device's colour"
     launch.call("driver", "param.set", values={"device.delay": 0.0})
     launch.call("coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0})
 
