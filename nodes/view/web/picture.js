@@ -157,9 +157,9 @@ function hand(p, { now, axis, held, asks, handle }) {
     circle(g, "target", taken, v, 14 + pulse, asks ? 2.5 : 1.5);
     if (asks) {
       g.fillStyle = colour("target");
-      // Its words stay inside the picture.
-      const most = p.length / 2 - 34;
-      text(p, p.upright ? taken : Math.min(most, Math.max(-most, taken)), v + (p.upright ? 60 : 34), "pull me");
+      // Its words stay inside the picture: where there is no room below it, beside it.
+      const most = p.length / 2 - 34, low = !p.upright && p.breadth < 210;
+      text(p, p.upright ? taken : Math.min(most, Math.max(-most, taken + (low ? 50 : 0))), v + (p.upright ? 60 : low ? 0 : 34), "pull me");
     }
   }
 }

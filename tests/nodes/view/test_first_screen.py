@@ -32,7 +32,7 @@ SIZES = [
     (683, 384),
     (3840, 2160),
 ]
-"""A laptop, a phone, the same on its side, a small one both ways, a tablet, a large screen, the laptop at 200 %, and four thousand pixels."""
+"""A laptop, a phone and a small one, each on its side too, a tablet, a large screen, the laptop at 200 %, and 4K."""
 
 
 @pytest.fixture(scope="module")
@@ -241,9 +241,9 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     trail = page.evaluate("haptic.map.trail")
     assert len(trail) > begun
     assert any(each == pytest.approx([3.0, k], rel=0.02) for each in trail[begun:]), "where it was"
-    drawn = """([b, k]) => { const { canvas, frame } = haptic.map, { left, end, right, bottom, top, most } = frame, ratio = devicePixelRatio;
-      const at = [left + b / right * (end - left), bottom - k / most * (bottom - top)].map((each) => Math.round(each * ratio));
-      return [...canvas.getContext("2d").getImageData(...at, 1, 1).data]; }"""
+    drawn = """([b, k]) => { const { canvas, frame } = haptic.map, { left, end, right, bottom, top, most } = frame;
+      const at = [left + b / right * (end - left), bottom - k / most * (bottom - top)];
+      return [...canvas.getContext("2d").getImageData(...at.map((each) => Math.round(each * devicePixelRatio)), 1, 1).data]; }"""
     red, _, blue, alpha = page.evaluate(drawn, [3.0, k])
     assert alpha > 40
     assert blue > red + 60, "in the device's colour"
