@@ -242,8 +242,9 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     assert len(trail) > begun
     assert any(each == pytest.approx([3.0, k], rel=0.02) for each in trail[begun:]), "where it was"
     drawn = """([b, k]) => { const { canvas, frame } = haptic.map, { left, end, right, bottom, top, most } = frame;
-      const at = [left + b / right * (end - left), bottom - k / most * (bottom - top)];
-      return [...canvas.getContext("2d").getImageData(...at.map((each) => Math.round(each * devicePixelRatio)), 1, 1).data]; }"""
+      const u = left + b / right * (end - left), v = bottom - k / most * (bottom - top);
+      const pixel = (each) => Math.round(each * devicePixelRatio);
+      return [...canvas.getContext("2d").getImageData(pixel(u), pixel(v), 1, 1).data]; }"""
     red, _, blue, alpha = page.evaluate(drawn, [3.0, k])
     assert alpha > 40
     assert blue > red + 60, "in the device's colour"
