@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import tomllib
 from collections.abc import Iterator
 from importlib.metadata import entry_points
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 os.environ.setdefault("HAPTIC_COMPILE", "asked")
 # Every launch is five processes: without its bytecode each of them compiles the project anew, a quarter of what it costs.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+# Nor are the tests themselves rewritten by every worker of every run.
+sys.dont_write_bytecode = False
 
 
 LONGEST = (
