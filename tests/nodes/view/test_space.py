@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ import pytest
 import yaml
 
 from messages.topics import DEVICE_STATE
+from nodes import view
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
 from tests.support.browser import OpenPage, needs_browser, shown, url_of, viewing
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 pytestmark = needs_browser
 
+WEB = Path(view.__file__).parent / "web"
 CENTRE, RADIUS = [0.045, 0.012, -0.02], 0.03
 
 
@@ -66,6 +69,133 @@ def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None
         # 28 by 14 parts: the outline of the polygons is up to 1 - cos(pi/28) inside; lines and pixels add two.
         for found in extent:
             assert 0.98 * pixels * RADIUS - 2.0 <= found <= pixels * RADIUS + 2.0
+
+
+COLOURS = {
+    name: tuple(bytes.fromhex(code))
+    for name, code in re.findall(
+        r"--([a-z-]+): #([0-9a-f]{6})\b", (WEB / "style.css").read_text(encoding="utf-8").partition(":root[")[0]
+    )
+}
+"""The light theme's."""
+
+LIGHT = (0.35, -0.5, 0.79)
+"""Where the light comes from."""
+
+
+def dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return math.fsum(x * y for x, y in zip(a, b, strict=True))
+
+
+class Camera:
+    """A parallel projection worked out on paper: yaw about z, then pitch, the scene's box in the middle."""
+
+    def __init__(self, yaw: float, pitch: float, width: float, height: float) -> None:
+        sines, cosines = (math.sin(yaw), math.sin(pitch)), (math.cos(yaw), math.cos(pitch))
+        self.right = (cosines[0], sines[0], 0.0)
+        self.up = (-sines[0] * sines[1], cosines[0] * sines[1], cosines[1])
+        self.away = (-sines[0] * cosines[1], cosines[0] * cosines[1], -sines[1])
+        low, high = ([f(0.0, c + s * RADIUS) for c in CENTRE] for f, s in ((min, -1.0), (max, 1.0)))
+        self.middle = [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
+        self.pixels = 0.42 * min(width, height) / (0.5 * math.dist(low, high))
+
+    def seen(self, point: Sequence[float]) -> tuple[float, float]:
+        """Pixels from the middle of the canvas, right and down."""
+        apart = [a - b for a, b in zip(point, self.middle, strict=True)]
+        return self.pixels * dot(apart, self.right), -self.pixels * dot(apart, self.up)
+
+    def met(self, u: float, v: float, side: float = -1.0) -> tuple[float, float, float] | None:
+        """Give the ball's normal where the ray through a pixel meets it, in front, or with a side of 1 at its back."""
+        at = self.seen(CENTRE)
+        aside, above = (u - at[0]) / (self.pixels * RADIUS), -(v - at[1]) / (self.pixels * RADIUS)
+        rest = 1.0 - aside**2 - above**2
+        if rest < 0.0:
+            return None
+        x, y, z = (
+            aside * r + above * w + side * math.sqrt(rest) * a
+            for r, w, a in zip(self.right, self.up, self.away, strict=True)
+        )
+        return x, y, z
+
+
+def shade(normal: Sequence[float]) -> list[float]:
+    """Colour of a face of the ball: brighter towards the light."""
+    dark = 1.0 - 0.75 * abs(dot(normal, LIGHT))
+    return [dark * a + (1.0 - dark) * b for a, b in zip(COLOURS["wall-edge"], COLOURS["wall"], strict=True)]
+
+
+def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) -> None:
+    """Colours of the canvas against rays through a ball: what is hit, and that the front hides the back."""
+    yaw, pitch = -0.4, 0.6
+    read = """([yaw, pitch, points]) => { const { space } = haptic;
+      Object.assign(space.turn, { yaw, pitch, scale: 1 }); space.draw();
+      const { still } = space, g = still.getContext("2d"), { width, height } = still;
+      const at = (u, v) => [...g.getImageData(Math.round(u + width / 2), Math.round(v + height / 2), 1, 1).data];
+      return [width, height, points.map(([u, v]) => at(u, v))]; }"""
+    width, height, _ = page.evaluate(read, [yaw, pitch, []])
+    camera = Camera(yaw, pitch, width, height)
+    reach = camera.pixels * RADIUS
+    at = camera.seen(CENTRE)
+    points = [(at[0] + reach * x / 10.0, at[1] + reach * y / 10.0) for x in range(-12, 13) for y in range(-12, 13)]
+    _, _, found = page.evaluate(read, [yaw, pitch, points])
+    # Faces of 2 pi/28: normals are off by up to 0.11 rad along and across, of 0.75 of the way from colour to colour.
+    off = 0.75 * math.hypot(math.pi / 28.0, math.pi / 28.0) * (COLOURS["wall"][0] - COLOURS["wall-edge"][0]) + 2.0
+    told_apart = 0
+    for (u, v), (*colour, alpha) in zip(points, found, strict=True):
+        far = math.dist((u, v), at)
+        if far > reach + 2.0:
+            assert alpha == 0
+        elif far < 0.97 * reach - 2.0:
+            front, back = (camera.met(u, v, side) for side in (-1.0, 1.0))
+            assert front is not None
+            assert back is not None
+            assert alpha >= 250, "no gap between faces"
+            assert colour == pytest.approx(shade(front), abs=off)
+            told_apart += max(abs(a - b) for a, b in zip(shade(front), shade(back), strict=True)) > 2.0 * off
+    # Else a picture that is painted from the front to the back would be as good.
+    assert told_apart > 60
+
+
+def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> None:
+    yaw, pitch = -0.4, 0.6
+    camera = Camera(yaw, pitch, *page.evaluate("[haptic.space.canvas.clientWidth, haptic.space.canvas.clientHeight]"))
+    # Seen from the left of the ball, 15 mm deep; pushed out, and half as much along the surface as into it.
+    normal = tuple(-r for r in camera.right)
+    proxy, device = ([c + k * n for c, n in zip(CENTRE, normal, strict=True)] for k in (RADIUS, RADIUS - 0.015))
+    target = [d - 0.02 * w for d, w in zip(device, camera.up, strict=True)]
+    force = [3.0 * n + 1.5 * w for n, w in zip(normal, camera.up, strict=True)]
+    now = {"t": 1.0, "contact": 1, "position": device, "proxy": proxy, "normal": normal, "target": target}
+    now |= {"force": force, "asked": force, "distance": -0.015}
+    mu = float(page.evaluate("haptic.space.shape.friction"))
+    rim = [p + 0.012 * n + 0.012 * mu * w for p, n, w in zip(proxy, normal, camera.up, strict=True)]
+    places = {
+        "proxy": camera.seen(proxy),
+        "target": camera.seen(target),
+        "force": camera.seen([d + 0.006 * f for d, f in zip(device, force, strict=True)]),
+        "cone": camera.seen(rim),
+        "device": tuple(a + b for a, b in zip(camera.seen(device), (-2.0, -4.0), strict=True)),
+    }
+    read = """([yaw, pitch, now, places]) => { const { space } = haptic;
+      Object.assign(space.turn, { yaw, pitch, scale: 1 }); space.trace.length = 0; space.show(now); space.draw();
+      const g = space.canvas.getContext("2d"), { width, height } = space.canvas;
+      const around = ([u, v]) => [...g.getImageData(Math.round(u + width / 2) - 2, Math.round(v + height / 2) - 2, 5, 5).data];
+      return Object.fromEntries(Object.entries(places).map(([name, at]) => [name, around(at)])); }"""
+
+    def nearest(name: str, now: dict[str, Any], wanted: Sequence[float]) -> float:
+        """How near any of the 25 pixels around a place comes to a colour."""
+        data = page.evaluate(read, [yaw, pitch, now, places])[name]
+        return min(max(abs(a - b) for a, b in zip(data[k : k + 3], wanted, strict=True)) for k in range(0, 100, 4))
+
+    for name in ("proxy", "target", "force"):
+        assert nearest(name, now, COLOURS[name]) <= 2, name
+    front = camera.met(*places["device"])
+    assert front is not None
+    ghost = [0.55 * a + 0.45 * b for a, b in zip(COLOURS["device"], shade(front), strict=True)]
+    assert nearest("device", now, ghost) <= 8, "a ghost: the ball is seen through it"
+    # A line 1.5 wide between pixels is at least half its colour, over white or the ball.
+    slides, sticks = now, {**now, "force": [3.0 * n for n in normal]}
+    for moment, name, other in ((slides, "bad", "good"), (sticks, "good", "bad")):
+        assert nearest("cone", moment, COLOURS[name]) < 0.5 * nearest("cone", moment, COLOURS[other])
 
 
 def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch: Running) -> None:
