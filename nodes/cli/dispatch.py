@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import argparse
 import ast
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from nodes.cli.main import VERBS, Parser, sub_verbs
+from nodes.cli.main import VERBS, Parser, complain, sub_verbs
 from nodes.cli.places import refuse_unwritable
 
 
@@ -46,6 +47,13 @@ def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
         out = getattr(chosen, "out", None)
         if isinstance(out, Path):
             refuse_unwritable(out)
-        return int(chosen.run(chosen))
+        try:
+            return int(chosen.run(chosen))
+        except KeyboardInterrupt as interrupt:
+            # A bar that stops half-way is left as it is.
+            if sys.stderr.isatty():
+                print(file=sys.stderr)
+            complain(": ".join([f"{verb} {arguments.chosen} was interrupted", *map(str, interrupt.args)]))
+            raise
 
     parser.set_defaults(run=run, sub_verbs=known)

@@ -8,19 +8,14 @@ measured. Whenever neither of the two is in contact, B starts again from where A
 from __future__ import annotations
 
 import asyncio
-import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from typing import Any
 
 from messages.errors import HapticError
 from messages.types import DeviceState, Message
-from nodes.base.realtime import die_with_parent
 from nodes.base.setup import AXIS_INDEX
+from nodes.base.workers import Workers
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.registry import Registry
 
@@ -40,12 +35,6 @@ SHOWN = 1.0
 """How much of B each message holds: a page that is slow loses none [s]."""
 
 
-def _begin(view: int) -> None:
-    """Leave Ctrl-C to the view, which ends the player; one that was killed takes it along."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    die_with_parent(view)
-
-
 class Comparison:
     """Plays B. The pages' thread uses it."""
 
@@ -57,7 +46,7 @@ class Comparison:
         self._axis = AXIS_INDEX[setup.axes[0]] if setup else 0
         self._kind = setup.kind if setup and len(setup.axes) == 1 else ""
         self._late = 1.0 if setup and setup.apply == "next_tick" else 0.0
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: Workers | None = None
         self._described: Mapping[str, Any] = {}
         self._restart()
         self._before: DeviceState | None = None
@@ -128,7 +117,7 @@ class Comparison:
         work = partial(_play, self._kind, self._setups, self._described, list(self._targets), self._begin, late)
         try:
             position, force = await asyncio.get_running_loop().run_in_executor(self._workers(), work)
-        except (HapticError, ValueError, BrokenProcessPool) as error:
+        except (HapticError, ValueError) as error:
             if law == self.law:
                 self.law = ""
                 self._put("beside", {"law": "", "why": str(error)})
@@ -148,10 +137,8 @@ class Comparison:
         }
         self._put("beside", document)
 
-    def _workers(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(1, context, _begin, (os.getpid(),))
+    def _workers(self) -> Workers:
+        self._pool = self._pool or Workers(1)
         return self._pool
 
     async def close(self) -> None:
@@ -160,7 +147,7 @@ class Comparison:
         if self._job is not None:
             self._job.cancel()
         if self._pool is not None:
-            await asyncio.get_running_loop().run_in_executor(None, self._pool.shutdown)
+            await asyncio.get_running_loop().run_in_executor(None, self._pool.end)
 
 
 def _play(kind: str, *words: Any) -> Any:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import multiprocessing
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from messages.errors import RefusedError, UsageError
+from nodes.base.workers import Workers
 from sim.measure.jobs import RETRIES, done_by
 from sim.measure.stopwatch import Progress
 from sim.measure.sweep import Job, Row, sweep
@@ -57,10 +57,7 @@ def executor(arguments: argparse.Namespace) -> Iterator[Executor]:
     if arguments.workers < 0:
         raise UsageError(f"--workers {arguments.workers}: at least 0")
     if arguments.cluster is None:
-        # Spawned, not forked: this process may have threads of its own by now.
-        with ProcessPoolExecutor(
-            arguments.workers or os.cpu_count() or 1, mp_context=multiprocessing.get_context("spawn")
-        ) as pool:
+        with Workers(arguments.workers or os.cpu_count() or 1) as pool:
             yield pool
         return
     security = check_cluster(arguments)
@@ -128,8 +125,11 @@ def swept(
 ) -> Study:
     """Do the jobs of a study as its arguments say, with progress on stderr; what was done before is in its ledger."""
     ledger = begun(arguments, name)
-    with executor(arguments) as pool:
-        return Study(sweep(job, jobs, pool, ledger, chunk, Progress(len(jobs)).step), ledger)
+    try:
+        with executor(arguments) as pool:
+            return Study(sweep(job, jobs, pool, ledger, chunk, Progress(len(jobs)).step), ledger)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"what is done is in {ledger}, and the same command goes on there") from None
 
 
 def begun(arguments: argparse.Namespace, name: str) -> Path:

@@ -17,10 +17,11 @@ from typing import Any
 import pytest
 
 from messages.errors import RefusedError, UsageError
+from nodes.launcher.runs import alive
 from sim.cli.sweeps import add_sweep, check_cluster, executor
 from sim.measure.sweep import key_of, read_ledger, sweep
 from tests.support.dask_cluster import DaskCluster, dask_cluster, own_address
-from tests.support.launching import wait_for
+from tests.support.launching import DEADLINE, HAPTIC, wait_for
 
 
 def square(job: Mapping[str, Any]) -> dict[str, Any]:
@@ -60,10 +61,58 @@ class Counting(ThreadPoolExecutor):
         return super().submit(*args, **kwargs)
 
 
-def test_results_come_in_the_order_of_the_jobs(tmp_path: Path) -> None:
+def test_workers_die_alone_hear_no_ctrl_c_and_end_when_nobody_wants_them(tmp_path: Path) -> None:
+    jobs = [{"x": x, "folder": str(tmp_path)} for x in range(7)]
+
+    def begun() -> set[int]:
+        return {int(mark.name.split("-")[1]) for mark in tmp_path.glob("*-*")}
+
     with executor(arguments("--workers", "2")) as pool:
-        assert squares(sweep(square, JOBS, pool, tmp_path / "l.jsonl", chunk=2)) == SQUARES
-    assert len(read_ledger(tmp_path / "l.jsonl")) == 7
+        with ThreadPoolExecutor(1) as beside:
+            result = beside.submit(sweep, slow_square, jobs, pool, tmp_path / "l.jsonl")
+            wait_for(lambda: len(begun()) == 2, "both workers to be at work")
+            first, second = begun()
+            os.kill(first, signal.SIGKILL)
+            os.kill(second, signal.SIGINT)
+            wait_for(lambda: len(begun()) == 3, "another in the place of the killed one")
+            (tmp_path / "go").touch()
+            rows = result.result(timeout=120.0)
+        assert squares(rows) == SQUARES
+        assert {row["pid"] for row in rows} <= begun() - {first}
+        with pytest.raises(TypeError, match="unsupported operand"):
+            pool.submit(square, {"x": "three"}).result()
+        with pytest.raises(TypeError, match="cannot be sent back"):
+            pool.submit(open, os.devnull).result()
+    wait_for(lambda: not any(alive(pid) for pid in begun()), "the workers end")
+    (tmp_path / "go").unlink()
+    before = begun()
+
+    def interrupted() -> None:
+        with executor(arguments("--workers", "2")) as pool:
+            pool.submit(slow_square, jobs[0])
+            wait_for(lambda: begun() - before, "a worker to be at work")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    wait_for(lambda: not any(alive(pid) for pid in begun()), "the workers end")
+
+
+def test_ctrl_c_ends_a_study_with_its_workers_in_one_line(tmp_path: Path) -> None:
+    words = [*HAPTIC, "study", "coverage", "--devices", "400", "--workers", "2", "--out", str(tmp_path)]
+    study = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0)
+
+    def children() -> list[int]:
+        listed = Path(f"/proc/{study.pid}/task").glob("*/children")
+        return [int(child) for path in listed for child in path.read_text().split()]
+
+    workers = wait_for(lambda: len(found := children()) == 2 and found, "its workers are started")
+    os.killpg(study.pid, signal.SIGINT)
+    told, complaint = study.communicate(timeout=DEADLINE)
+    assert (study.returncode, told) == (130, "")
+    kept = f"what is done is in {tmp_path / 'coverage.jsonl'}, and the same command goes on there"
+    assert complaint == f"haptic: study coverage was interrupted: {kept}\n"
+    wait_for(lambda: not any(alive(pid) for pid in workers), "its workers end")
 
 
 def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
