@@ -7,6 +7,7 @@ print is read as well. A function that draws is decorated with `styled`; `save_f
 from __future__ import annotations
 
 import functools
+import re
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -30,6 +31,8 @@ BAD, GREY, INK = "#B22222", "#8A8F98", "#1D252C"
 
 OMEGA = r"$\omega/\omega_\mathrm{N}$  [1]"
 """Label of an axis of frequency in units of the Nyquist frequency."""
+
+_SYMBOLS = ((re.compile(r"\bD\^([\d.]+)"), r"$D^{\1}$"), (re.compile(r"\bK_max\b"), r"$K_\\mathrm{max}$"))
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -59,6 +62,9 @@ def _rc() -> Any:
         "legend.frameon": False,
         "xtick.labelsize": 8.0,
         "ytick.labelsize": 8.0,
+        # Shorter ticks, and the same line of numbers.
+        "xtick.minor.pad": 5.0,
+        "ytick.minor.pad": 5.0,
         "mathtext.fontset": "dejavusans",
         # Letters stay letters: a paper's own font can take their place.
         "svg.fonttype": "none",
@@ -100,6 +106,13 @@ def save_figure(figure: Figure, path: Path, room: Callable[[Path], Path] = lambd
     for suffix in (".pdf", ".svg", path.suffix):
         figure.savefig(room(path.with_suffix(suffix)), dpi=150)
     return path
+
+
+def typeset(text: str) -> str:
+    """Set the symbols that a page writes plainly, K_max and D^1.5, as mathematics."""
+    for plain, mathematics in _SYMBOLS:
+        text = plain.sub(mathematics, text)
+    return text
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:

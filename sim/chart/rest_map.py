@@ -75,7 +75,10 @@ def _draw(
     shown = np.ma.masked_less_equal(k, 0.0)
     if shown.count():
         norm = LogNorm(max(float(shown.min()), 1e-2 * float(shown.max())), float(shown.max()) * (1.0 + 1e-9))
-        image = axes.pcolormesh(frictions, 1e6 * steps, shown, norm=norm, cmap="cividis", shading="nearest")
+        # As pixels: thousands of cells would show their seams in SVG.
+        image = axes.pcolormesh(
+            frictions, 1e6 * steps, shown, norm=norm, cmap="cividis", shading="nearest", rasterized=True
+        )
         figure.colorbar(image, ax=axes, label="K [N/m]; blank: none")
     for force, style, label in zip(needed, ("-", "--"), ("bound", "estimate"), strict=True):
         if force:
