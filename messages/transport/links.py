@@ -46,6 +46,7 @@ _EVENTS = (
 _NOT_LET_IN = "this machine's key is not let in there; there: haptic keys allow NAME KEY"
 _NO_KEY = "what answers there does not have the key that is expected; its messages are ignored"
 _NO_NODE = "what answers there is not a node"
+_WENT_AWAY = "what answered there went away before its handshake was complete"
 _STATES: dict[int, str] = {
     zmq.EVENT_CONNECTED: "no handshake",
     zmq.EVENT_HANDSHAKE_SUCCEEDED: "connected",
@@ -65,6 +66,10 @@ class _Link:
 
     def take(self, event: int, now: float) -> str:
         """Take an event; why the other side was not accepted, or did not accept, when it is that."""
+        if event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL and not self.key:
+            # A node that ends in just this moment: no intruder. ZeroMQ tries again, and what keeps failing is told as a link.
+            self.failed = _WENT_AWAY
+            return ""
         if event & FAILURES:
             self.failed = _NOT_LET_IN if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH else _NO_KEY if self.key else _NO_NODE
             return self.failed

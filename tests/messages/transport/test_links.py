@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import threading
@@ -121,6 +122,34 @@ def test_another_service_on_the_port_before_the_node(context: Context, me: Ident
     wait_for(lambda: ear.tended(ear.told + ear.denied), "why nothing comes")
     impostor.close()
     assert_heard(context, endpoint, ear)
+
+
+def test_a_node_that_ends_in_the_middle_of_a_greeting_is_no_intruder(context: Context, place: str) -> None:
+    """`haptic stop` during the start of a launch was once told as an attack by oneself."""
+    name = place.removeprefix("ipc://")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(name)
+        server.listen()
+        ear = Ear(context, place)
+        server.settimeout(0.05)
+        gone = 0
+
+        def ends() -> bool:
+            nonlocal gone
+            ear.tend()
+            with contextlib.suppress(TimeoutError):
+                client, _ = server.accept()
+                client.close()
+                gone += 1
+            return gone > 5
+
+        wait_for(ends, "nodes that end when they are greeted")
+    os.unlink(name)
+    publisher = Publisher(context, place)
+    wait_for(ear.hears(publisher), "the node that stays")
+    assert not ear.denied
+    ear.close()
+    publisher.close(0)
 
 
 def assert_heard(context: Context, endpoint: str, ear: Ear) -> None:
