@@ -123,6 +123,9 @@ class ReplayPages:
             "has_hand": any(scene[16:19] != (0.0, 0.0, 0.0) for scene, _ in self.scenes.items),
             "begin_s": self.begin,
             "end_s": self.begin + self.duration,
+            "notice": ""
+            if recording.complete
+            else f"The recording is cut: it ends at {self.begin + self.duration:.1f} s.",
             "shape": self._shape,
             "fields": all_law_fields(),
         }

@@ -99,6 +99,7 @@ const link = new Link({
     $("record").hidden = $("stop").hidden = found.replay;
     $("replay").hidden = !found.replay;
     replay.start(found);
+    if (found.notice) status.tell(found.notice);
     document.body.dataset.ready = found.run;
   },
   reset() { log.clear(); plots.marks.length = 0; },

@@ -5,6 +5,7 @@ import { line } from "./strokes.js";
 
 const ARROW = 110;
 const TRACE_SECONDS = 1.6;
+const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 
 // `view` is what is in sight: upright, middle and half of the axis [m], and whether it is the lens. `it` is what is shown.
 export function paint(canvas, view, it) {
@@ -153,7 +154,7 @@ function hand(p, { now, axis, held, asks, handle }) {
   // Where the hand is wanted; what it has taken lags behind at the speed limit.
   if (held !== null) circle(g, "target", p.at(held), v, 14, 2);
   else if (handle) {
-    const pulse = asks ? 2 + 2 * Math.sin(performance.now() / 250) : 0;
+    const pulse = asks && !STILL.matches ? 2 + 2 * Math.sin(performance.now() / 250) : 0;
     circle(g, "target", taken, v, 14 + pulse, asks ? 2.5 : 1.5);
     if (asks) {
       g.fillStyle = colour("target");

@@ -213,7 +213,8 @@ export class Plots {
     ctx.textAlign = "left";
     ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
     let free = -Infinity;
-    for (const { t, text } of this.marks) {
+    for (const { t, text: whole } of this.marks) {
+      const text = whole.length > 24 ? `${whole.slice(0, 23)}…` : whole;
       if (t < from || t > to) continue;
       const x = Math.round(plot.valToPos(t, "x", true)) + 0.5;
       ctx.strokeStyle = ctx.fillStyle = colour("soft");

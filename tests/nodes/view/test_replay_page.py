@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,9 +37,12 @@ def test_it_is_pulled_through_with_its_plots_over_another_one(browser: Browser, 
         (tmp_path / law).mkdir()
         figures = launch_json(tmp_path / law, "floor_drop", "pace:=lockstep", f"law:={law}", "--no-plot")
         paths.append(tmp_path / law / figures["recording"])
+    # Its logger was killed: what it had written is shown all the same, and that it is cut is said.
+    paths[0].write_bytes((whole := paths[0].read_bytes())[: int(0.9 * len(whole))])
     states = {state.seq: state for state in Recording(paths[0]).messages(DEVICE_STATE)}
     words = ("--replay", str(paths[0]), "--over", str(paths[1]))
     with viewing(tmp_path, *words) as url, OpenPage(browser, url + "#lab") as page:
+        assert re.fullmatch(r"The recording is cut: it ends at 2\.\d s\.", shown(page, "#notice"))
         page.locator("#play").click()
         wait_for(lambda: page.locator("#play").get_attribute("aria-pressed") == "false", "it stands")
         wait_for(lambda: page.evaluate("haptic.plots.panels[0].plot.data[0].length > 100"), "the plots")
