@@ -316,12 +316,12 @@ class ControlServer(threading.Thread):
         """Stop serving and wait for the thread, but not for ever."""
         self._ending.set()
         if self.is_alive():
-            with self._context.socket(zmq.REQ) as waker:
+            # The thread may end this very moment by itself, and nobody takes it; without a descriptor left to wake it by, it
+            # looks by itself before long.
+            with contextlib.suppress(zmq.ZMQError), self._context.socket(zmq.REQ) as waker:
                 waker.linger = 0
                 waker.connect(self._wake)
-                # The thread may end this very moment by itself; then nobody takes it.
-                with contextlib.suppress(zmq.Again):
-                    waker.send(msgspec.msgpack.encode(Request("clock")), zmq.NOBLOCK)
+                waker.send(msgspec.msgpack.encode(Request("clock")), zmq.NOBLOCK)
             self.join(END_TIMEOUT)
             return not self.is_alive()
         if not self._socket.closed:
