@@ -6,7 +6,6 @@ Nothing here waits: what is published goes into an outbox, which the loop emptie
 from __future__ import annotations
 
 import math
-import os
 import sys
 import threading
 import time
@@ -16,6 +15,7 @@ from collections.abc import Callable
 from messages import topics
 from messages.codec import encode
 from messages.types import Event, Message
+from nodes.base.kept_line import erased
 from nodes.base.setup import Setup
 from nodes.parameters.store import ParameterError
 
@@ -64,8 +64,7 @@ class Events:
     def log(self, text: str) -> None:
         """Write one line to standard error, named; in a node's process it only joins a queue (nodes/base/stderr_queue.py)."""
         # On a terminal the launcher's status line stands where this goes.
-        clear = "\r\x1b[K" if sys.stderr.isatty() and os.environ.get("TERM") != "dumb" else ""
-        sys.stderr.write(f"{clear}[{self._name}] {text}\n")
+        sys.stderr.write(f"{erased(sys.stderr)}[{self._name}] {text}\n")
 
     def emit(self, kind: str, reason: str, always: bool = False, count: int = 0) -> None:
         """Publish and log an event; repeats of one kind at powers of two only, which who counts them itself gives.

@@ -5,11 +5,7 @@ from __future__ import annotations
 import os
 from typing import TextIO
 
-
-def is_smart(stream: TextIO) -> bool:
-    """Whether a stream is a terminal that knows escape sequences."""
-    return stream.isatty() and os.environ.get("TERM") != "dumb"
-
+from nodes.base.kept_line import is_smart
 
 _CODES = {"red": 31, "green": 32, "yellow": 33, "bold": 1, "dim": 2}
 

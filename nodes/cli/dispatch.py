@@ -11,6 +11,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+from nodes.base.kept_line import erased
 from nodes.cli.main import VERBS, Parser, complain, sub_verbs
 from nodes.cli.places import refuse_unwritable
 
@@ -50,9 +51,7 @@ def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
         try:
             return int(chosen.run(chosen))
         except KeyboardInterrupt as interrupt:
-            # A bar that stops half-way is left as it is.
-            if sys.stderr.isatty():
-                print(file=sys.stderr)
+            sys.stderr.write(erased(sys.stderr))
             complain(": ".join([f"{verb} {arguments.chosen} was interrupted", *map(str, interrupt.args)]))
             raise
 

@@ -383,5 +383,6 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         _print(f"  plot      {figures['plot']}")
     if supervisor.failed or supervisor.failures:
         return 1
+    # launch/README.md says which end is early; one without an end of its own, a service for one, ends well by a signal.
     early = {STOPPED: 130, "SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
     return early.get(supervisor.exit_reason, 0) if launch.run.ticks else 0

@@ -5,7 +5,6 @@ It never takes more than the terminal's width: what matters least to a hand goes
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from array import array
@@ -15,8 +14,9 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.transport.requests import ControlError, call
 from messages.types import ZERO, Vector
+from nodes.base.kept_line import columns, erased, is_smart, keep
 from nodes.base.node_kinds import load
-from nodes.cli.colour import coloured, is_smart
+from nodes.cli.colour import coloured
 from nodes.environment.surfaces import Meeting, parse_surface
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.supervisor import Supervisor
@@ -79,14 +79,8 @@ class StatusLine:
             self._meet = _meeting(self._ask(supervisor, PROXY, "param.get", name="surface"))
         self._asked += 1
         parts = self._parts(now, self._distance(now["position_m"]))
-        try:
-            width = os.get_terminal_size(sys.stderr.fileno()).columns
-        except OSError:
-            width = 80
-        # The last column stays free: some terminals break the line behind it.
-        chosen = [self._painted(name, parts[name]) for name in fitted(parts, width - 1)]
-        sys.stderr.write("\r\x1b[K" + "  ".join(chosen))
-        sys.stderr.flush()
+        chosen = [self._painted(name, parts[name]) for name in fitted(parts, columns(sys.stderr))]
+        keep(sys.stderr, "  ".join(chosen))
 
     def _ask(self, supervisor: Supervisor, topic: str, op: str, **arguments: object) -> Any:
         """Ask the node that publishes a topic; None when it does not answer."""
@@ -143,5 +137,4 @@ class StatusLine:
 
     def clear(self) -> None:
         """Leave the line empty for what follows."""
-        if self._live:
-            sys.stderr.write("\r\x1b[K")
+        sys.stderr.write(erased(sys.stderr))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 import time
 
+from nodes.base.kept_line import columns, is_smart, keep
+
 SILENT = 5.0
 """In a pipe a line comes at most so often [s]."""
 
@@ -13,8 +15,8 @@ _last = [-SILENT]
 
 def say(words: str, always: bool = False) -> None:
     """Tell how it goes, on standard error; no words end the line."""
-    if sys.stderr.isatty():
-        print(f"\r\x1b[K{words}", end="", file=sys.stderr, flush=True)
+    if is_smart(sys.stderr):
+        keep(sys.stderr, words[: columns(sys.stderr)])
     elif words and (always or words.endswith("...") or time.monotonic() - _last[0] >= SILENT):
         _last[0] = time.monotonic()
         print(words, file=sys.stderr, flush=True)

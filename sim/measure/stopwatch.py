@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
+from nodes.base.kept_line import columns, is_smart, keep
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -37,7 +39,7 @@ class Progress:
         self._total = max(1, total)
         self._from = time.monotonic() + after
         self._stream = sys.stderr if stream is None else stream
-        self._terminal = self._stream.isatty()
+        self._terminal = is_smart(self._stream)
         self._done = 0
         self._shown = -1
 
@@ -50,10 +52,10 @@ class Progress:
         if self._terminal:
             bar = "#" * (3 * tenths) + "." * (30 - 3 * tenths)
             percent = 100 * self._done // self._total
-            self._stream.write(f"\r[{bar}] {percent:3d} %  {what[:40]:40s}")
+            keep(self._stream, f"[{bar}] {percent:3d} %  {what}"[: columns(self._stream)])
             if self._done == self._total:
                 self._stream.write("\n")
-            self._stream.flush()
+                self._stream.flush()
         elif tenths != self._shown:
             self._stream.write(f"{10 * tenths} %  {what}\n")
             self._stream.flush()

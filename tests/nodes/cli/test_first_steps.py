@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from nodes.cli.colour import is_smart
+from nodes.base.kept_line import is_smart
 from nodes.cli.main import main
 from tests.support.launching import HAPTIC, Running, haptic, launch_json
 

@@ -24,6 +24,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
+from nodes.base.kept_line import ERASE
 from nodes.cli import main
 from nodes.cli.colour import coloured
 from nodes.cli.completion import candidates
@@ -192,6 +193,7 @@ def test_stop_ends_a_launch_in_order(tmp_path: Path) -> None:
         name = launch.run.run
         assert told(launch, "stop", "floor_drop") == {"stopped": [name]}
         # Whoever asked for the end has it: the launcher is gone, and its recording complete.
+        # A run without an end of its own ends so.
         figures = launch.finish(code=0)
         assert figures["exit_reason"] == "stopped by haptic stop"
         (path,) = (tmp_path / "recordings").glob("*.mcap")
@@ -282,10 +284,17 @@ def test_what_is_shown_fits(width: int, parts: dict[str, str]) -> None:
     assert first is None or first in shown
 
 
-def on_terminal(words: list[str], columns: int, environment: dict[str, str], folder: Path) -> str:
-    """Run a command with a terminal of so many columns as its standard error; give what it wrote there."""
+def resize(terminal: int, columns: int) -> None:
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+
+
+def on_terminal(words: list[str], columns: int, environment: dict[str, str], folder: Path, narrow: int = 0) -> str:
+    """Run a command with a terminal of so many columns as its standard error; give what it wrote there.
+
+    `narrow`: to so many columns it is made narrower when a law is shown, which is marked by a bell.
+    """
     ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    resize(theirs, columns)
     with subprocess.Popen(
         [*HAPTIC, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=theirs
     ) as process:
@@ -295,6 +304,9 @@ def on_terminal(words: list[str], columns: int, environment: dict[str, str], fol
             if select.select([ours], [], [], 0.1)[0]:
                 try:
                     written += os.read(ours, 65536)
+                    if narrow and b"penetration" in written:
+                        resize(ours, narrow)
+                        written, narrow = written + b"\a", 0
                 except OSError:
                     # The last one who could write has gone.
                     break
@@ -306,8 +318,15 @@ def on_terminal(words: list[str], columns: int, environment: dict[str, str], fol
 def test_the_status_line_fits_its_terminal(tmp_path: Path, columns: int) -> None:
     with private_runtime_dir() as runtime:
         environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime), "TERM": "xterm"}
-        written = on_terminal(["launch", "floor_drop", "duration:=1.2", "--no-plot"], columns, environment, tmp_path)
-    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line.split("\r\n")[0]) for line in written.split("\r\x1b[K")]
+        words = ["launch", "floor_drop", "duration:=2.4", "--no-plot"]
+        written = on_terminal(words, columns, environment, tmp_path, narrow=40 if columns > 40 else 0)
+    # Where a narrower terminal breaks the line, the cursor stays at the beginning of the first piece: all of them are erased.
+    for line in written.split(ERASE)[1:-1]:
+        assert line.endswith(("\r", "\r\a", "\n"))
+    # (One may have been under way.)
+    for line in written.partition("\a")[2].split(ERASE)[2:]:
+        assert "\n" in line or len(re.sub(r"\x1b\[[0-9;]*m", "", line)) <= 40
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line.strip("\r\a").split("\r\n")[0]) for line in written.split(ERASE)]
     shown = [line for line in lines if "mm" in line and "position" not in line and not line.startswith("[")]
     assert shown
     assert max(map(len, shown)) < columns
