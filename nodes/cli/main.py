@@ -99,20 +99,16 @@ def complain(error: object) -> None:
 
 
 def parser_for(chosen: str | None) -> Parser:
-    """Declare the command line, importing no more verbs than needed."""
+    """Declare the command line: of one verb, or of all, which imports them."""
     parser = Parser(prog="haptic", description="Haptic virtual coupling in separate processes.")
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     sub = parser.add_subparsers(dest="verb", metavar="VERB")
-    for name in verbs():
-        if chosen is not None and name != chosen:
-            sub.add_parser(name)
-            continue
-        if chosen is None:
+    if chosen is None:
+        for name in verbs():
             sub.add_parser(name, help=_help_line(name))
-            continue
-        module = VERBS.load(name)
-        verb = sub.add_parser(name, description=(module.__doc__ or "").strip().partition("\n")[0])
-        module.add(verb)
+    else:
+        module = VERBS.load(chosen)
+        module.add(sub.add_parser(chosen, description=(module.__doc__ or "").strip().partition("\n")[0]))
     return parser
 
 
@@ -154,9 +150,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
-    chosen = next((word for word in argv if not word.startswith("-")), None)
     try:
-        parser = parser_for(chosen if chosen in verbs() else None)
+        # Behind an option stands none: with it, all of them are listed.
+        parser = parser_for(argv[0] if argv and argv[0] in verbs() else None)
     except NotInstalledError as error:
         complain(error)
         return 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +22,20 @@ class Origins:
         self._name = path.name
         self._given = given
         self._nodes = set(nodes)
-        self._lines = {place: (path.name, line) for place, line in lines_of(path).items()}
+        self._path = path
+        self._over: dict[str, tuple[str, int]] = {}  # the lines of parameters that go before the launch file
         self._arguments: dict[str, str] = {}
+
+    @cached_property
+    def _lines(self) -> dict[str, tuple[str, int]]:
+        """File and line of each place; reading them takes as long as reading the launch file: only for an error."""
+        return {place: (self._path.name, line) for place, line in lines_of(self._path).items()} | self._over
 
     def laid_over(self, path: Path) -> None:
         """Note a file of parameters, by node, that goes before the launch file."""
         for place, line in lines_of(path).items():
             node, _, rest = place.partition(".")
-            self._lines[f"nodes.{node}.parameters.{rest}"] = (str(path), line)
+            self._over[f"nodes.{node}.parameters.{rest}"] = (str(path), line)
             self._arguments.pop(f"nodes.{node}.parameters.{rest}", None)
 
     def filled_in(self, place: str, argument: str) -> None:
