@@ -17,7 +17,8 @@ from sim.measure.rig import Rig
 OWN_RATE = 1000.0
 """Samples that the drivers ask their devices for, where nothing else is said [Hz]; here the loop goes as fast."""
 
-SECONDS, ROUNDS = 3.0, 3
+SECONDS, ROUNDS = 1.5, 3
+"""Of a turn [s]: 1500 ticks, of which `MORE` are 15; and how many turns each device has."""
 
 MORE = 0.01
 """What a real device may miss more than the virtual one [share of ticks]: two turns of one device differ by so much."""

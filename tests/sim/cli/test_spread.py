@@ -119,7 +119,8 @@ def test_a_study_gives_the_same_bits_on_a_cluster(
     words = [name, *TINY[name]]
     # Two studies write no files.
     alone, beside = ([] if name in ("curved", "proxies") else ["--out", str(tmp_path / kind)] for kind in ("a", "b"))
-    here = study(capsys, *words, *alone)
+    # One worker: each takes as long to start as a tiny study.
+    here = study(capsys, *words, *alone, "--workers", "1")
     assert here[1], "an empty answer is equal to any other"
     assert study(capsys, *words, *beside, *cluster.options()) == here
 
@@ -130,7 +131,7 @@ def test_two_clients_from_python_give_the_same_bits_at_once(
     distributed: Any = importlib.import_module("distributed")
     monkeypatch.chdir(tmp_path)
     options = {"law": "pd", "gain": "1..5", "points": 3, "method": "simulation", "horizon": 1000}
-    _, here = study(capsys, "kmax", *TINY["kmax"], "--out", "alone")
+    _, here = study(capsys, "kmax", *TINY["kmax"], "--out", "alone", "--workers", "1")
     with ThreadPoolExecutor(2) as both, distributed.Client(cluster.address) as client:
         answers = [both.submit(haptic.study, "kmax", client=client, out=f"{n}", **options) for n in range(2)]
         for answer in answers:
