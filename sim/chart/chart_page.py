@@ -33,8 +33,8 @@ def draw(group: Group, folder: Path) -> Path:
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     axes = figure.add_subplot()
     shown = [p for p in group.points if math.isfinite(p.error) and math.isfinite(p.cost)]
-    named = {"title": group.title, "xlabel": group.cost_label, "ylabel": group.error_label}
-    axes.set(xscale="log", **{place: typeset(words) for place, words in named.items()})
+    words = {"title": group.title, "xlabel": group.cost_label, "ylabel": group.error_label}
+    axes.set(xscale="log", **{place: typeset(told) for place, told in words.items()})
     lowest = min((p.error for p in shown if p.error > 0.0), default=1e-3)
     floor = max(_FLOOR, 0.3 * lowest) if any(p.error <= 0.0 for p in shown) else _FLOOR
     if group.linear:

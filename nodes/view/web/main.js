@@ -121,7 +121,7 @@ const link = new Link({
     map.stop(stopped);
     if (stopped && found.stop && stoppedAt !== found.stop.t && !hello?.replay) watchSlowly(found.stop);
     else if (!stopped && stoppedAt !== null) goOn();
-    if (found.ended && !hello?.replay) { link.over = true; scene.draggable = space.ready = false; scene.letGo(); space.letGo(); $("hint").textContent = ""; $("record").hidden = $("stop").hidden = $("again").hidden = true; }
+    if (found.ended && !hello?.replay) { link.over = true; close(); scene.draggable = space.ready = false; scene.letGo(); space.letGo(); $("hint").textContent = ""; $("record").hidden = $("stop").hidden = $("again").hidden = true; }
   },
   laws(found) {
     laws.show(found);
@@ -238,6 +238,13 @@ $("again").addEventListener("click", async () => {
   await ask({ op: "again", stiffness: Number(((laws.edge ?? laws.state.laws[laws.state.active].stiffness) * 0.25).toPrecision(2)) });
   $("again").disabled = false;
 });
+
+// Nothing that turns the loop is offered once there is none.
+function close() {
+  map.movable = false;
+  for (const id of ["dial", "beyond-switch", "delay-row", "laws", "sliders", "ramp", "undo"]) $(id).inert = true;
+  $("other").parentElement.inert = true;
+}
 
 // -- buttons and keys ---------------------------------------------------------------------------------------------
 

@@ -51,6 +51,8 @@ export class Section {
   }
 
   words(g, width, height, pixels) {
+    // In the corner of a phone's scene it would lie over what is looked at; the plane is named beside it.
+    if (width < 160) return;
     const long = step(50 / pixels), [u, v] = [width / 2 - 12, height / 2 - 14];
     line(g, "soft", 1.5, [[u - long * pixels, v], [u, v]]);
     g.font = "12px system-ui, sans-serif";

@@ -321,6 +321,7 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(browser: Browser
         assert page.locator("#nodes li.ended").count() == 2
         assert "Hz" not in shown(page, "#figures")
         assert "stays here" in shown(page, "#notice")
+        assert page.evaluate("document.getElementById('dial').inert"), "there is no wall to turn any more"
         assert launch.process.wait(60.0) == 1
 
 

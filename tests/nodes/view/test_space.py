@@ -184,7 +184,8 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
     def nearest(name: str, now: dict[str, Any], wanted: Sequence[float]) -> float:
         """How near any of the 25 pixels around a place comes to a colour."""
         data = page.evaluate(read, [yaw, pitch, now, places])[name]
-        return min(max(abs(a - b) for a, b in zip(data[k : k + 3], wanted, strict=True)) for k in range(0, 100, 4))
+        apart = (max(abs(a - b) for a, b in zip(data[k : k + 3], wanted, strict=True)) for k in range(0, 100, 4))
+        return float(min(apart))
 
     for name in ("proxy", "target", "force"):
         assert nearest(name, now, COLOURS[name]) <= 2, name
@@ -252,6 +253,12 @@ def test_a_plane_of_section_cuts_the_ball_and_gives_the_plots(page: Page) -> Non
         assert 0.97 < min(far) <= max(far) <= 1.0 + 1e-4
     page.evaluate("document.getElementById('lab').open = false")
     assert page.locator("#section").is_visible()
+    # On a phone it lies in a corner of the scene, and not under what chooses it.
+    page.set_viewport_size({"width": 390, "height": 844})
+    axes: Any = page.locator("#axes").bounding_box()
+    corner: Any = page.locator("#section").bounding_box()
+    assert axes["y"] + axes["height"] <= corner["y"]
+    page.set_viewport_size({"width": 1366, "height": 768})
     assert not page.locator("#lens").is_visible()
 
 
