@@ -278,7 +278,9 @@ def test_a_ball_that_is_larger_than_the_triangles_comes_to_rest_in_few_rounds(ha
     assert found.contact.mean() > 0.9
     worst = 0.0
     for k in np.flatnonzero(found.contact)[::6]:
-        ideal = ideal_proxy(triangles, found.path[k], tool, inside=False)
+        # It is within the tool's radius, on a triangle with edges below 3 mm: no other needs to be looked at.
+        near = triangles[np.linalg.norm(triangles[:, 0] - found.path[k], axis=1) < tool + 3e-3]
+        ideal = ideal_proxy(near, found.path[k], tool, inside=False)
         worst = max(worst, float(np.linalg.norm(found.proxy[k] - ideal)))
     assert worst < EXACT
     assert found.rounds.max() < 100
