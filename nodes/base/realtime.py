@@ -117,6 +117,8 @@ def quiet_interpreter() -> None:
     """Keep the interpreter's own work out of the ticks: leave all that there is to no collection, switch threads quickly."""
     # Not collected before: of 26 000 objects 500 are garbage, and to find them takes 5 to 10 ms.
     gc.freeze()
+    # From here on a few at a time, whatever the start had: a node that is started by hand is a command, which looks rarely.
+    gc.set_threshold(700, 10, 10)
     gc.enable()
     # The control thread must give the interpreter lock back within a fraction of a tick (Python's default is 5 ms).
     sys.setswitchinterval(5e-5)
