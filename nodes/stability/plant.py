@@ -27,6 +27,11 @@ class Plant:
     stiffness : float
         Stiffness of a hand [N/m].
 
+    Raises
+    ------
+    ValueError
+        When a field is out of its limits.
+
     Examples
     --------
     >>> Plant(period=0.002, mass=0.1, damping=1.0, delay=1.3).delay
@@ -38,6 +43,13 @@ class Plant:
     damping: float
     delay: float = 0.0
     stiffness: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no device is."""
+        for name in ("mass", "period", "damping", "delay", "stiffness"):
+            value, positive = getattr(self, name), name in ("mass", "period")
+            if isinstance(value, str) or not math.isfinite(value) or value < 0.0 or (positive and value == 0.0):
+                raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if positive else 'at least 0'}")
 
     def with_tool(self, mass: float) -> Plant:
         """Give the device as a coupling to a body that is free to move sees it: what deflects is the way between the two.
@@ -122,11 +134,6 @@ def held_plant(plant: Plant) -> HeldPlant:
     -------
     HeldPlant
         Its response to the force.
-
-    Raises
-    ------
-    ValueError
-        When a field of the plant is out of its limits.
     """
     whole, transition, new, old = held_step(plant)
     a11, a12, _, a22 = transition
@@ -157,16 +164,7 @@ def held_step(
         a11, a12, a21, a22 of the free motion [1], [s], [1/s], [1].
     new, old : tuple of float, shape (2,)
         Position and velocity per force: of the force that arrives within this tick, and of the one before it [m/N], [m/(N s)].
-
-    Raises
-    ------
-    ValueError
-        When a field of the plant is out of its limits.
     """
-    for name in ("mass", "period", "damping", "delay", "stiffness"):
-        value, positive = getattr(plant, name), name in ("mass", "period")
-        if not math.isfinite(value) or value < 0.0 or (positive and value == 0.0):
-            raise ValueError(f"{name} = {value!r}: must be finite and {'positive' if positive else 'at least 0'}")
     mass, damping, stiffness, period = plant.mass, plant.damping, plant.stiffness, plant.period
     whole = math.floor(plant.delay)
     fraction = plant.delay - whole

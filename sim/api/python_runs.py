@@ -411,7 +411,9 @@ def _appeared(process: subprocess.Popen[bytes], folder: Path) -> RunInfo:
             printed = json.loads(_lines(folder)[-1])
             return RunInfo(run=printed["run"], scenario=printed["scenario"], launcher=process.pid, nodes={})
         if ended:
-            raise LaunchError(f"haptic launch: exit code {process.returncode}: {_errors(folder)}")
+            refused = process.returncode == 2
+            said = _errors(folder)
+            raise LaunchError(said.removeprefix("haptic: ") if refused else f"exit code {process.returncode}: {said}")
     raise LaunchError(f"haptic launch: no tick within {STARTS_WITHIN:g} s: {_errors(folder)}")
 
 

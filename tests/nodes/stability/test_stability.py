@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -335,3 +336,13 @@ def test_what_a_hand_adds() -> None:
     """A hand's stiffness enters the exact map: without coupling, a damped oscillator decays by e^{−bT/2m} per tick."""
     weak = CompiledLaw((1e-9,))
     assert pole_radius(weak, Plant(T, 0.1, 1.0, 0.0, 400.0)) == pytest.approx(math.exp(-1.0 * T / 0.2), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"mass": 0.0}, {"mass": "a"}, {"period": 0.0}, {"damping": -1.0}, {"delay": math.nan}, {"stiffness": -1.0}],
+)
+def test_what_no_device_is_is_refused_at_once(wrong: dict[str, Any]) -> None:
+    (name,) = wrong
+    with pytest.raises(ValueError, match=rf"^{name} = .*: must be finite and"):
+        Plant(**{"period": 0.002, "mass": 0.1, "damping": 1.0, **wrong})
