@@ -101,8 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
             for now in steps:
                 say(f"{now} ...")
                 tuning.do(now)
-                with tuning.standing():
-                    tuning.write()
+                tuning.keep()
             now = ""
         except KeyboardInterrupt:
             tuning.record["interrupted"] = now or "the start"
@@ -112,8 +111,10 @@ def run(arguments: argparse.Namespace) -> int:
             code = 1
         finally:
             with undisturbed():
-                tuning.write()
+                tuning.keep()
+                # A loop in lockstep would go on beside whoever draws.
                 held.close()
+                tuning.write()
     from sim.tune.tuning_text import text
 
     say("")

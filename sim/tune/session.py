@@ -104,10 +104,10 @@ class Tuning:
         if step in ("identify", "design", "verify"):
             # A law that was delivered before is not this one.
             self._tuned.unlink(missing_ok=True)
-        with self.standing() if step in ("design", "predict") else contextlib.nullcontext():
+        with self._standing() if step in ("design", "predict") else contextlib.nullcontext():
             getattr(self, f"_{step}")()
 
-    def standing(self) -> contextlib.AbstractContextManager[None]:
+    def _standing(self) -> contextlib.AbstractContextManager[None]:
         """Let the launch stand still in lockstep while something is calculated, if there is one."""
         return contextlib.nullcontext() if self._loop is None else self._loop.standing()
 
@@ -252,10 +252,9 @@ class Tuning:
         receipt = ask(loop.run, loop.coupling, "law.switch", law=LAW, ramp=RAMP, force=True)
         self.record["applied"] = {"seq": receipt["seq"], "ramp_ticks": RAMP, "force_step_n": receipt["force_step_n"]}
 
-    def write(self) -> None:
-        """Write what is known."""
+    def keep(self) -> None:
+        """Write what is known, for steps that are done later."""
         from sim.tune.outcome import headline
-        from sim.tune.tuning_page import page
 
         self.files = {name: file for name, file in self.files.items() if name in ("html", "json")}
         for path in (self._tuned, self._designed):
@@ -267,6 +266,12 @@ class Tuning:
         with contextlib.suppress(RefusedError):
             self.record["device"] = self.record.get("device") or (self._loop.run.scenario if self._loop else "")
         self._file.write_text(json.dumps(self.record, indent=1), encoding="utf-8")
+
+    def write(self) -> None:
+        """Write what is known, and draw it for people: that takes as long as some steps."""
+        from sim.tune.tuning_page import page
+
+        self.keep()
         (self._options.out / "tune.html").write_text(page(self.record), encoding="utf-8")
 
     @property
