@@ -46,7 +46,7 @@ SHORTER = {
     "haptic drill": "flood",
     "haptic drill --list": "",
     "haptic drill soak": "--minutes 0.17 --miss-limit 1",
-    "haptic study kmax --law pd --gain 3 --method lockstep": "--grid 3",
+    "haptic study kmax --law pd --gain 3 --method lockstep": "--grid 3 --horizon 600",
     "haptic study chart": "--quick --parts kmax",
     "haptic study curved": "--slides 0.02",
     "haptic study needs": "--rounds 1",

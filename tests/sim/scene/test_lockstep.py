@@ -164,14 +164,17 @@ def test_lockstep_twice_gives_the_same_recording(tmp_path: Path) -> None:
 @pytest.mark.parametrize("node", ["environment", "coupling"])
 def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> None:
     """A machine under load stalls a node for longer than the driver waits; it asks again, and both questions are answered."""
-    with running(tmp_path, "two_loggers", "duration:=60", "pace:=lockstep") as launch:
+    with running(tmp_path, "two_loggers", "duration:=0", "pace:=lockstep") as launch:
         stalled = launch.call(node, "status")["pid"]
         os.kill(stalled, signal.SIGSTOP)
         try:
             wait_for(lambda: "asking again" in launch.errors, "the driver asks again")
+            asked = launch.call("driver", "progress")["tick"]
         finally:
             os.kill(stalled, signal.SIGCONT)
-        figures = launch.finish()
+        # Both answers are there: the one that was waited for, and the one that nobody waits for any more.
+        wait_for(lambda: launch.call("driver", "progress")["tick"] > asked + 100, "the loop to go on")
+        figures = launch.finish(signal.SIGINT)
     for path in figures["recordings"]:
         recording = Recording(tmp_path / path)
         kept = accounts(recording)
