@@ -33,7 +33,7 @@ export class Beside {
   show({ law, t, period, position, force, why }) {
     if (law !== this.law) this.clear();
     this.law = this.other.value = law;
-    this.told.textContent = why ?? "";
+    this.told.textContent = why ?? (law ? "coming …" : "");
     if (!position) return;
     while (this.times.length && this.times[this.times.length - 1] >= t - period / 2) { this.times.pop(); this.position.pop(); this.force.pop(); }
     position.forEach((x, k) => { this.times.push(t + k * period); this.position.push(x); this.force.push(force[k]); });

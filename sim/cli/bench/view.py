@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import json
 import math
+import os
 import shutil
 import signal
 import statistics
@@ -29,6 +30,9 @@ from sim.measure.page_pictures import take
 from sim.measure.stopwatch import Progress
 
 BROWSER = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
+
+COMPILED = 180.0
+"""How long another law may take until it is played beside the launch [s]."""
 
 FIRST = """function look() {
   if (document.body?.dataset.bins > 0 && document.querySelector("#laws input")) window.shown = performance.now();
@@ -98,7 +102,8 @@ def _with_page(
         # All that a page may cost at once: it is dragged, heard, and another law is played beside the launch.
         page.locator("#sound").click()
         page.evaluate("haptic.beside.choose('multi_term')")
-        page.wait_for_function("haptic.beside.times.length > 100")
+        # The first time on a machine the loop in one process is compiled.
+        page.wait_for_function("haptic.beside.times.length > 100", timeout=1e3 * COMPILED)
         began = time.monotonic()
         _drag(page, seconds)
         ended = time.monotonic()
@@ -204,10 +209,11 @@ def run(arguments: argparse.Namespace) -> int:
             taken = take(browser, arguments.pictures, lambda name: print(name, file=sys.stderr, flush=True))
         answer(arguments.json, {"pictures": [str(path) for path in taken]}, "\n".join(map(str, taken)))
         return 0
-    progress = Progress(2 * arguments.rounds)
+    progress, load = Progress(2 * arguments.rounds), [os.getloadavg()[0]]
     figures = loop_cost(arguments.rounds, arguments.seconds, arguments.rate, progress, arguments.picture)
-    figures |= {"memory": memory(arguments.minutes, arguments.rate), "machine": machine()}
-    lines = [figures["machine"]]
+    load.append(os.getloadavg()[0])
+    figures |= {"memory": memory(arguments.minutes, arguments.rate), "machine": machine(), "load_1min": load}
+    lines = [f"{figures['machine']}; load {load[0]:.1f} before, {load[1]:.1f} after, this one's own included"]
     for label, text in (("without", "no page"), ("with", "page open, dragged, with sound and A | B")):
         half = figures[label]
         lines.append(
