@@ -113,7 +113,10 @@ def take(browser: Any, folder: Path, step: Callable[[str], None]) -> list[Path]:
     with Running("sphere_feel", "--view", "--without", "logger", "duration:=0") as launch:
         opened = browser.new_page(viewport={"width": 1366, "height": 768})
         opened.goto(_url(launch))
-        wait_for(lambda: opened.evaluate("haptic.space?.now?.contact === 1"), "a touch of the ball")
+        # Held as it is then: on a busy machine the hand is gone before the picture is taken.
+        touched = "haptic.space?.now?.contact === 1 && Math.hypot(...haptic.space.now.force) > 0.3"
+        hold = f"{touched} && (haptic.space.show = () => {{}}, true)"
+        wait_for(lambda: opened.evaluate(hold), "a touch of the ball")
         shot(opened, "page_space")
         opened.close()
     return taken

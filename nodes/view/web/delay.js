@@ -46,7 +46,7 @@ export class Delay {
   }
 
   write(ticks) {
-    const edge = this.edge === null ? "" : this.edge <= 0 ? ", and past the edge all the same" : this.isPast(ticks) ? `, past the edge at ${fixed(this.edge, 1)}` : ` of ${fixed(this.edge, 1)} to the edge`;
+    const edge = this.edge === null ? "" : this.edge <= 0 ? ", past the edge" : this.isPast(ticks) ? `, past the edge at ${fixed(this.edge, 1)}` : ` of ${fixed(this.edge, 1)} to the edge`;
     this.told.textContent = unbroken(`${fixed(ticks, 1)} ticks${edge} (${fixed(ticks * this.period, 1)} ms)`);
     this.told.classList.toggle("bad", this.isPast(ticks));
     this.slider.setAttribute("aria-valuetext", this.told.textContent);

@@ -196,7 +196,8 @@ function coupling(g, from, to) {
 }
 
 function arrow(p, u, force, forceScale, tint, width, named = false) {
-  const size = (force / forceScale) * ARROW, v = -28;
+  // On a phone it stays out of the corner where the lens is.
+  const size = (force / forceScale) * Math.min(ARROW, 0.2 * p.length), v = -28;
   if (!(Math.abs(size) > 1.5)) return;
   const { g } = p, tip = u + size, sign = Math.sign(size);
   line(g, tint, width, [[u, v], [tip - sign * 5, v]], named ? [] : [5, 4]);
