@@ -134,17 +134,20 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
 
 @contextlib.contextmanager
 def starved(pid: int) -> Iterator[None]:
-    """Let a process run only when another, which never rests, leaves it the processor: a part in 300."""
+    """Let a process run only when four others, which never rest, leave it the processor: a part in 400 at the most."""
     processor = min(os.sched_getaffinity(0))
-    for thread in map(int, os.listdir(f"/proc/{pid}/task")):
-        os.sched_setaffinity(thread, {processor})
-        os.sched_setscheduler(thread, os.SCHED_IDLE, os.sched_param(0))
-    spin = f"import os\nos.sched_setaffinity(0, {{{processor}}})\nwhile True: pass"
-    with subprocess.Popen([sys.executable, "-c", spin]) as hog:
-        try:
-            yield
-        finally:
-            hog.kill()
+    spin = f"import os\nos.sched_setaffinity(0, {{{processor}}})\nprint(flush=True)\nwhile True: pass"
+    with contextlib.ExitStack() as stack:
+        for _ in range(4):
+            hog = stack.enter_context(subprocess.Popen([sys.executable, "-c", spin], stdout=subprocess.PIPE))
+            stack.callback(hog.kill)
+            assert hog.stdout is not None
+            # On a busy machine the process would have ended before they began.
+            hog.stdout.readline()
+        for thread in map(int, os.listdir(f"/proc/{pid}/task")):
+            os.sched_setaffinity(thread, {processor})
+            os.sched_setscheduler(thread, os.SCHED_IDLE, os.sched_param(0))
+        yield
 
 
 def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
