@@ -6,33 +6,19 @@ The sub-verb NAME of a verb is registered beside the verbs, as ``"VERB.NAME"``, 
 from __future__ import annotations
 
 import argparse
-import ast
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 from nodes.base.kept_line import erased
-from nodes.cli.main import VERBS, Parser, complain, sub_verbs
+from nodes.cli.main import VERBS, Parser, complain, first_line, sub_verbs
 from nodes.cli.places import refuse_unwritable
-
-
-def _first_line(name: str) -> str:
-    """Help of a sub-verb, read without running its module."""
-    try:
-        spec = find_spec(VERBS.points()[name].module)
-    except ImportError:  # of the package that the module is in
-        spec = None
-    if spec is None or spec.origin is None:
-        return "(not installed)"
-    text = ast.get_docstring(ast.parse(Path(spec.origin).read_bytes())) or ""
-    return text.strip().splitlines()[0] if text else ""
 
 
 def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
     """Let a verb hand its arguments on to one of its sub-verbs."""
     known = sub_verbs(verb)
     width = max(map(len, known))
-    names = "".join(f"  {name:{width}}  {_first_line(full)}\n" for name, full in known.items())
+    names = "".join(f"  {name:{width}}  {first_line(full)}\n" for name, full in known.items())
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = f"{noun}:\n{names}\nhaptic {verb} {noun.upper()} --help tells more."
     parser.add_argument("chosen", metavar=noun.upper(), choices=list(known), help="one of those below")
@@ -40,7 +26,7 @@ def dispatch(parser: argparse.ArgumentParser, verb: str, noun: str) -> None:
 
     def run(arguments: argparse.Namespace) -> int:
         full = known[arguments.chosen]
-        own = Parser(prog=f"{parser.prog} {arguments.chosen}", description=_first_line(full))
+        own = Parser(prog=f"{parser.prog} {arguments.chosen}", description=first_line(full))
         VERBS.load(full).add(own)
         chosen, left_over = own.parse_known_args(arguments.rest)
         if left_over:
