@@ -80,7 +80,8 @@ def explain(
     if state.safety == "ramp":
         return "warn", f"{given:.2f} N: the driver lets the force in slowly after a start."
     if proxy is None:
-        return "warn", "No force: the environment has not answered yet."
+        # A recording of the states alone never holds an answer.
+        return "warn", f"{f'{given:.2f} N' if given > LITTLE else 'No force'}: the environment has not answered yet."
     if ring is not None:
         how = f"It rings, {ring.frequency:.0f} times a second and up to {ring.force:.1f} N"
         return "warn", f"{how}: this wall is harder than the loop can render."

@@ -9,7 +9,17 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from nodes.recording.figure_style import COLOURS, LINES, MARKERS, OMEGA, label_ends, save_figure, styled, threshold
+from nodes.recording.figure_style import (
+    COLOURS,
+    LINES,
+    MARKERS,
+    OMEGA,
+    label_ends,
+    save_figure,
+    styled,
+    threshold,
+    typeset,
+)
 
 
 @styled
@@ -55,3 +65,7 @@ def test_each_curve_has_a_colour_a_line_and_a_marker_of_its_own() -> None:
     seen = [seen_by_a_deuteranope(colour) for colour in COLOURS]
     # Red and green of matplotlib's own cycle (#2ca02c, #d62728) are 0.1 apart, of which no more than a shade is seen.
     assert min(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(seen, 2)) > 0.1
+
+
+def test_symbols_are_set_as_mathematics_and_words_are_left_alone() -> None:
+    assert typeset("D^0.5: time to K_max, 5 K_maxima") == r"$D^{0.5}$: time to $K_\mathrm{max}$, 5 K_maxima"

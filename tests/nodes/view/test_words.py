@@ -66,7 +66,9 @@ def test_each_reason_has_its_sentence(given: dict[str, Any], level: str, words: 
 
 def test_before_the_first_tick() -> None:
     assert explain(None, None, None, 9.0)[1] == "No force: the driver has not ticked yet."
-    assert "the environment has not answered" in explain(STATE, None, None, 0.0)[1]
+    assert explain(STATE, None, None, 0.0)[1] == "1.00 N: the environment has not answered yet."
+    unanswered = msgspec.structs.replace(STATE, force=NONE)
+    assert explain(unanswered, None, None, 0.0)[1] == "No force: the environment has not answered yet."
     assert (
         "(coupling silent)"
         in explain(msgspec.structs.replace(STATE, safety="zero", force=NONE), PROXY, FORCE, 0.0, "coupling silent")[1]
