@@ -151,10 +151,15 @@ def _modelled(found: Any, recording: Path) -> DeviceModel:
     return msgspec.convert({**device_parameters(found), **start}, DeviceModel)
 
 
+def at_most(metres: float) -> str:
+    """Tell a largest difference; what is less than a picometre is rounding, whose digits say nothing."""
+    return "0 µm" if metres == 0.0 else f"{max(1e-6, metres * 1e6):.3g} µm"
+
+
 def _text(figures: dict[str, Any]) -> str:
     def error(name: str) -> str:
         steps = figures[f"{name}_error_steps"]
-        return f"{figures[f'{name}_error_m'] * 1e6:.3g} µm" + ("" if steps is None else f" = {steps:.3g} encoder steps")
+        return at_most(figures[f"{name}_error_m"]) + ("" if steps is None else f" = {steps:.3g} encoder steps")
 
     lines = [
         f"{figures['recording']}: device {figures['model']}, {'lockstep' if figures['lockstep'] else 'real time'}",

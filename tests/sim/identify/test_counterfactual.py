@@ -15,6 +15,7 @@ from messages.topics import DEVICE_STATE
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
+from sim.cli.bag.replay import at_most
 from sim.device.model import DeviceModel, Hand, path_position
 from sim.identify.counterfactual import missing_force, nudges, replay
 from sim.identify.experiment import read
@@ -54,6 +55,10 @@ def test_the_same_law_gives_the_same_bits_and_another_what_a_launch_of_it_does(b
     assert same.measured.tolist() == positions(buzz[0])
     law, _ = another_law(recorded, {"law": "pd_alpha", "stiffness": 700.0})
     assert replay(recorded, law).measured.tolist() == positions(buzz[1])
+
+
+def test_rounding_is_not_told_in_digits() -> None:
+    assert [at_most(metres) for metres in (0.0, 3.47e-18, 2.5e-6)] == ["0 µm", "1e-06 µm", "2.5 µm"]
 
 
 def test_tick_by_tick_is_the_compiled_loop(buzz: tuple[Path, Path]) -> None:
