@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from messages.transport.requests import ControlError
 from nodes.laws import CompiledLaw
 from nodes.laws.excitation import ASTRAY, Excitation, held_back
 from nodes.laws.parse import parse_law
@@ -22,6 +23,9 @@ T = 0.002
 def stands_still(launch: Running) -> None:
     """Let the loop stand still: it begins no tick, takes changes all the same, and goes on when it is asked to."""
     anywhere: dict[str, Any] = {"values": {"passivity": {"guard": "off"}}}
+    for seconds in (-1.0, 61.0, float("nan"), "long"):
+        with pytest.raises(ControlError, match="0 to 60 s"):
+            launch.call("driver", "stand", seconds=seconds)
     launch.call("driver", "stand", seconds=60.0)
     ticks = []
     for _ in range(2):

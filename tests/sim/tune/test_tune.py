@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from messages.transport.requests import ControlError
 from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.yaml_io import read_yaml
 from sim.design.demand import CONVENTIONS
@@ -235,6 +236,8 @@ def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(
 ) -> None:
     with running(tmp_path, *SCENE, "duration:=0") as launch:
         before = state(launch)
+        with pytest.raises(ControlError, match="only a loop in lockstep can stand still"):
+            launch.call("driver", "stand", seconds=1.0)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             folder = tmp_path / number.name
             shutil.copytree(tuned[0] / "tuning", folder / "tuning")
