@@ -100,7 +100,10 @@ def test_workers_die_alone_hear_no_ctrl_c_and_end_when_nobody_wants_them(tmp_pat
 
 def test_ctrl_c_ends_a_study_with_its_workers_in_one_line(tmp_path: Path) -> None:
     words = [*HAPTIC, "study", "coverage", "--devices", "400", "--workers", "2", "--out", str(tmp_path)]
+    # In the background of a script Ctrl-C is ignored, and every process that the tests start would inherit that.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     study = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0)
+    signal.signal(signal.SIGINT, before)
 
     def children() -> list[int]:
         listed = Path(f"/proc/{study.pid}/task").glob("*/children")
@@ -108,7 +111,10 @@ def test_ctrl_c_ends_a_study_with_its_workers_in_one_line(tmp_path: Path) -> Non
 
     workers = wait_for(lambda: len(found := children()) == 2 and found, "its workers are started")
     os.killpg(study.pid, signal.SIGINT)
-    told, complaint = study.communicate(timeout=DEADLINE)
+    try:
+        told, complaint = study.communicate(timeout=DEADLINE)
+    finally:
+        study.kill()
     assert (study.returncode, told) == (130, "")
     kept = f"what is done is in {tmp_path / 'coverage.jsonl'}, and the same command goes on there"
     assert complaint == f"haptic: study coverage was interrupted: {kept}\n"
