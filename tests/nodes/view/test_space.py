@@ -323,6 +323,8 @@ def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them
             tool = "Math.hypot(...haptic.space.now.proxy.map((each, k) => each - haptic.space.solids.poses[1][k]))"
             wait_for(lambda: page.evaluate(tool) < 2e-3, "the tool is the proxy")
             figures = launch.finish(signal.SIGINT)
+            # A busy page is behind: what came before this line it has drawn.
+            wait_for(lambda: "The run has ended" in shown(page, "#words"), "the end is told")
             last = page.evaluate("haptic.space.solids.poses.map((pose) => [...pose])")
         path = tmp_path / figures["recording"]
     with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as page:
