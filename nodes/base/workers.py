@@ -2,7 +2,8 @@
 
 Each has a pipe, and a thread here that feeds it. A terminal sends Ctrl-C to all of them. It is blocked where a worker is
 started, and so in the worker from the first: a handler of its own would come too late. Who asked for the work decides, and ends
-the workers at once or lets them finish. One that dies loses nothing: another does what it was at.
+the workers at once or lets them finish. One that dies loses nothing: another does what it was at. The standard library's pool
+is given up whole when one dies, and its workers answer a Ctrl-C in their first seconds with tracebacks.
 """
 
 from __future__ import annotations
