@@ -236,7 +236,7 @@ def drill(fault: Fault, patience: float = 15.0) -> DrillOutcome:
     if (excess := overdamped(window)) > 0.0:
         wrong.append(f"damped with {excess:.3g} N more than damping times velocity")
     if rig.exit_code != fault.exit_code:
-        wrong.append(f"the launch ended with exit code {rig.exit_code}: {errors[-1000:]}")
+        wrong.append(f"the launch ended with exit code {rig.exit_code}: {rig.said[-1000:]}")
     wrong += fault.judge(window)
     wrong += [f"left behind: {what}" for what in rig.left]
     outcome.passed = not wrong

@@ -174,7 +174,6 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             done.append((rig.states[-1].seq, f"{victim} respawned"))
             _pass_time(rig, 2.0 * part, memory)
         found.duration_s = time.monotonic() - begun
-        errors = rig.errors
         rig.end()
         _account(rig, found, complete)
     witness.close()
@@ -195,7 +194,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
     if miss_limit < 1.0 and found.causes.get(UNEXPLAINED):
         found.reasons.append(f"{found.causes[UNEXPLAINED]} missed ticks have no cause that was measured")
     if rig.exit_code != 0:
-        found.reasons.append(f"the launch ended with exit code {rig.exit_code}: {errors}")
+        found.reasons.append(f"the launch ended with exit code {rig.exit_code}: {rig.said}")
     found.reasons += [f"left behind: {what}" for what in rig.left]
     found.passed = not found.reasons
     return found

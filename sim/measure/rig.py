@@ -60,6 +60,7 @@ class Rig(Running):
         self.summary: dict[str, Any] = {}  # what ``haptic launch --json`` answered; empty before the end
         self.exit_code: int | None = None  # exit code of the launcher
         self.left: list[str] = []  # processes and files that outlived the launch
+        self.said = ""  # what it wrote to standard error, to its end
         self._ending = threading.Event()
         self._listener: threading.Thread | None = None
 
@@ -115,6 +116,7 @@ class Rig(Running):
             self.process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.exit_code = self.process.wait(END)
+        self.said = self.errors
         self.left = left_behind(self.runtime_dir, 5.0)
         if self.process.poll() is None:
             self.left.append(f"process {self.process.pid}: the launcher")
