@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import Any
 
 import numpy as np
@@ -37,16 +38,18 @@ class RunningBodies:
 class RecordedBodies:
     """The bodies of a recording: its scene stepped again by what was recorded, as the node stepped it.
 
+    `met`: the ticks whose position reached the environment, where that is known; it stepped over the others at once.
     Raises ParameterError when MuJoCo or the scene's file is not there.
     """
 
-    def __init__(self, parameters: dict[str, Any], period: float, name: str) -> None:
+    def __init__(self, parameters: dict[str, Any], period: float, name: str, met: Container[int] | None = None) -> None:
+        self._met = met
         self.world: MovingScene = load_world(convert(parameters, MujocoParameters, name), period, name)  # the scene
         self.begun = False  # whether it has followed a first tick
 
     def follow(self, state: DeviceState) -> None:
         """Step the scene to a tick."""
-        if state.safety == "fault":
+        if state.safety == "fault" or (self._met is not None and state.seq not in self._met):
             return
         self.world.follow(
             state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay, not self.begun

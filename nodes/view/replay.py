@@ -199,18 +199,19 @@ class ReplayPages:
             elif "device" in parameters:
                 self._driver = parameters
             elif ("surface" in parameters or "scene" in parameters) and len(self._facts.axes) > 1:
-                self._read_shape(name, parameters)
+                self._read_shape(name, parameters, recording)
         if self.laws.items and "delay" in self._driver.get("device", {}):
             self.laws.items[0]["device_delay"] = self._driver["device"]["delay"]
 
-    def _read_shape(self, name: str, parameters: dict[str, Any]) -> None:
+    def _read_shape(self, name: str, parameters: dict[str, Any], recording: Recording) -> None:
         from nodes.view.drawn_bodies import RecordedBodies
         from nodes.view.shape import bodies_of, shape_of
 
         # A shape that is not installed here, or a file that has gone: the flat views remain.
         with contextlib.suppress(ParameterError, OSError):
             if "scene" in parameters:
-                self._bodies = RecordedBodies(parameters, self._facts.period, name)
+                met = {message.seq for message in recording.messages(PROXY)} if PROXY in recording.topics else None
+                self._bodies = RecordedBodies(parameters, self._facts.period, name, met)
                 self._shape = bodies_of(self._bodies.world)
             else:
                 self._shape = shape_of(parameters)
