@@ -26,6 +26,11 @@ _DIGITS = 3
 """Significant digits of a value that would be taken: the measured delay moves the fourth."""
 
 
+def refuses_start(policy: str, because: str) -> bool:
+    """Whether a coupling refuses to start unstable; `because`: why it may where changes are refused, empty for no reason."""
+    return policy == "refuse" or (policy == "changes" and not because)
+
+
 class Judgement:
     """Judges the laws of one coupling."""
 
@@ -68,7 +73,7 @@ class Judgement:
                 )
         warnings += self._of_fallback(parameters, delay)
         policy = parameters.stability
-        if warnings and (policy == "refuse" or (policy == "changes" and not because)):
+        if warnings and refuses_start(policy, because):
             raise ParameterError(f"{warnings[0]}, or set {self._node}.stability to warn")
         why = because if policy == "changes" else f"{self._node}.stability is {policy}"
         return [f"{warning}; started all the same: {why}" for warning in warnings]

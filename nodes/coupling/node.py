@@ -21,7 +21,7 @@ from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.compiled.layout import NEVER, state_of
-from nodes.coupling.judgement import Judgement
+from nodes.coupling.judgement import Judgement, refuses_start
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import CouplingParameters
@@ -74,7 +74,7 @@ class Coupling(Node):
         book.check(parameters)
         _check_frame(parameters, setup)
         because = VIRTUAL if setup.virtual else ""
-        if parameters.stability == "refuse" or (parameters.stability == "changes" and not because):
+        if refuses_start(parameters.stability, because):
             Judgement(setup.name, setup.period, book).at_start(parameters, _least_delay(setup), because)
 
     # -- off the hot path --------------------------------------------------------------------------------------------

@@ -332,25 +332,26 @@ class Supervisor:
                 return
             if now >= looked and not killed:
                 looked = now + LOOK
-                stood = [(child, self._stood(watched[child.setup.name], child)) for child in left if child.running]
+                stood = [(child, _stood(watched[child.setup.name], child)) for child in left if child.running]
                 if all(seconds > patience + granted for _, seconds in stood):
                     return
                 half = 0.5 * (now - begun)
-                if not announced and half > 0.25 * patience + 0.5 * granted:
+                if not announced and now - begun > 0.5 * patience + granted:
                     reasons = [_reason(child.setup.name, child.waited() > half) for child, at in stood if at < half]
                     announced = bool(reasons)
                     for reason in reasons:
                         self._say(f"{reason}; waited for (Ctrl-C again: not)")
             time.sleep(0.005)
 
-    def _stood(self, watched: HangWatchdog, child: Child) -> float:
-        return watched.look(child.progress() if child.listens else 0, child.waited())
-
     def _read_report(self, name: str) -> dict[str, Any]:
         report = self.reports.get(name) or self.children[name].report(self.run_dir)
         if report:
             self.reports[name] = report
         return report
+
+
+def _stood(watched: HangWatchdog, child: Child) -> float:
+    return watched.look(child.progress() if child.listens else 0, child.waited())
 
 
 def _reason(name: str, waits: bool) -> str:
